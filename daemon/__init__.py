@@ -1,0 +1,1 @@
+"""The edge daemon: composition root, pipeline, history, telemetry and command line."""

@@ -1,0 +1,83 @@
+"""What the daemon expects of a driver.
+
+A driver is built new for every attempt, used by one task, and closed fully. It never retries:
+it raises `LinkError` (try again later) or `FatalDriverError` (a person must change something);
+the supervisor owns retry and counts any other exception as retriable, loudly.
+"""
+
+from collections.abc import AsyncIterator, Sequence
+from typing import Protocol
+
+from models.records import CncSample, DisplacementSample, TemperatureCycle
+
+
+class DriverError(Exception):
+    """Base of the errors that a driver raises on purpose; the text is fit for an operator."""
+
+
+class LinkError(DriverError):
+    """The device cannot be reached or went away; trying again later may help."""
+
+
+class FatalDriverError(DriverError):
+    """Trying again cannot help: wrong configuration, refused credentials, unknown device."""
+
+
+class TemperatureSource(Protocol):
+    """One LATSIS line."""
+
+    name: str
+
+    def cycles(self) -> AsyncIterator[TemperatureCycle]:
+        """Open the line and yield each cycle as it completes; raises LinkError when the line is lost."""
+        ...
+
+    async def close(self) -> None:
+        """Release the port. May be called in any state, more than once; never raises."""
+        ...
+
+
+class DisplacementSource(Protocol):
+    """The files of one A/D logger."""
+
+    name: str
+
+    def samples(self) -> AsyncIterator[DisplacementSample]:
+        """Follow the file and yield each new row once, in file order; raises LinkError."""
+        ...
+
+    async def close(self) -> None:
+        """Release everything. May be called in any state, more than once; never raises."""
+        ...
+
+
+class Cnc(Protocol):
+    """One CNC. Every call ends within the configured time-out, by result or by LinkError."""
+
+    identity: str
+    """What the control calls itself (known after connect); commissioning is bound to it."""
+    secure: bool
+    """Encrypted, signed and with a named user."""
+
+    async def connect(self) -> None:
+        """Connect; raises LinkError or FatalDriverError."""
+        ...
+
+    async def read(self, macros: Sequence[int]) -> CncSample:
+        """Read the machine's state and the given macro variables in one request."""
+        ...
+
+    async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
+        """Read macro variables; None where a variable is vacant."""
+        ...
+
+    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        """Write groups of (macro, value), each group only after the previous one was accepted.
+
+        Raises LinkError on a lost link or a refused value (naming the macro). Never retries.
+        """
+        ...
+
+    async def close(self) -> None:
+        """Close fully. May be called in any state, more than once; never raises."""
+        ...

@@ -1,0 +1,1 @@
+"""The simulated machine: its own physics, in-process devices, wire faces and fault scripts."""

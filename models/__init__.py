@@ -1,0 +1,1 @@
+"""Pure mathematics of Toolpoint: no input or output, no clock, no logging."""
