@@ -1,0 +1,94 @@
+"""What may move the machine, how far and how fast."""
+
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from config.schema.base import Name, Seconds, Section
+
+
+class ToolTermConfig(Section):
+    """Thermal expansion of the tool between the spindle nose and the tool point."""
+
+    length_mm: float = Field(gt=0, description="length from the spindle nose to the tool point [mm]")
+    expansion_um_per_m_k: float = Field(11.0, gt=0, description="expansion coefficient [um/(m K)]")
+    temperatures: dict[str, float] = Field(
+        description="sensor labels and their weights; the weighted mean stands for the tool's temperature"
+    )
+    direction: int = Field(
+        -1, description="+1 or -1: the axis direction in which a longer tool moves its point"
+    )
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "ToolTermConfig":
+        if self.direction not in (-1, 1):
+            raise ValueError("direction is +1 or -1")
+        if abs(sum(self.temperatures.values()) - 1.0) > 1e-6:
+            raise ValueError("the weights of the tool's temperatures must sum to 1")
+        return self
+
+
+class AxisConfig(Section):
+    """One axis of the machine. Bound, slew rate and step have no defaults: somebody must choose them."""
+
+    estimate: Name | None = Field(
+        None, description="model channel that is this axis' thermal error; none: the axis stays disabled"
+    )
+    tool_term: ToolTermConfig | None = Field(None, description="added for a cutting tool")
+    absolute_bound_um: float = Field(gt=0, le=1000, description="the compensation never exceeds this [um]")
+    slew_um_per_min: float = Field(gt=0, le=100, description="it never moves faster than this [um/min]")
+    step_um: float = Field(
+        gt=0, le=100, description="the guard macro never applies a larger change at once [um]"
+    )
+    deadband_um: float = Field(0.1, ge=0, description="a smaller change of the request is not written [um]")
+
+
+class ReferenceConfig(Section):
+    """When the thermal error is zero by definition: after work positioning."""
+
+    program: int | None = Field(None, description="O number whose sequence numbers count; none: any program")
+    sequence_numbers: list[int] = Field(
+        default_factory=list, description="passing one of these N numbers sets the reference"
+    )
+    mean_s: Seconds = Field(
+        60.0, description="the reference is the mean of this long; so is the model's input"
+    )
+    max_outage_s: Seconds = Field(
+        600.0, description="after a longer outage of the daemon an old reference is not taken up again"
+    )
+
+
+class OutputConfig(Section):
+    """Timing of the output and when it holds or retreats."""
+
+    tick_s: Seconds = Field(1.0, description="the control tick: renews valid_until, feeds the watchdog")
+    validity_s: Seconds = Field(30.0, description="how far valid_until lies ahead of the CNC's clock")
+    stale_after_s: Seconds = Field(60.0, description="an older estimate freezes the output (HOLD)")
+    alarm_after_s: Seconds = Field(300.0, description="frozen for longer than this raises the alarm")
+    hold_limit_s: Seconds = Field(600.0, description="frozen for longer than this retreats (RETREAT)")
+    min_confidence: float = Field(
+        0.7, ge=0, le=1, description="share of the model's weight that must rest on usable sensors"
+    )
+    safe_sequence_numbers: list[int] = Field(
+        default_factory=list, description="N numbers at which the tool is away from the work (safe points)"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "OutputConfig":
+        if not self.stale_after_s <= self.alarm_after_s <= self.hold_limit_s:
+            raise ValueError("stale_after_s <= alarm_after_s <= hold_limit_s must hold")
+        return self
+
+
+class CompensationConfig(Section):
+    """From estimate to command."""
+
+    model_file: Path | None = Field(None, description="thermal model (JSON); without it nothing is estimated")
+    commissioning_file: Path | None = Field(
+        None, description="record of the commissioning of this machine; without it nothing is enabled"
+    )
+    axes: dict[Name, AxisConfig] = Field(
+        min_length=1, description="the axes, in the order of the enable bits"
+    )
+    reference: ReferenceConfig = Field(default_factory=ReferenceConfig, description="work positioning")
+    output: OutputConfig = Field(default_factory=OutputConfig, description="timing and states")

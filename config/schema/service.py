@@ -1,0 +1,34 @@
+"""History, local socket, telemetry and log."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from config.schema.base import Days, Seconds, Section
+
+
+class HistoryConfig(Section):
+    """The SQLite store."""
+
+    path: Path = Field(Path("/var/lib/toolpoint/history.sqlite"), description="the store's file")
+    pack_after_s: Seconds = Field(7200.0, description="older whole hours are packed")
+    keep_temperatures_days: Days = Field(730.0, description="temperatures are kept this long [d]")
+    keep_cnc_days: Days = Field(730.0, description="CNC samples are kept this long [d]")
+    keep_displacements_days: Days = Field(3650.0, description="displacements are kept this long [d]")
+    keep_estimates_days: Days = Field(730.0, description="estimates are kept this long [d]")
+    keep_writes_days: Days = Field(3650.0, description="the audit of writes is kept this long [d]")
+
+
+class ServiceConfig(Section):
+    """The daemon as a service."""
+
+    socket: Path = Field(Path("/run/toolpoint/control.sock"), description="local socket for commands")
+    socket_group: str | None = Field(
+        None, description="group that may use the socket; none: the daemon's own"
+    )
+    http_host: str = Field("127.0.0.1", description="address of /metrics")
+    http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; none: no web server")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
+    retry_min_s: Seconds = Field(0.5, description="first wait before a lost link is tried again")
+    retry_max_s: Seconds = Field(30.0, description="longest wait before a lost link is tried again")

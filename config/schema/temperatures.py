@@ -1,0 +1,167 @@
+"""LATSIS lines, their frames, the sensors, and the cleansing of temperatures."""
+
+from functools import cached_property
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from config.schema.base import Name, Seconds, Section
+
+ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^\d+-\d+$")]
+
+
+class GrammarConfig(Section):
+    """Frame grammar of one LATSIS line: [SOF] ID SEP VAL [SEP STAT] ["*" CHK] EOL."""
+
+    start: Literal["", ":"] = Field("", description="character that starts a frame, or none")
+    id_digits: int = Field(3, ge=2, le=3, description="hexadecimal digits of the ID")
+    separator: Literal["", ",", " "] = Field("", description="between ID, value and status")
+    status: bool = Field(False, description="a status byte of two hexadecimal digits follows the value")
+    checksum: Literal["none", "sum8", "lrc8", "crc8"] = Field(
+        "none", description="over the characters between the start and the asterisk"
+    )
+    end: Literal["CR", "LF", "CRLF"] = Field("CRLF", description="line end")
+
+
+BARE = GrammarConfig()
+CHECKED = GrammarConfig(start=":", separator=",", status=True, checksum="sum8", end="CRLF")
+
+
+class LineConfig(Section):
+    """One LATSIS line on one serial port."""
+
+    name: Name = Field(description="name of the line in logs, history and commands")
+    port: str = Field(description="serial port; prefer /dev/serial/by-id/... or by-path")
+    baud: int = Field(9600, gt=0, description="baud rate of the port [1/s]")
+    profile: Literal["bare", "checked", "custom"] = Field(
+        "bare", description="frame grammar: bare (7 byte), checked (16 byte), or custom (give `grammar`)"
+    )
+    grammar: GrammarConfig | None = Field(None, description="frame grammar; only with profile custom")
+    id_offset: int = Field(0, ge=0, description="added to the chain position to give the ID on the wire")
+    cycle_period_s: Seconds = Field(10.0, description="time from one pass over the line to the next")
+    extended_mode: bool = Field(False, description="TMP102 sensors send 13 bits in four digits")
+    chain: list[ChainEntry] = Field(
+        min_length=1,
+        description="sensor IDs by position on the chain, position 1 first; '7-12' stands for 7, 8 .. 12",
+    )
+
+    @field_validator("chain")
+    @classmethod
+    def _limit_chain(cls, chain: list[int | str]) -> list[int | str]:
+        if len(expand_ranges(chain)) > 200:
+            raise ValueError("a LATSIS line carries at most 200 sensors")
+        return chain
+
+    @model_validator(mode="after")
+    def _grammar_matches_profile(self) -> "LineConfig":
+        if (self.profile == "custom") != (self.grammar is not None):
+            raise ValueError("give `grammar` with profile custom, and only then")
+        return self
+
+    @cached_property
+    def sensor_ids(self) -> tuple[int, ...]:
+        """Sensor IDs by chain position, position 1 first."""
+        return tuple(expand_ranges(self.chain))
+
+    @property
+    def frame_grammar(self) -> GrammarConfig:
+        """The grammar that the profile stands for."""
+        return self.grammar or (CHECKED if self.profile == "checked" else BARE)
+
+
+def expand_ranges(entries: list[int | str] | list[str] | list[int]) -> list[int]:
+    """Return whole numbers from a list of numbers and 'a-b' ranges."""
+    numbers: list[int] = []
+    for entry in entries:
+        if isinstance(entry, int):
+            numbers.append(entry)
+            continue
+        first, last = (int(part) for part in entry.split("-"))
+        if last < first:
+            raise ValueError(f"range {entry} runs backwards")
+        numbers.extend(range(first, last + 1))
+    return numbers
+
+
+class SensorConfig(Section):
+    """One temperature sensor."""
+
+    id: int = Field(ge=1, description="sensor ID of the machine's documentation")
+    device: Literal["TMP102", "MLX90615"] = Field("TMP102", description="what decodes its value")
+    component: str = Field(description="machine component it sits on")
+    part: str = Field("-", description="part of the component")
+    label: str | None = Field(None, description="sensors with one label are averaged under that name")
+
+
+class CleansingConfig(Section):
+    """The source's rule (hold the previous value), bounded so that it cannot latch for ever."""
+
+    max_change_degc: float = Field(
+        1.0, gt=0, description="a larger change from the last accepted value within one cycle is rejected"
+    )
+    max_rate_degc_per_min: float = Field(
+        6.0, gt=0, description="after a gap the allowed change grows by this much per minute of it"
+    )
+    release_after_samples: int = Field(
+        3, ge=2, description="a rejected level is believed after so many samples that agree with each other"
+    )
+    agree_within_degc: float = Field(0.5, gt=0, description="what 'agree' means for a release")
+    min_degc: float = Field(-20.0, description="lower values are impossible here")
+    max_degc: float = Field(100.0, description="higher values are impossible here")
+    stale_after_s: Seconds = Field(
+        60.0, description="a held value older than this is missing, so that nobody lives on memories"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "CleansingConfig":
+        if self.min_degc >= self.max_degc:
+            raise ValueError("min_degc must be below max_degc")
+        return self
+
+
+class TemperaturesConfig(Section):
+    """Temperature sensors and the lines they hang on."""
+
+    lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines")
+    sensors: list[SensorConfig] = Field(min_length=1, description="the sensors, in the machine's order")
+    cleansing: CleansingConfig = Field(
+        default_factory=CleansingConfig, description="what is believed of a temperature"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "TemperaturesConfig":
+        known = [sensor.id for sensor in self.sensors]
+        if len(set(known)) != len(known):
+            twice = sorted({i for i in known if known.count(i) > 1})
+            raise ValueError(f"sensor ids listed twice: {twice}")
+        names = [line.name for line in self.lines]
+        if len(set(names)) != len(names):
+            raise ValueError("two lines have the same name")
+        chained = [i for line in self.lines for i in line.sensor_ids]
+        if len(set(chained)) != len(chained):
+            twice = sorted({i for i in chained if chained.count(i) > 1})
+            raise ValueError(f"sensors on two chain positions: {twice}")
+        if missing := sorted(set(chained) - set(known)):
+            raise ValueError(f"chain names sensors that are not listed: {missing}")
+        if unchained := sorted(set(known) - set(chained)):
+            raise ValueError(f"sensors that hang on no chain: {unchained}")
+        return self
+
+    @cached_property
+    def sensor_ids(self) -> tuple[int, ...]:
+        """Sensor IDs in the machine's order."""
+        return tuple(sensor.id for sensor in self.sensors)
+
+    @cached_property
+    def labels(self) -> dict[str, tuple[int, ...]]:
+        """Indices into the machine's sensor order by label."""
+        labels: dict[str, list[int]] = {}
+        for index, sensor in enumerate(self.sensors):
+            if sensor.label:
+                labels.setdefault(sensor.label, []).append(index)
+        return {label: tuple(indices) for label, indices in labels.items()}
+
+    @cached_property
+    def components(self) -> tuple[str, ...]:
+        """Component of each sensor in the machine's order."""
+        return tuple(sensor.component for sensor in self.sensors)
