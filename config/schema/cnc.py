@@ -44,9 +44,7 @@ class OpcUaConfig(Section):
 
     endpoint: str = Field(pattern=r"^opc\.tcp://", description="opc.tcp://host:port/path")
     namespace_uri: str = Field(description="namespace that holds the variables")
-    nodes: OpcUaNodesConfig = Field(
-        default_factory=OpcUaNodesConfig, description="identifiers of the variables"
-    )
+    nodes: OpcUaNodesConfig = Field(default_factory=OpcUaNodesConfig, description="identifiers of the variables")
     security: OpcUaSecurityConfig | None = Field(
         None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
     )
@@ -96,9 +94,7 @@ class MacroMapConfig(Section):
     @cached_property
     def allowed(self) -> frozenset[int]:
         """Numbers of all macro variables that may be written."""
-        return frozenset(
-            expand_ranges([entry if "-" in entry else f"{entry}-{entry}" for entry in self.writable])
-        )
+        return frozenset(expand_ranges([entry if "-" in entry else f"{entry}-{entry}" for entry in self.writable]))
 
     @cached_property
     def block(self) -> tuple[int, ...]:

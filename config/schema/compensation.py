@@ -15,9 +15,7 @@ class ToolTermConfig(Section):
     temperatures: dict[str, float] = Field(
         description="sensor labels and their weights; the weighted mean stands for the tool's temperature"
     )
-    direction: int = Field(
-        -1, description="+1 or -1: the axis direction in which a longer tool moves its point"
-    )
+    direction: int = Field(-1, description="+1 or -1: the axis direction in which a longer tool moves its point")
 
     @model_validator(mode="after")
     def _sensible(self) -> "ToolTermConfig":
@@ -37,9 +35,7 @@ class AxisConfig(Section):
     tool_term: ToolTermConfig | None = Field(None, description="added for a cutting tool")
     absolute_bound_um: float = Field(gt=0, le=1000, description="the compensation never exceeds this [um]")
     slew_um_per_min: float = Field(gt=0, le=100, description="it never moves faster than this [um/min]")
-    step_um: float = Field(
-        gt=0, le=100, description="the guard macro never applies a larger change at once [um]"
-    )
+    step_um: float = Field(gt=0, le=100, description="the guard macro never applies a larger change at once [um]")
     deadband_um: float = Field(0.1, ge=0, description="a smaller change of the request is not written [um]")
 
 
@@ -50,9 +46,7 @@ class ReferenceConfig(Section):
     sequence_numbers: list[int] = Field(
         default_factory=list, description="passing one of these N numbers sets the reference"
     )
-    mean_s: Seconds = Field(
-        60.0, description="the reference is the mean of this long; so is the model's input"
-    )
+    mean_s: Seconds = Field(60.0, description="the reference is the mean of this long; so is the model's input")
     max_outage_s: Seconds = Field(
         600.0, description="after a longer outage of the daemon an old reference is not taken up again"
     )
@@ -87,8 +81,6 @@ class CompensationConfig(Section):
     commissioning_file: Path | None = Field(
         None, description="record of the commissioning of this machine; without it nothing is enabled"
     )
-    axes: dict[Name, AxisConfig] = Field(
-        min_length=1, description="the axes, in the order of the enable bits"
-    )
+    axes: dict[Name, AxisConfig] = Field(min_length=1, description="the axes, in the order of the enable bits")
     reference: ReferenceConfig = Field(default_factory=ReferenceConfig, description="work positioning")
     output: OutputConfig = Field(default_factory=OutputConfig, description="timing and states")

@@ -20,9 +20,7 @@ class DisplacementFileConfig(Section):
     """The CSV files that the logger writes."""
 
     path: Path = Field(description="the file, or a pattern such as /srv/nr500/*.csv (the newest is followed)")
-    encoding: Literal["utf-8", "utf-8-sig", "cp932", "latin-1"] = Field(
-        "utf-8-sig", description="text encoding"
-    )
+    encoding: Literal["utf-8", "utf-8-sig", "cp932", "latin-1"] = Field("utf-8-sig", description="text encoding")
     delimiter: Literal[",", ";", "\t"] = Field(",", description="between fields")
     decimal: Literal[".", ","] = Field(".", description="decimal mark")
     header: str | None = Field(
@@ -32,7 +30,7 @@ class DisplacementFileConfig(Section):
     )
     unit_row: bool = Field(False, description="the row after the header holds units")
     time_columns: list[str | int] = Field(
-        default_factory=lambda: [1], description="column, or date and time columns, of the time stamp"
+        default_factory=lambda: list[str | int]([1]), description="column, or date and time columns, of the time stamp"
     )
     time_format: str = Field(
         "%Y-%m-%dT%H:%M:%S",

@@ -24,9 +24,7 @@ class ServiceConfig(Section):
     """The daemon as a service."""
 
     socket: Path = Field(Path("/run/toolpoint/control.sock"), description="local socket for commands")
-    socket_group: str | None = Field(
-        None, description="group that may use the socket; none: the daemon's own"
-    )
+    socket_group: str | None = Field(None, description="group that may use the socket; none: the daemon's own")
     http_host: str = Field("127.0.0.1", description="address of /metrics")
     http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; none: no web server")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")

@@ -124,9 +124,7 @@ class TemperaturesConfig(Section):
 
     lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines")
     sensors: list[SensorConfig] = Field(min_length=1, description="the sensors, in the machine's order")
-    cleansing: CleansingConfig = Field(
-        default_factory=CleansingConfig, description="what is believed of a temperature"
-    )
+    cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="what is believed of a temperature")
 
     @model_validator(mode="after")
     def _consistent(self) -> "TemperaturesConfig":
