@@ -189,6 +189,8 @@ class ThermalErrorEstimate:
     """IDs of the sensors that were imputed."""
     model_id: str
     reference_id: str | None
+    line: str
+    """The line whose cycle renewed the estimate."""
     trace: Trace
 
     def __post_init__(self) -> None:

@@ -1,0 +1,141 @@
+"""One connected CNC: writing the block, reading it back, and knowing what is ours.
+
+Owned by the control task alone; it serialises every call to the CNC.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daemon.history.writer import HistoryWriter
+from daemon.macro_block import LAST_SEQUENCE, Echo, MacroBlock
+from daemon.telemetry import Telemetry
+from drivers.clock import Clock
+from drivers.contract import Cnc, DriverError
+from models.records import (
+    CncSample,
+    CompensationCommand,
+    Receipt,
+    Trace,
+    WriteOutcome,
+)
+
+
+class CncSession:
+    """The macro block of one CNC, from connect to loss of the link."""
+
+    def __init__(
+        self,
+        cnc: Cnc,
+        block: MacroBlock,
+        clock: Clock,
+        history: HistoryWriter,
+        telemetry: Telemetry,
+        known: dict[int, tuple[float, ...]] | None,
+    ) -> None:
+        self.cnc = cnc
+        self._block = block
+        self._clock = clock
+        self._history = history
+        self._telemetry = telemetry
+        self._acceptable = known
+        self._sequence = 0
+        self.sample: CncSample | None = None
+        self.echo: Echo | None = None
+        self.last_write_s = -np.inf
+        self.last_command: CompensationCommand | None = None
+
+    @property
+    def known(self) -> dict[int, tuple[float, ...]] | None:
+        """What our macros may hold: what was written, and what a lost write may have left."""
+        return self._acceptable
+
+    async def poll(self) -> list[str]:
+        """Read state, block and echo; return what is vacant or foreign among our macros."""
+        sample = await self.cnc.read(self._block.polled)
+        self.sample = sample
+        self.echo = self._block.echo(sample.macros)
+        self._sequence = self._sequence or self._block.sequence(sample.macros)
+        if self._acceptable is None:
+            return self._adopt(sample)
+        problems = self._block.differences(self._acceptable, sample.macros)
+        if not problems:
+            self._narrow(sample.macros)
+        return problems
+
+    def forgive(self) -> None:
+        """Take what the CNC holds now as known: a person has acknowledged the fault."""
+        if self.sample is not None:
+            self._narrow(self.sample.macros)
+
+    def _narrow(self, found: Mapping[int, float | None]) -> None:
+        ours = {number: found.get(number) for number in self._block.ours}
+        self._acceptable = {number: (value,) for number, value in ours.items() if value is not None}
+
+    def _adopt(self, sample: CncSample) -> list[str]:
+        """Take over a block that nobody here has written: only a whole, disabled one."""
+        found = {number: sample.macros.get(number) for number in self._block.ours}
+        problems = self._block.differences(
+            {number: (() if value is None else (value,)) for number, value in found.items()}, found
+        )
+        if self._block.enabled(sample.macros):
+            problems.append("enable bits are set in the CNC, and this daemon has no record of having set them")
+        if not problems:
+            self._narrow(sample.macros)
+        return problems
+
+    async def write(self, command: CompensationCommand, *, validity_s: float, trace: Trace, cause: str) -> Receipt:
+        """Write the block first to last, read it back, and leave intent and outcome in the audit."""
+        assert self.sample is not None
+        now = self._clock.now()
+        clock_s = self.sample.clock_s + (now.monotonic_s - self.sample.time.monotonic_s)
+        self._sequence = self._sequence % LAST_SEQUENCE + 1
+        stopped = not any(command.enable)
+        valid_until_s = 0.0 if stopped else clock_s + validity_s
+        groups = self._block.encode(command, sequence=self._sequence, valid_until_s=valid_until_s)
+        macros = tuple(pair for group in groups for pair in group)
+        intent = self._history.write_intent(command, macros, cause)
+        self._expect_old_or_new(macros)
+        try:
+            await self.cnc.write_macros(groups)
+            trace = replace(trace, written=self._clock.now())
+            found = await self.cnc.read_macros(self._block.polled)
+            trace = replace(trace, read_back=self._clock.now())
+        except DriverError as error:
+            self._conclude(intent, macros, WriteOutcome.FAILED, str(error), {}, trace)
+            raise
+        self._acceptable = {number: (value,) for number, value in macros}
+        problems = self._block.differences(self._acceptable, found)
+        self.echo = self._block.echo(found)
+        self.last_write_s = now.monotonic_s
+        self.last_command = command
+        outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
+        return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
+
+    def _expect_old_or_new(self, macros: Sequence[tuple[int, float]]) -> None:
+        before = self._acceptable or {}
+        self._acceptable = {number: (*before.get(number, ()), value) for number, value in macros}
+
+    def _conclude(
+        self,
+        intent: int,
+        macros: tuple[tuple[int, float], ...],
+        outcome: WriteOutcome,
+        detail: str,
+        found: Mapping[int, float | None],
+        trace: Trace,
+    ) -> Receipt:
+        echo = self._block.echo(found)
+        receipt = Receipt(
+            sequence=self._sequence,
+            macros=macros,
+            outcome=outcome,
+            detail=detail,
+            read_back=tuple(found.get(number) for number, _ in macros),
+            applied_um=echo.applied_um,
+            trace=trace,
+        )
+        self._history.write_outcome(intent, receipt)
+        self._telemetry.write(receipt)
+        return receipt

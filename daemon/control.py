@@ -1,0 +1,415 @@
+"""The control task: CNC samples and estimates in, verified macro writes out.
+
+It alone owns the output's memory and the CNC session. An exception that nobody expected becomes
+a latched FAULT; a lost link never does.
+"""
+
+import asyncio
+import uuid
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+
+from config.commissioning import CommissioningRecord, commissioning_obstacle
+from config.schema import Configuration
+from daemon.cnc_link import CncLink
+from daemon.cnc_session import CncSession
+from daemon.history.writer import HistoryWriter
+from daemon.limits import axis_sources, output_limits
+from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
+from daemon.telemetry import Telemetry
+from daemon.thermal import ReferenceRequest
+from drivers.clock import Clock
+from drivers.contract import DriverError, LinkError
+from models.axis_map import axis_errors_um
+from models.compensation import (
+    NO_REQUEST,
+    OperatorRequest,
+    OutputInputs,
+    OutputMemory,
+    initial_memory,
+    step,
+    why_not_ready,
+)
+from models.records import (
+    CncSample,
+    CompensationCommand,
+    OutputState,
+    Phase,
+    Receipt,
+    Reference,
+    ThermalErrorEstimate,
+    Trace,
+    WriteOutcome,
+)
+
+log = structlog.get_logger(__name__)
+
+SHORTEST_POLL_REAL_S = 0.008
+"""The CNC is never polled more often than this, however fast a simulation runs [s of the wall clock]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResumePoint:
+    """What the previous run of the daemon left, if it may be taken up again."""
+
+    wanted: tuple[bool, ...]
+    reference: Reference | None
+    known_macros: dict[int, tuple[float, ...]] | None
+
+
+class ControlTask:
+    """Follows the CNC, decides with `models.compensation.step`, and writes."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        clock: Clock,
+        link: CncLink,
+        history: HistoryWriter,
+        telemetry: Telemetry,
+        *,
+        commissioning: CommissioningRecord | None,
+        model_obstacle: str,
+        resume: ResumePoint,
+        ask_reference: Callable[[ReferenceRequest | Reference], None],
+        on_tick: Callable[[], None],
+    ) -> None:
+        self._configuration = configuration
+        self._clock = clock
+        self._link = link
+        self._history = history
+        self._telemetry = telemetry
+        self._commissioning = commissioning
+        self._model_obstacle = model_obstacle
+        self._resume = resume
+        self._ask_reference = ask_reference
+        self._on_tick = on_tick
+        self.limits = output_limits(configuration)
+        self._sources = axis_sources(configuration)
+        self._modelled = frozenset(source.axis for source in self._sources if source.channel is not None)
+        self._wake = asyncio.Event()
+        self._estimate: ThermalErrorEstimate | None = None
+        self._fresh: ThermalErrorEstimate | None = None
+        self._requests: list[tuple[OperatorRequest, str]] = []
+        self._previous: CncSample | None = None
+        self.memory: OutputMemory | None = None
+        self.reference: Reference | None = None
+        self.phase = Phase.CUTTING
+        self.command: CompensationCommand | None = None
+        self.receipt: Receipt | None = None
+        self.output_fault: str | None = None
+        self.notices: list[str] = []
+        self.alarm = ""
+        self.writes = {"sent": 0, "verified": 0, "refused": 0}
+        self.written_axes: set[str] = set()
+
+    # --- what others hand in -------------------------------------------------------------
+
+    def deliver(self, item: ThermalErrorEstimate | Reference | str) -> None:
+        """Take an estimate, a new reference, or the thermal task's refusal of one."""
+        if isinstance(item, ThermalErrorEstimate):
+            self._estimate = self._fresh = item
+        elif isinstance(item, Reference):
+            self._adopt_reference(item)
+        else:
+            self._notice(item)
+        self._wake.set()
+
+    def request(self, request: OperatorRequest, person: str) -> str:
+        """Queue what a person asks for; return why it is refused, '' when it is taken."""
+        unknown = (request.enable | request.disable) - set(self.limits.axes)
+        if unknown:
+            return f"there is no axis {', '.join(sorted(unknown))}; axes are {', '.join(self.limits.axes)}"
+        if without := sorted(request.enable - self._modelled):
+            return (
+                f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
+                "so it stays disabled"
+            )
+        if request.enable and (refusals := self._refusals(request.enable)):
+            return refusals[0]
+        self._requests.append((request, person))
+        self._wake.set()
+        return ""
+
+    def request_reference(self, person: str) -> str:
+        """Set a reference by hand; return why it is refused, '' when it is taken."""
+        sample = self.session.sample if self.session else None
+        if sample is None:
+            return "no link to the CNC, so program, work offset and power-on count are unknown"
+        self._ask_for_reference(f"by hand: {person}", sample)
+        return ""
+
+    # --- the loop ------------------------------------------------------------------------
+
+    @property
+    def session(self) -> CncSession | None:
+        return self._link.session
+
+    async def run(self) -> None:
+        """Serve for ever: estimates as they come, polls and ticks as they fall due."""
+        poll_s = max(self._configuration.cnc.poll_period_s, SHORTEST_POLL_REAL_S * self._clock.speed)
+        tick_s = max(self._configuration.compensation.output.tick_s, poll_s)
+        next_poll_s = next_tick_s = self._clock.now().monotonic_s
+        while True:
+            await self._sleep_until(next_poll_s)
+            now_s = self._clock.now().monotonic_s
+            estimate, self._fresh = self._fresh, None
+            if now_s >= next_poll_s:
+                next_poll_s = max(next_poll_s + poll_s, now_s + poll_s / 4)
+                await self._guarded(self._poll())
+            tick = now_s >= next_tick_s
+            if tick:
+                next_tick_s = max(next_tick_s + tick_s, now_s + tick_s / 4)
+                self._on_tick()
+            if estimate is not None or tick or self._requests:
+                await self._guarded(self._act(estimate))
+
+    async def _sleep_until(self, until_s: float) -> None:
+        if self._fresh is None and not self._requests:
+            self._wake.clear()
+            wait_s = (until_s - self._clock.now().monotonic_s) / self._clock.speed
+            if wait_s > 0:
+                try:
+                    async with asyncio.timeout(wait_s):
+                        await self._wake.wait()
+                except TimeoutError:
+                    return
+
+    async def _guarded(self, work: Awaitable[None]) -> None:
+        """Run one piece of work; a lost link ends the session, an unknown exception is a FAULT."""
+        try:
+            await work
+        except DriverError as error:
+            self._link.lost(error if isinstance(error, LinkError) else LinkError(str(error)))
+        except Exception as error:
+            log.exception("control.defect")
+            self._raise_fault(f"unexpected {type(error).__name__} in the output task: {error}")
+
+    async def _poll(self) -> None:
+        session = self.session
+        if session is None:
+            return
+        problems = await session.poll()
+        sample = session.sample
+        assert sample is not None and session.echo is not None
+        self._history.cnc_sample(sample)
+        if problems:
+            self._raise_fault("; ".join(problems))
+        self.phase = phase_of(sample, self._configuration.compensation.output.safe_sequence_numbers)
+        self._follow_program(sample)
+        if self.memory is None:
+            self._start_from(session)
+        self._previous = sample
+
+    def _follow_program(self, sample: CncSample) -> None:
+        reference = self._configuration.compensation.reference
+        if self.reference is not None:
+            ended = end_of_reference(self.reference, sample)
+            if not ended and power_cycled(self._previous, sample):
+                ended = "the CNC's clock went back: it was switched off and on"
+            if ended:
+                self._notice(f"reference ended: {ended}")
+                self.reference = None
+                self._history.put_state("reference", None)
+        if positioning_passed(self._previous, sample, reference.program, reference.sequence_numbers):
+            self._ask_for_reference(f"O{sample.program} N{sample.sequence_number}", sample)
+
+    def _ask_for_reference(self, source: str, sample: CncSample) -> None:
+        self._ask_reference(
+            ReferenceRequest(
+                reference_id=uuid.uuid4().hex[:12],
+                source=source,
+                program=sample.program,
+                work_offset=sample.work_offset,
+                power_on_count=sample.power_on_count,
+            )
+        )
+
+    def _adopt_reference(self, reference: Reference) -> None:
+        self.reference = reference
+        self._history.reference(reference)
+        self._event("reference", f"set by {reference.source}", "daemon")
+
+    def _start_from(self, session: CncSession) -> None:
+        """Begin from the CNC's echo, not from zero and not from the store."""
+        assert session.echo is not None
+        try:
+            self.memory = initial_memory(
+                now_s=self._clock.now().monotonic_s,
+                applied_um=session.echo.applied_um,
+                wanted=self._resume.wanted,
+            )
+        except ValueError as error:
+            self.alarm = str(error)
+            return
+        self._event("start", f"{self.memory.state.value}: {self.memory.reason}", "daemon")
+        sample = session.sample
+        reference = self._resume.reference
+        if reference is not None and sample is not None and not end_of_reference(reference, sample):
+            self.reference = reference
+            self._ask_reference(reference)
+            self._event("reference", f"taken up again: {reference.source}", "daemon")
+
+    # --- deciding and writing ------------------------------------------------------------
+
+    async def _act(self, estimate: ThermalErrorEstimate | None) -> None:
+        if self.memory is None:
+            self._refuse_requests("the CNC has not been reached yet")
+            return
+        before = self.memory
+        inputs = self._inputs()
+        self.memory, command = step(before, inputs, self.limits)
+        self.command = command
+        obstacle = why_not_ready(self.memory, inputs, self.limits)
+        self._watch(before, self.memory, inputs.now_s, obstacle)
+        self._telemetry.output(command, inputs.applied_um)
+        session = self.session
+        if session is None or not command.write or not self._due(session, command, estimate):
+            return
+        trace = estimate.trace if estimate is not None else self._tick_trace()
+        await self._write(session, command, trace, estimate)
+
+    async def _write(
+        self,
+        session: CncSession,
+        command: CompensationCommand,
+        trace: Trace,
+        estimate: ThermalErrorEstimate | None,
+    ) -> None:
+        self.writes["sent"] += 1
+        receipt = await session.write(
+            command,
+            validity_s=self._configuration.compensation.output.validity_s,
+            trace=trace,
+            cause="estimate" if estimate is not None else "tick",
+        )
+        self.receipt = receipt
+        if receipt.outcome is not WriteOutcome.VERIFIED:
+            self._raise_fault(f"read-back differs: {receipt.detail}")
+            return
+        self.writes["verified"] += 1
+        self.written_axes |= {axis for axis, on in zip(command.axes, command.enable, strict=True) if on}
+        if estimate is not None:
+            self._telemetry.stages(estimate.line, receipt.trace)
+
+    def _due(self, session: CncSession, command: CompensationCommand, estimate: ThermalErrorEstimate | None) -> bool:
+        last = session.last_command
+        changed = (
+            last is None
+            or last.enable != command.enable
+            or not np.array_equal(last.compensation_um, command.compensation_um)
+        )
+        if command.state is OutputState.OFF:
+            return changed and last is not None
+        if estimate is not None or changed:
+            return True
+        age_s = self._clock.now().monotonic_s - session.last_write_s
+        return age_s > self._configuration.compensation.output.validity_s / 3
+
+    def _inputs(self) -> OutputInputs:
+        session, estimate = self.session, self._estimate
+        axes = self.limits.axes
+        now_s = self._clock.now().monotonic_s
+        unknown = np.full(len(axes), np.nan)
+        request, person = self._take_request()
+        if person:
+            self._event("request", _in_words(request), person)
+        if request.acknowledge:
+            self.output_fault = None
+            if session is not None:
+                session.forgive()
+        enabled = (
+            frozenset(axis for axis, on in zip(axes, self.memory.wanted, strict=True) if on)
+            if self.memory
+            else frozenset()
+        )
+        return OutputInputs(
+            now_s=now_s,
+            phase=self.phase,
+            link=session is not None and session.echo is not None,
+            applied_um=session.echo.applied_um if session is not None and session.echo is not None else unknown,
+            thermal_error_um=axis_errors_um(self._sources, estimate) if estimate is not None else unknown,
+            estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
+            confidence=estimate.confidence if estimate is not None else 0.0,
+            in_domain=estimate.in_domain if estimate is not None else False,
+            reference_id=self.reference.reference_id if self.reference is not None else None,
+            estimate_reference_id=estimate.reference_id if estimate is not None else None,
+            model_id=estimate.model_id if estimate is not None else None,
+            output_fault=self.output_fault,
+            refusals=self._refusals(enabled | request.enable),
+            request=request,
+        )
+
+    def _take_request(self) -> tuple[OperatorRequest, str]:
+        return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
+
+    def _refuse_requests(self, why: str) -> None:
+        for request, person in self._requests:
+            self._event("refused", f"{_in_words(request)}: {why}", person)
+            self.writes["refused"] += 1
+        self._requests.clear()
+
+    def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
+        obstacles = [self._model_obstacle]
+        session = self.session
+        if session is not None:
+            obstacles.append(
+                commissioning_obstacle(
+                    self._commissioning,
+                    cnc_identity=session.cnc.identity,
+                    macros=self._configuration.cnc.macros,
+                    axes=sorted(axes),
+                )
+            )
+            if not session.cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
+                obstacles.append("the connection is not secure, and cnc.opcua.allow_insecure_writes is not set")
+        return tuple(obstacle for obstacle in obstacles if obstacle)
+
+    # --- saying what happened ------------------------------------------------------------
+
+    def _watch(self, before: OutputMemory, after: OutputMemory, now_s: float, obstacle: str) -> None:
+        if after.state is not before.state:
+            self._event("state", f"{before.state.value} -> {after.state.value}: {after.reason}", "daemon")
+        if after.wanted != before.wanted or after.state is not before.state:
+            self._history.put_state("wanted", dict(zip(self.limits.axes, after.wanted, strict=True)))
+        frozen_s = now_s - after.since_s
+        alarm_after_s = self._configuration.compensation.output.alarm_after_s
+        if after.state is OutputState.FAULT:
+            self.alarm = f"FAULT: {after.reason}; `toolpoint acknowledge` clears it"
+        elif after.state is OutputState.HOLD and frozen_s > alarm_after_s:
+            self.alarm = f"held for {frozen_s:.0f} s: {obstacle or after.reason}"
+        else:
+            self.alarm = ""
+
+    def _raise_fault(self, reason: str) -> None:
+        if self.output_fault is None:
+            self._event("fault", reason, "daemon")
+        self.output_fault = reason
+
+    def _notice(self, text: str) -> None:
+        self.notices = [*self.notices[-19:], text]
+        self._event("notice", text, "daemon")
+
+    def _event(self, kind: str, text: str, person: str) -> None:
+        log.info(f"output.{kind}", text=text, person=person)
+        self._history.event(kind, text, person)
+
+    def _tick_trace(self) -> Trace:
+        now = self._clock.now()
+        return Trace(first_byte=now, last_byte=now)
+
+
+def _in_words(request: OperatorRequest) -> str:
+    words = []
+    if request.enable:
+        words.append(f"enable {', '.join(sorted(request.enable))}")
+    if request.disable:
+        words.append(f"disable {', '.join(sorted(request.disable))}")
+    if request.zero:
+        words.append("disable all and retreat to zero")
+    if request.acknowledge:
+        words.append("acknowledge the fault")
+    return "; ".join(words)

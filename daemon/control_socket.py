@@ -1,0 +1,130 @@
+"""The local socket: commands to a running daemon, one JSON object a line, peer identity known."""
+
+import asyncio
+import grp
+import json
+import os
+import pwd
+import socket
+import struct
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+log = structlog.get_logger(__name__)
+
+LONGEST_REQUEST = 65536
+"""A longer line than this is refused [byte]."""
+
+Handler = Callable[[dict[str, Any], str], Awaitable[dict[str, Any]]]
+
+
+class RequestError(Exception):
+    """A request that cannot be taken; the text goes back to the person."""
+
+
+def peer_name(connection: socket.socket) -> str:
+    """Return who is at the other end, as 'name (uid N, pid M)', from the kernel."""
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    pid, uid, _ = struct.unpack("3i", credentials)
+    try:
+        name = pwd.getpwuid(uid).pw_name
+    except KeyError:
+        name = "unknown"
+    return f"{name} (uid {uid}, pid {pid})"
+
+
+class ControlSocket:
+    """Serves the socket; every request is answered with one line."""
+
+    def __init__(self, path: Path, group: str | None, handle: Handler) -> None:
+        self._path = path
+        self._group = group
+        self._handle = handle
+
+    async def run(self) -> None:
+        """Serve until cancelled."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._path.unlink(missing_ok=True)
+        old_mask = os.umask(0o177)
+        try:
+            server = await asyncio.start_unix_server(self._serve, self._path, limit=LONGEST_REQUEST)
+        finally:
+            os.umask(old_mask)
+        if self._group is not None:
+            os.chown(self._path, -1, grp.getgrnam(self._group).gr_gid)
+            self._path.chmod(0o660)
+        try:
+            async with server:
+                await server.serve_forever()
+        finally:
+            self._path.unlink(missing_ok=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        person = peer_name(writer.get_extra_info("socket"))
+        try:
+            while line := await reader.readline():
+                answer = await self._answer(line, person)
+                writer.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
+                await writer.drain()
+        except (ConnectionError, ValueError) as error:
+            log.info("socket.closed", person=person, problem=str(error))
+        finally:
+            writer.close()
+
+    async def _answer(self, line: bytes, person: str) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+            if not isinstance(request, dict):
+                raise RequestError("a request is one JSON object")
+            return {"ok": True, **await self._handle(request, person)}
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            return {"ok": False, "error": f"the request is not JSON: {error}"}
+        except RequestError as error:
+            log.warning("request.refused", person=person, why=str(error))
+            return {"ok": False, "error": str(error)}
+
+
+class DaemonUnreachableError(Exception):
+    """No daemon answers at the socket; the text says what to do."""
+
+
+class ControlClient:
+    """A blocking client for the command line."""
+
+    def __init__(self, path: Path, timeout_s: float = 10.0) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(str(path))
+        except PermissionError as error:
+            raise DaemonUnreachableError(
+                f"{path}: permission denied; join the group that owns the socket (service.socket_group)"
+            ) from error
+        except OSError as error:
+            raise DaemonUnreachableError(
+                f"{path}: no daemon answers ({error.strerror}); is it running? `systemctl status toolpoint`"
+            ) from error
+        self._stream = self._socket.makefile("rb")
+
+    def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
+        """Send one request and return its answer; raises RequestError when it was refused."""
+        message = json.dumps({"command": command, **arguments}).encode() + b"\n"
+        try:
+            self._socket.sendall(message)
+            line = self._stream.readline()
+        except OSError as error:
+            raise DaemonUnreachableError(f"the daemon did not answer: {error}") from error
+        if not line:
+            raise DaemonUnreachableError("the daemon closed the connection")
+        answer = json.loads(line)
+        assert isinstance(answer, dict)
+        if not answer.pop("ok"):
+            raise RequestError(str(answer["error"]))
+        return answer
+
+    def close(self) -> None:
+        self._stream.close()
+        self._socket.close()

@@ -1,0 +1,45 @@
+"""From the configuration's words to the vectors and records that the mathematics takes."""
+
+import numpy as np
+
+from config.schema import Configuration
+from models.axis_map import AxisSource, ToolTerm
+from models.compensation import OutputLimits
+
+
+def output_limits(configuration: Configuration) -> OutputLimits:
+    """Return the limits of the output, one row per axis."""
+    axes = configuration.compensation.axes
+    output = configuration.compensation.output
+    return OutputLimits(
+        axes=tuple(axes),
+        absolute_bound_um=np.array([axis.absolute_bound_um for axis in axes.values()]),
+        slew_um_per_min=np.array([axis.slew_um_per_min for axis in axes.values()]),
+        step_um=np.array([axis.step_um for axis in axes.values()]),
+        deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
+        stale_after_s=output.stale_after_s,
+        hold_limit_s=output.hold_limit_s,
+        min_confidence=output.min_confidence,
+    )
+
+
+def axis_sources(configuration: Configuration) -> tuple[AxisSource, ...]:
+    """Return which estimate feeds which axis."""
+    sources = []
+    for name, axis in configuration.compensation.axes.items():
+        term = axis.tool_term
+        sources.append(
+            AxisSource(
+                axis=name,
+                channel=axis.estimate,
+                tool_term=None
+                if term is None
+                else ToolTerm(
+                    length_mm=term.length_mm,
+                    expansion_um_per_m_k=term.expansion_um_per_m_k,
+                    label_weights=term.temperatures,
+                    direction=term.direction,
+                ),
+            )
+        )
+    return tuple(sources)

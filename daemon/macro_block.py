@@ -1,0 +1,91 @@
+"""The block of macro variables: encoding a command, decoding the echo, telling ours from foreign."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema.cnc import MacroMapConfig
+from models.records import CompensationCommand, FloatArray
+
+LAST_SEQUENCE = 999_999
+"""Sequence numbers run from 1 to here and start again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Echo:
+    """What the guard says it did."""
+
+    applied_um: FloatArray
+    """Per axis [um], NaN where vacant."""
+    time_s: float | None
+    status: int | None
+    guard_version: float | None
+
+
+class MacroBlock:
+    """Layout of the block for one machine."""
+
+    def __init__(self, macros: MacroMapConfig, axes: Sequence[str], factors: Mapping[str, float]) -> None:
+        self._map = macros
+        self._axes = tuple(axes)
+        self._um_per_unit = np.array([macros.unit_um * factors.get(axis, 1.0) for axis in axes])
+        self.ours = (
+            macros.sequence_a,
+            *(macros.values[axis] for axis in axes),
+            macros.valid_until,
+            macros.enable,
+            macros.sequence_b,
+        )
+        self.polled = macros.block
+
+    def encode(
+        self, command: CompensationCommand, *, sequence: int, valid_until_s: float
+    ) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
+        units = command.compensation_um / self._um_per_unit
+        bits = sum(1 << index for index, on in enumerate(command.enable) if on)
+        content = [(self._map.values[axis], float(unit)) for axis, unit in zip(self._axes, units, strict=True)]
+        content += [(self._map.valid_until, round(valid_until_s, 3)), (self._map.enable, float(bits))]
+        return (
+            ((self._map.sequence_a, float(sequence)),),
+            tuple(content),
+            ((self._map.sequence_b, float(sequence)),),
+        )
+
+    def echo(self, macros: Mapping[int, float | None]) -> Echo:
+        """Decode the guard's echo from macro values."""
+        values = [macros.get(self._map.echo_applied[axis]) for axis in self._axes]
+        units = np.array([np.nan if value is None else value for value in values])
+        status = macros.get(self._map.echo_status)
+        return Echo(
+            applied_um=units * self._um_per_unit,
+            time_s=macros.get(self._map.echo_time),
+            status=None if status is None else round(status),
+            guard_version=macros.get(self._map.echo_guard_version),
+        )
+
+    def differences(self, acceptable: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None]) -> list[str]:
+        """Return what is vacant or foreign among our macros, in words."""
+        problems = []
+        for number, allowed in acceptable.items():
+            value = found.get(number)
+            if value is None:
+                if number != self._map.valid_until:
+                    problems.append(f"macro #{number} is vacant")
+                continue
+            if not any(self._close(value, expected) for expected in allowed):
+                expected = " or ".join(f"{v:g}" for v in allowed)
+                problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
+        return problems
+
+    def enabled(self, macros: Mapping[int, float | None]) -> bool:
+        """Whether any enable bit is set."""
+        return bool(macros.get(self._map.enable))
+
+    def sequence(self, macros: Mapping[int, float | None]) -> int:
+        """Return the sequence number in the CNC, 0 when vacant."""
+        return round(macros.get(self._map.sequence_b) or 0.0)
+
+    def _close(self, value: float, expected: float) -> bool:
+        return abs(value - expected) <= max(self._map.tolerance, 1e-9 * abs(expected))

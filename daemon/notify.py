@@ -1,0 +1,34 @@
+"""The service manager's notification protocol (sd_notify): ready, watchdog, status, stopping."""
+
+import os
+import socket
+
+
+class ServiceManager:
+    """Sends datagrams to the socket that systemd named in NOTIFY_SOCKET; silent without one."""
+
+    def __init__(self, environment: dict[str, str] | None = None) -> None:
+        values = dict(os.environ) if environment is None else environment
+        self._address = values.get("NOTIFY_SOCKET", "")
+        self._socket: socket.socket | None = None
+        if self._address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+
+    def ready(self, status: str) -> None:
+        self._send(f"READY=1\nSTATUS={status}")
+
+    def watchdog(self, status: str) -> None:
+        self._send(f"WATCHDOG=1\nSTATUS={status}")
+
+    def stopping(self) -> None:
+        self._send("STOPPING=1")
+
+    def _send(self, message: str) -> None:
+        if self._socket is None:
+            return
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+        try:
+            self._socket.sendto(message.encode(), address)
+        except OSError:
+            # Nobody listens any more; the watchdog then does its work, which is the right outcome.
+            return

@@ -1,0 +1,48 @@
+"""Sees in the CNC's samples when work has been positioned, and when a reference has ended."""
+
+from collections.abc import Collection
+
+from models.records import CncRun, CncSample, Phase, Reference
+
+CLOCK_STEP_S = 1.0
+"""The CNC's clock going back by more than this means that it was switched off [s]."""
+
+
+def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int]) -> Phase:
+    """Return what the machine is doing; everything that is not known to be harmless is cutting."""
+    if sample.run in (CncRun.RESET, CncRun.STOP):
+        return Phase.IDLE
+    if sample.run is CncRun.START and sample.sequence_number in safe_sequence_numbers:
+        return Phase.SAFE_POINT
+    return Phase.CUTTING
+
+
+def positioning_passed(
+    previous: CncSample | None, sample: CncSample, program: int | None, sequence_numbers: Collection[int]
+) -> bool:
+    """Whether the program has reached a positioning block since the previous sample."""
+    if sample.sequence_number not in sequence_numbers or sample.run is not CncRun.START:
+        return False
+    if program is not None and sample.program != program:
+        return False
+    if previous is None:
+        return False
+    return (previous.program, previous.sequence_number) != (sample.program, sample.sequence_number)
+
+
+def power_cycled(previous: CncSample | None, sample: CncSample) -> bool:
+    """Whether the control was switched off between two samples."""
+    if previous is None:
+        return False
+    return sample.power_on_count != previous.power_on_count or sample.clock_s < previous.clock_s - CLOCK_STEP_S
+
+
+def end_of_reference(reference: Reference, sample: CncSample) -> str:
+    """Return why a reference no longer holds, '' while it does."""
+    if sample.power_on_count != reference.power_on_count:
+        return "the CNC was switched off and on"
+    if sample.work_offset != reference.work_offset:
+        return f"the work offset changed from {reference.work_offset} to {sample.work_offset}"
+    if sample.program != reference.program:
+        return f"the program changed from O{reference.program} to O{sample.program}"
+    return ""

@@ -1,0 +1,205 @@
+"""The thermal task: cycles in, cleansed temperatures and the estimate out.
+
+One task owns the cleansing state, the one-minute means and the reference temperatures; whoever
+wants something of it puts a message into `inbox`.
+"""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import structlog
+
+from config.schema import Configuration
+from daemon.history.writer import HistoryWriter
+from daemon.telemetry import Telemetry
+from drivers.clock import Clock
+from models.align import RollingMean
+from models.cleanse import CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
+from models.records import (
+    FloatArray,
+    MachineTemperatures,
+    Reference,
+    TemperatureCycle,
+    ThermalErrorEstimate,
+)
+from models.thermal.artifact import ThermalModel
+from models.thermal.estimate import estimate
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceRequest:
+    """Ask for a reference now, with what it is bound to."""
+
+    reference_id: str
+    source: str
+    program: int
+    work_offset: int
+    power_on_count: int
+
+
+class ThermalTask:
+    """Cleanses every completed line cycle and renews the estimate with it."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        clock: Clock,
+        history: HistoryWriter,
+        telemetry: Telemetry,
+        model: ThermalModel | None,
+        deliver: Callable[[ThermalErrorEstimate | Reference | str], None],
+    ) -> None:
+        temperatures = configuration.temperatures
+        self._clock = clock
+        self._history = history
+        self._telemetry = telemetry
+        self._deliver = deliver
+        self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
+        position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
+        self._sensor_ids = temperatures.sensor_ids
+        self._components = temperatures.components
+        self._lines = {
+            line.name: (np.array([position[i] for i in line.sensor_ids]), line.cycle_period_s)
+            for line in temperatures.lines
+        }
+        self._rules = CleansingRules(**temperatures.cleansing.model_dump())
+        self._state: CleansingState = initial_state(len(position))
+        self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        self._measured = np.full(len(position), np.nan)
+        self._quality = np.full(len(position), 2, dtype=np.uint8)
+        self._reason = np.full(len(position), 1, dtype=np.uint8)
+        self._reference: Reference | None = None
+        self.inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
+        self.latest: MachineTemperatures | None = None
+        self.latest_estimate: ThermalErrorEstimate | None = None
+        self.cycles_received = 0
+        self.cycles_incomplete = 0
+        self.estimates = 0
+        self._model = model
+        self._order = self._model_order(model, position)
+
+    async def run(self) -> None:
+        """Serve the inbox for ever."""
+        while True:
+            item = await self.inbox.get()
+            if isinstance(item, TemperatureCycle):
+                self._on_cycle(item)
+            elif isinstance(item, ReferenceRequest):
+                self._set_reference(item)
+            else:
+                self._reference = item
+
+    def _model_order(self, model: ThermalModel | None, position: dict[int, int]) -> npt.NDArray[np.intp] | None:
+        if model is None:
+            return None
+        if unknown := [i for i in model.sensor_ids if i not in position]:
+            raise ValueError(f"model {model.model_id} needs sensors that this machine does not have: {unknown[:10]}")
+        return np.array([position[i] for i in model.sensor_ids])
+
+    def _on_cycle(self, cycle: TemperatureCycle) -> None:
+        temperatures = self._cleanse(cycle)
+        self.latest = temperatures
+        self._history.temperatures(temperatures, cycle)
+        self._telemetry.cycle(cycle)
+        if (renewed := self._estimate(temperatures)) is not None:
+            self.latest_estimate = renewed
+            self.estimates += 1
+            self._deliver(renewed)
+            self._history.estimate(renewed)
+        self.cycles_received += 1
+        if not cycle.complete:
+            self.cycles_incomplete += 1
+            log.warning("cycle.incomplete", line=cycle.line, number=cycle.number, faults=cycle.faults[:5])
+
+    def _cleanse(self, cycle: TemperatureCycle) -> MachineTemperatures:
+        indices, period_s = self._lines[cycle.line]
+        now_s = cycle.trace.first_byte.monotonic_s
+        result = cleanse_cycle(
+            self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
+        )
+        self._state = result.state
+        self._measured[indices] = cycle.degc
+        degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
+        degc[indices] = result.degc
+        self._quality[indices] = result.quality
+        self._reason[indices] = result.reason
+        ages_s = age_s(self._state, now_s)
+        degc[ages_s > self._rules.stale_after_s] = np.nan
+        self._mean.add(now_s, degc)
+        return MachineTemperatures(
+            line=cycle.line,
+            measured_degc=self._measured.copy(),
+            degc=degc,
+            quality=self._quality.copy(),
+            reason=self._reason.copy(),
+            age_s=ages_s,
+            trace=replace(cycle.trace, cleansed=self._clock.now()),
+        )
+
+    def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
+        reference, model = self._reference, self._model
+        if reference is None or model is None:
+            return None
+        degc = self._mean.mean()
+        elapsed_min = (temperatures.trace.first_byte.monotonic_s - reference.time.monotonic_s) / 60.0
+        assert self._order is not None
+        outcome = estimate(
+            model,
+            degc[self._order],
+            reference.degc[self._order],
+            elapsed_min,
+            tuple(self._components[i] for i in self._order),
+        )
+        if outcome is None:
+            return None
+        now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)
+        return ThermalErrorEstimate(
+            channels=model.channels,
+            thermal_error_um=outcome.thermal_error_um,
+            band_um=model.band_um.copy(),
+            label_degc=now_labels,
+            label_increment_degc=since_labels,
+            in_domain=outcome.in_domain,
+            confidence=outcome.confidence,
+            imputed=tuple(outcome.imputed),
+            model_id=model.model_id,
+            reference_id=reference.reference_id,
+            line=temperatures.line,
+            trace=replace(temperatures.trace, estimated=self._clock.now()),
+        )
+
+    def _label_means(self, degc: FloatArray) -> dict[str, float]:
+        means = {}
+        for label, indices in self._labels.items():
+            known = degc[indices]
+            known = known[np.isfinite(known)]
+            if known.size:
+                means[label] = float(known.mean())
+        return means
+
+    def _set_reference(self, request: ReferenceRequest) -> None:
+        degc = self._mean.mean()
+        usable = int(np.isfinite(degc).sum())
+        if usable == 0:
+            self._deliver(f"reference of {request.source} refused: no temperature has arrived in the last minute")
+            return
+        reference = Reference(
+            reference_id=request.reference_id,
+            time=self._clock.now(),
+            source=request.source,
+            degc=degc,
+            program=request.program,
+            work_offset=request.work_offset,
+            power_on_count=request.power_on_count,
+        )
+        self._reference = reference
+        log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
+        self._deliver(reference)
+        if self.latest is not None and (first := self._estimate(self.latest)) is not None:
+            self.latest_estimate = first
+            self._deliver(first)

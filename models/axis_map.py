@@ -1,0 +1,78 @@
+"""From model channels to machine axes: the spindle nose plus the tool."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray, ThermalErrorEstimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolTerm:
+    """Expansion of the tool between the spindle nose and the tool point."""
+
+    length_mm: float
+    expansion_um_per_m_k: float
+    label_weights: Mapping[str, float]
+    """Labels of the sensors whose weighted mean stands for the tool's temperature."""
+    direction: int
+    """+1 or -1: where a longer tool moves its point."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisSource:
+    """Which estimate is the thermal error of one axis."""
+
+    axis: str
+    channel: str | None
+    """Model channel, None for an axis without a model."""
+    tool_term: ToolTerm | None = None
+
+
+def tool_expansion_um(term: ToolTerm, label_increment_degc: Mapping[str, float]) -> float:
+    """Return how far the tool point has moved by the tool's own expansion since the reference.
+
+    Parameters
+    ----------
+    term
+        Length [mm], expansion coefficient [um/(m K)], weights and direction.
+    label_increment_degc
+        Change of each label's mean since the reference [degC].
+
+    Returns
+    -------
+    float
+        Movement along the axis [um]; NaN when a label is missing. Linear expansion,
+        dL = alpha L dT.
+
+    """
+    increment = sum(weight * label_increment_degc.get(label, np.nan) for label, weight in term.label_weights.items())
+    return float(term.direction * term.expansion_um_per_m_k * term.length_mm * 1e-3 * increment)
+
+
+def axis_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
+    """Return the thermal error per axis since the reference.
+
+    Parameters
+    ----------
+    sources
+        One per axis, in the machine's order.
+    estimate
+        Thermal error per model channel [um].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_axes,)
+        Actual minus nominal [um]; NaN for an axis without a channel in the estimate.
+
+    """
+    by_channel = dict(zip(estimate.channels, estimate.thermal_error_um, strict=True))
+    errors = np.full(len(sources), np.nan)
+    for index, source in enumerate(sources):
+        if source.channel is None or source.channel not in by_channel:
+            continue
+        errors[index] = by_channel[source.channel]
+        if source.tool_term is not None:
+            errors[index] += tool_expansion_um(source.tool_term, estimate.label_increment_degc)
+    return errors
