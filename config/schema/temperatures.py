@@ -23,7 +23,7 @@ class GrammarConfig(Section):
     end: Literal["CR", "LF", "CRLF"] = Field("CRLF", description="line end")
 
 
-BARE = GrammarConfig()
+BARE = GrammarConfig(id_digits=2)
 CHECKED = GrammarConfig(start=":", separator=",", status=True, checksum="sum8", end="CRLF")
 
 
@@ -56,6 +56,12 @@ class LineConfig(Section):
     def _grammar_matches_profile(self) -> "LineConfig":
         if (self.profile == "custom") != (self.grammar is not None):
             raise ValueError("give `grammar` with profile custom, and only then")
+        highest, limit = self.id_offset + len(self.sensor_ids), 16**self.frame_grammar.id_digits - 1
+        if highest > limit:
+            raise ValueError(
+                f"the highest ID on the wire would be {highest}, but {self.frame_grammar.id_digits} hexadecimal "
+                f"digits end at {limit}: lower id_offset, shorten the chain, or use a grammar with 3 id_digits"
+            )
         return self
 
     @cached_property
