@@ -7,7 +7,6 @@ a latched FAULT; a lost link never does.
 import asyncio
 import uuid
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 
 import numpy as np
 import structlog
@@ -19,10 +18,11 @@ from daemon.cnc_session import CncSession
 from daemon.history.writer import HistoryWriter
 from daemon.limits import axis_sources, output_limits
 from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
+from daemon.resume import ResumePoint, reference_to_state
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
-from drivers.contract import DriverError, LinkError
+from drivers.contract import SIMULATED_CNC_IDENTITY, DriverError, LinkError
 from models.axis_map import axis_errors_um
 from models.compensation import (
     NO_REQUEST,
@@ -36,6 +36,7 @@ from models.compensation import (
 from models.records import (
     CncSample,
     CompensationCommand,
+    FloatArray,
     OutputState,
     Phase,
     Receipt,
@@ -49,15 +50,6 @@ log = structlog.get_logger(__name__)
 
 SHORTEST_POLL_REAL_S = 0.008
 """The CNC is never polled more often than this, however fast a simulation runs [s of the wall clock]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResumePoint:
-    """What the previous run of the daemon left, if it may be taken up again."""
-
-    wanted: tuple[bool, ...]
-    reference: Reference | None
-    known_macros: dict[int, tuple[float, ...]] | None
 
 
 class ControlTask:
@@ -89,7 +81,7 @@ class ControlTask:
         self._on_tick = on_tick
         self.limits = output_limits(configuration)
         self._sources = axis_sources(configuration)
-        self._modelled = frozenset(source.axis for source in self._sources if source.channel is not None)
+        self.modelled = frozenset(source.axis for source in self._sources if source.channel is not None)
         self._wake = asyncio.Event()
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
@@ -123,7 +115,7 @@ class ControlTask:
         unknown = (request.enable | request.disable) - set(self.limits.axes)
         if unknown:
             return f"there is no axis {', '.join(sorted(unknown))}; axes are {', '.join(self.limits.axes)}"
-        if without := sorted(request.enable - self._modelled):
+        if without := sorted(request.enable - self.modelled):
             return (
                 f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
                 "so it stays disabled"
@@ -147,6 +139,19 @@ class ControlTask:
     @property
     def session(self) -> CncSession | None:
         return self._link.session
+
+    def applied_um(self) -> FloatArray:
+        """Return the guard's echo per axis [um], NaN while it is unknown."""
+        session = self.session
+        if session is None or session.echo is None:
+            return np.full(len(self.limits.axes), np.nan)
+        return session.echo.applied_um
+
+    def thermal_error_um(self) -> FloatArray:
+        """Return the estimated error per axis since the reference [um], NaN without an estimate."""
+        if self._estimate is None:
+            return np.full(len(self.limits.axes), np.nan)
+        return axis_errors_um(self._sources, self._estimate)
 
     async def run(self) -> None:
         """Serve for ever: estimates as they come, polls and ticks as they fall due."""
@@ -231,6 +236,7 @@ class ControlTask:
     def _adopt_reference(self, reference: Reference) -> None:
         self.reference = reference
         self._history.reference(reference)
+        self._history.put_state("reference", reference_to_state(reference))
         self._event("reference", f"set by {reference.source}", "daemon")
 
     def _start_from(self, session: CncSession) -> None:
@@ -311,9 +317,7 @@ class ControlTask:
 
     def _inputs(self) -> OutputInputs:
         session, estimate = self.session, self._estimate
-        axes = self.limits.axes
         now_s = self._clock.now().monotonic_s
-        unknown = np.full(len(axes), np.nan)
         request, person = self._take_request()
         if person:
             self._event("request", _in_words(request), person)
@@ -321,17 +325,13 @@ class ControlTask:
             self.output_fault = None
             if session is not None:
                 session.forgive()
-        enabled = (
-            frozenset(axis for axis, on in zip(axes, self.memory.wanted, strict=True) if on)
-            if self.memory
-            else frozenset()
-        )
+        enabled = self._wanted_axes()
         return OutputInputs(
             now_s=now_s,
             phase=self.phase,
             link=session is not None and session.echo is not None,
-            applied_um=session.echo.applied_um if session is not None and session.echo is not None else unknown,
-            thermal_error_um=axis_errors_um(self._sources, estimate) if estimate is not None else unknown,
+            applied_um=self.applied_um(),
+            thermal_error_um=self.thermal_error_um(),
             estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
             confidence=estimate.confidence if estimate is not None else 0.0,
             in_domain=estimate.in_domain if estimate is not None else False,
@@ -342,6 +342,11 @@ class ControlTask:
             refusals=self._refusals(enabled | request.enable),
             request=request,
         )
+
+    def _wanted_axes(self) -> frozenset[str]:
+        if self.memory is None:
+            return frozenset()
+        return frozenset(axis for axis, on in zip(self.limits.axes, self.memory.wanted, strict=True) if on)
 
     def _take_request(self) -> tuple[OperatorRequest, str]:
         return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
@@ -356,6 +361,8 @@ class ControlTask:
         obstacles = [self._model_obstacle]
         session = self.session
         if session is not None:
+            if self._clock.speed != 1.0 and session.cnc.identity != SIMULATED_CNC_IDENTITY:
+                obstacles.append("the clock is simulated but the control is not")
             obstacles.append(
                 commissioning_obstacle(
                     self._commissioning,

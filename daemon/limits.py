@@ -1,7 +1,10 @@
 """From the configuration's words to the vectors and records that the mathematics takes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from models.axis_map import AxisSource, ToolTerm
 from models.compensation import OutputLimits
@@ -43,3 +46,10 @@ def axis_sources(configuration: Configuration) -> tuple[AxisSource, ...]:
             )
         )
     return tuple(sources)
+
+
+def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]) -> dict[str, float]:
+    """Return movement per macro value for each commissioned axis: its sign times its scale."""
+    if record is None:
+        return {}
+    return {axis: record.axes[axis].sign * record.axes[axis].scale for axis in axes if axis in record.axes}

@@ -52,6 +52,7 @@ class ThermalTask:
         history: HistoryWriter,
         telemetry: Telemetry,
         model: ThermalModel | None,
+        inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference]",
         deliver: Callable[[ThermalErrorEstimate | Reference | str], None],
     ) -> None:
         temperatures = configuration.temperatures
@@ -74,7 +75,7 @@ class ThermalTask:
         self._quality = np.full(len(position), 2, dtype=np.uint8)
         self._reason = np.full(len(position), 1, dtype=np.uint8)
         self._reference: Reference | None = None
-        self.inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
+        self.inbox = inbox
         self.latest: MachineTemperatures | None = None
         self.latest_estimate: ThermalErrorEstimate | None = None
         self.cycles_received = 0
@@ -82,6 +83,11 @@ class ThermalTask:
         self.estimates = 0
         self._model = model
         self._order = self._model_order(model, position)
+
+    @property
+    def usable(self) -> int:
+        """How many sensors have a value that may be used."""
+        return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
 
     async def run(self) -> None:
         """Serve the inbox for ever."""

@@ -10,6 +10,9 @@ from typing import Protocol
 
 from models.records import CncSample, DisplacementSample, TemperatureCycle
 
+SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
+"""What the simulated machine's control calls itself; nothing else may be driven by a scaled clock."""
+
 
 class DriverError(Exception):
     """Base of the errors that a driver raises on purpose; the text is fit for an operator."""

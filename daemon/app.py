@@ -1,0 +1,216 @@
+"""The composition root: one event loop, one task group, every part built here and handed on."""
+
+import asyncio
+import gc
+import signal
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from config.commissioning import CommissioningError, CommissioningRecord, load_commissioning
+from config.schema import Configuration
+from config.schema.temperatures import LineConfig
+from daemon import registry
+from daemon.cnc_link import CncLink
+from daemon.cnc_session import CncSession
+from daemon.commands import CommandDesk
+from daemon.control import ControlTask
+from daemon.control_socket import ControlSocket
+from daemon.history.writer import HistoryWriter
+from daemon.jobs import housekeeping_scheduler
+from daemon.limits import commissioned_factors
+from daemon.macro_block import MacroBlock
+from daemon.notify import ServiceManager
+from daemon.resume import load_resume_point
+from daemon.status import StatusBoard
+from daemon.supervisor import Backoff, LinkHealth, keep_alive
+from daemon.telemetry import Telemetry
+from daemon.thermal import ReferenceRequest, ThermalTask
+from daemon.web import serve_metrics
+from drivers.clock import Clock
+from drivers.contract import Cnc
+from models.records import Reference, TemperatureCycle
+from models.thermal.artifact import ModelError, ThermalModel, model_from_json
+
+log = structlog.get_logger(__name__)
+
+
+ALIVE_PERIOD_S = 10.0
+"""The store is told this often that the daemon lives [s of the wall clock]; a restart measures its outage by it."""
+
+
+class StartError(Exception):
+    """The daemon cannot start; the text says why and what to do."""
+
+
+def load_model(path: Path | None) -> tuple[ThermalModel | None, str]:
+    """Return the thermal model, or why there is none."""
+    if path is None:
+        return None, "no thermal model is configured (compensation.model_file)"
+    try:
+        return model_from_json(path.read_text(encoding="utf-8"), source=str(path)), ""
+    except OSError as error:
+        return None, f"{path}: the thermal model cannot be read ({error.strerror})"
+    except ModelError as error:
+        return None, str(error)
+
+
+def load_record(path: Path | None) -> CommissioningRecord | None:
+    """Return the commissioning record, or None with the reason in the log."""
+    if path is None:
+        return None
+    try:
+        return load_commissioning(path)
+    except CommissioningError as error:
+        log.error("commissioning.unreadable", problem=str(error))
+        return None
+
+
+class Daemon:
+    """One machine's daemon."""
+
+    def __init__(self, configuration: Configuration, clock: Clock) -> None:
+        self._configuration = configuration
+        self._clock = clock
+        self._telemetry = Telemetry()
+        self._service_manager = ServiceManager()
+        self._history = HistoryWriter(
+            configuration.history.path,
+            clock=clock,
+            on_acknowledged=self._on_acknowledged,
+            on_problem=self._on_history_problem,
+        )
+        model, obstacle = load_model(configuration.compensation.model_file)
+        if obstacle:
+            log.error("model.missing", problem=obstacle)
+        record = load_record(configuration.compensation.commissioning_file)
+        axes = tuple(configuration.compensation.axes)
+        self._block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
+        self._alive_real_s = float("-inf")
+        self._resume = load_resume_point(configuration, self._history, clock)
+        self._link = CncLink(lambda: registry.open_cnc(configuration, clock), self._open_session)
+        inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
+        self.control = ControlTask(
+            configuration,
+            clock,
+            self._link,
+            self._history,
+            self._telemetry,
+            commissioning=record,
+            model_obstacle=obstacle,
+            resume=self._resume,
+            ask_reference=inbox.put_nowait,
+            on_tick=self._on_tick,
+        )
+        self.thermal = ThermalTask(
+            configuration, clock, self._history, self._telemetry, model, inbox, self.control.deliver
+        )
+        lines = configuration.temperatures.lines
+        self._line_health = {line.name: LinkHealth(f"latsis {line.name}") for line in lines}
+        self._displacement_health = LinkHealth("displacement files")
+        healths = [*self._line_health.values(), self._link.health]
+        if configuration.displacements is not None:
+            healths.append(self._displacement_health)
+        self._healths = healths
+        self.board = StatusBoard(configuration, clock, self.thermal, self.control, self._telemetry, healths)
+        self._commands = CommandDesk(self.board, self.control, axes)
+
+    async def run(self) -> None:
+        """Run until cancelled or told to stop by a signal."""
+        service, configuration = self._configuration.service, self._configuration
+        self._history.start()
+        self._history.event("daemon", "started", "daemon")
+        scheduler = housekeeping_scheduler(self._history, configuration.history)
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                loop = asyncio.get_running_loop()
+                stop = asyncio.Event()
+                for number in (signal.SIGTERM, signal.SIGINT):
+                    loop.add_signal_handler(number, stop.set)
+                running = [tasks.create_task(self.thermal.run()), tasks.create_task(self.control.run())]
+                for line in configuration.temperatures.lines:
+                    running.append(tasks.create_task(self._keep_line(line)))
+                running.append(tasks.create_task(self._keep(self._link.health, self._link.attempt)))
+                if configuration.displacements is not None:
+                    running.append(tasks.create_task(self._keep(self._displacement_health, self._follow_displacements)))
+                desk = ControlSocket(service.socket, service.socket_group, self._commands.handle)
+                running.append(tasks.create_task(desk.run()))
+                if service.http_port is not None:
+                    web = serve_metrics(self._telemetry.registry, service.http_host, service.http_port)
+                    running.append(tasks.create_task(web))
+                scheduler.start()
+                gc.collect()
+                gc.freeze()
+                self._service_manager.ready("running")
+                log.info("daemon.ready", machine=configuration.machine)
+                await stop.wait()
+                self._service_manager.stopping()
+                for task in running:
+                    task.cancel()
+        finally:
+            if scheduler.running:
+                scheduler.shutdown(wait=False)
+            self._history.event("daemon", "stopped", "daemon")
+            await asyncio.to_thread(self._history.close)
+
+    # --- links ---------------------------------------------------------------------------
+
+    async def _keep(self, health: LinkHealth, attempt: Any) -> None:
+        service = self._configuration.service
+        await keep_alive(health, attempt, Backoff(service.retry_min_s, service.retry_max_s))
+
+    async def _keep_line(self, line: LineConfig) -> None:
+        health = self._line_health[line.name]
+
+        async def attempt() -> None:
+            source = registry.open_temperature_source(self._configuration, line, self._clock)
+            try:
+                async for cycle in source.cycles():
+                    health.up = True
+                    self.thermal.inbox.put_nowait(cycle)
+            finally:
+                health.up = False
+                await source.close()
+
+        await self._keep(health, attempt)
+
+    async def _follow_displacements(self) -> None:
+        source = registry.open_displacement_source(
+            self._configuration, self._clock, self._history.last_displacement_utc_s()
+        )
+        try:
+            self._displacement_health.up = True
+            async for sample in source.samples():
+                self._history.displacement(sample)
+                self.board.displacement = sample
+        finally:
+            self._displacement_health.up = False
+            await source.close()
+
+    def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
+        known = last.known if last is not None else self._resume.known_macros
+        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, known)
+
+    # --- what the tasks call back --------------------------------------------------------
+
+    def _on_tick(self) -> None:
+        state = self.control.memory.state.value if self.control.memory else "waiting for the CNC"
+        self._service_manager.watchdog(state)
+        now = self._clock.now()
+        if now.real_s - self._alive_real_s > ALIVE_PERIOD_S:
+            self._alive_real_s = now.real_s
+            self._history.put_state("alive_utc_s", now.utc_s)
+        self._telemetry.links((health.name, health.up) for health in self._healths)
+        if self.thermal.latest is not None:
+            self._telemetry.sensors_usable(self.thermal.usable)
+
+    def _on_acknowledged(self, line: str, number: int) -> None:
+        self.board.acknowledged[line] = number
+        self._telemetry.acknowledged(line, number)
+
+    def _on_history_problem(self, problem: str) -> None:
+        if problem:
+            log.error("history.problem", problem=problem)
+            self._telemetry.history_problem()
+        self.board.history_problem = problem

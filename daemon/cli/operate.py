@@ -1,0 +1,120 @@
+"""Commands to a running daemon: status, monitor, reference, enable, disable, acknowledge."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, write_json
+from daemon.control_socket import ControlClient, DaemonUnreachableError, RequestError
+
+NOT_DONE = 1
+"""Exit status when the daemon refused or could not be reached."""
+
+socket_option = click.option(
+    "--socket",
+    "socket_path",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Socket of the daemon (else the configuration's).",
+)
+
+
+@contextmanager
+def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlClient]:
+    """Connect to the daemon; end with a sentence when it refuses or does not answer."""
+    path = socket_path or read_configuration(config_path).service.socket
+    try:
+        client = ControlClient(path)
+        try:
+            yield client
+        finally:
+            client.close()
+    except (DaemonUnreachableError, RequestError) as error:
+        click.echo(str(error), err=True)
+        sys.exit(NOT_DONE)
+
+
+@click.command()
+@config_option
+@socket_option
+@json_option
+def status(config_path: Path, socket_path: Path | None, json_path: str | None) -> None:
+    """Say whether compensation is on, what it does, and why not."""
+    with daemon_at(config_path, socket_path) as client:
+        picture = client.ask("status")
+    if json_path is not None:
+        write_json(json_path, picture)
+        return
+    from rich.console import Console
+
+    from daemon.view import status_view
+
+    Console().print(status_view(picture))
+
+
+@click.command()
+@config_option
+@socket_option
+def monitor(config_path: Path, socket_path: Path | None) -> None:
+    """Watch the daemon live in the terminal, until Ctrl-C."""
+    import time
+
+    from rich.live import Live
+
+    from daemon.view import status_view
+
+    with daemon_at(config_path, socket_path) as client, Live(status_view(client.ask("status")), screen=True) as live:
+        try:
+            while True:
+                time.sleep(0.5)
+                live.update(status_view(client.ask("status")))
+        except KeyboardInterrupt:
+            return
+
+
+@click.command()
+@config_option
+@socket_option
+def reference(config_path: Path, socket_path: Path | None) -> None:
+    """Set the reference by hand: the thermal error is zero now, by definition. The output does not move."""
+    with daemon_at(config_path, socket_path) as client:
+        client.ask("reference")
+    click.echo("reference asked for; `toolpoint status` shows it")
+
+
+@click.command()
+@config_option
+@socket_option
+@click.argument("axes", nargs=-1)
+def enable(config_path: Path, socket_path: Path | None, axes: tuple[str, ...]) -> None:
+    """Switch compensation on, for AXES or for every axis that has a model."""
+    with daemon_at(config_path, socket_path) as client:
+        client.ask("enable", axes=list(axes) or None)
+    click.echo("asked for; `toolpoint status` shows the state")
+
+
+@click.command()
+@config_option
+@socket_option
+@click.option("--zero", is_flag=True, help="Disable every axis and retreat to zero, not to the reference's baseline.")
+@click.argument("axes", nargs=-1)
+def disable(config_path: Path, socket_path: Path | None, zero: bool, axes: tuple[str, ...]) -> None:
+    """Switch compensation off, for AXES or for all; what is applied retreats at the slew rate."""
+    if zero and axes:
+        raise click.UsageError("--zero retreats every axis; name no axes with it")
+    with daemon_at(config_path, socket_path) as client:
+        client.ask("disable", axes=list(axes) or None, zero=zero)
+    click.echo("asked for; `toolpoint status` shows the retreat")
+
+
+@click.command()
+@config_option
+@socket_option
+def acknowledge(config_path: Path, socket_path: Path | None) -> None:
+    """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies."""
+    with daemon_at(config_path, socket_path) as client:
+        client.ask("acknowledge")
+    click.echo("acknowledged; `toolpoint status` shows the state")

@@ -1,0 +1,27 @@
+"""Which driver serves which part of the configuration. The only place that names drivers."""
+
+from config.schema import Configuration
+from config.schema.temperatures import LineConfig
+from drivers.clock import Clock
+from drivers.cnc_opcua import OpcUaCnc
+from drivers.contract import Cnc, DisplacementSource, TemperatureSource
+from drivers.displacement_csv import DisplacementCsvSource
+from drivers.latsis_serial import LatsisSerialSource
+
+
+def open_temperature_source(configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:
+    """Return a new, unopened source for one LATSIS line."""
+    return LatsisSerialSource(line, configuration.temperatures.sensors, clock)
+
+
+def open_displacement_source(
+    configuration: Configuration, clock: Clock, after_utc_s: float | None
+) -> DisplacementSource:
+    """Return a new, unopened source for the logger's files; rows up to `after_utc_s` are skipped."""
+    assert configuration.displacements is not None
+    return DisplacementCsvSource(configuration.displacements, clock, after_utc_s=after_utc_s)
+
+
+def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
+    """Return a new, unconnected CNC."""
+    return OpcUaCnc(configuration.cnc, clock)
