@@ -1,0 +1,124 @@
+"""`toolpoint check`: does everything that the configuration names answer?"""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.commissioning import CommissioningError, commissioning_obstacle, load_commissioning
+from config.schema import Configuration
+from config.schema.temperatures import LineConfig
+from daemon import registry
+from daemon.app import load_model
+from daemon.macro_block import MacroBlock
+from drivers.clock import Clock
+from drivers.contract import DriverError
+
+CYCLES_WAITED = 2.5
+"""A line must complete a cycle within so many periods."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was tried."""
+
+    subject: str
+    passed: bool
+    detail: str
+
+
+async def probe(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
+    """Try everything; nothing is written to the CNC."""
+    yield _model(configuration)
+    yield _record(configuration)
+    if not devices:
+        return
+    for line in configuration.temperatures.lines:
+        yield await _attempt(f"line {line.name}", lambda line=line: _line(configuration, line, clock))  # type: ignore[misc]
+    if configuration.displacements is not None:
+        yield await _attempt("displacement files", lambda: _displacements(configuration, clock))
+    yield await _attempt("cnc", lambda: _cnc(configuration, clock))
+
+
+def _model(configuration: Configuration) -> Finding:
+    model, obstacle = load_model(configuration.compensation.model_file)
+    if model is None:
+        return Finding(subject="thermal model", passed=False, detail=obstacle)
+    missing = sorted(set(model.sensor_ids) - set(configuration.temperatures.sensor_ids))
+    channels = {axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate}
+    unknown = sorted(channels - set(model.channels))
+    if missing:
+        return Finding(subject="thermal model", passed=False, detail=f"needs sensors that do not exist: {missing[:10]}")
+    if unknown:
+        return Finding(subject="thermal model", passed=False, detail=f"has no channel {', '.join(unknown)}")
+    return Finding(
+        subject="thermal model", passed=True, detail=f"{model.model_id}, channels {', '.join(model.channels)}"
+    )
+
+
+def _record(configuration: Configuration) -> Finding:
+    path = configuration.compensation.commissioning_file
+    if path is None:
+        return Finding(subject="commissioning", passed=False, detail="no record: nothing can be switched on")
+    try:
+        record = load_commissioning(path)
+    except CommissioningError as error:
+        return Finding(subject="commissioning", passed=False, detail=str(error))
+    axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
+    obstacle = commissioning_obstacle(
+        record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=axes
+    )
+    detail = obstacle or f"{record.cnc_identity} by {record.person} on {record.date}"
+    return Finding(subject="commissioning", passed=not obstacle, detail=detail)
+
+
+async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:
+    try:
+        return Finding(subject=subject, passed=True, detail=await work())
+    except DriverError as error:
+        return Finding(subject=subject, passed=False, detail=str(error))
+    except TimeoutError:
+        return Finding(subject=subject, passed=False, detail="nothing arrived in time")
+
+
+async def _line(configuration: Configuration, line: LineConfig, clock: Clock) -> str:
+    source = registry.open_temperature_source(configuration, line, clock)
+    try:
+        async with asyncio.timeout(CYCLES_WAITED * line.cycle_period_s / clock.speed):
+            async for cycle in source.cycles():
+                good = int(np.isfinite(cycle.degc).sum())
+                if not cycle.complete:
+                    raise DriverError(f"{good} of {len(cycle.degc)} sensors answered: {'; '.join(cycle.faults[:3])}")
+                return f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
+    finally:
+        await source.close()
+    raise DriverError("the line ended")
+
+
+async def _displacements(configuration: Configuration, clock: Clock) -> str:
+    assert configuration.displacements is not None
+    source = registry.open_displacement_source(configuration, clock, None)
+    period_s = configuration.displacements.file.poll_period_s
+    try:
+        async with asyncio.timeout(3 * period_s / clock.speed + 1.0):
+            async for sample in source.samples():
+                return f"{sample.source}: {np.array2string(sample.um, precision=1)} um"
+    finally:
+        await source.close()
+    raise DriverError("the file ended")
+
+
+async def _cnc(configuration: Configuration, clock: Clock) -> str:
+    cnc = registry.open_cnc(configuration, clock)
+    block = MacroBlock(configuration.cnc.macros, tuple(configuration.compensation.axes), {})
+    try:
+        await cnc.connect()
+        sample = await cnc.read(block.polled)
+    finally:
+        await cnc.close()
+    vacant = [n for n in block.polled if sample.macros.get(n) is None and n != configuration.cnc.macros.valid_until]
+    if vacant:
+        raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
+    security = "encrypted" if cnc.secure else "NOT secure"
+    return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"

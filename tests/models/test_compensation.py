@@ -1,0 +1,357 @@
+"""The output step: the table of states, and what must hold in every history."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from models.compensation import (
+    LONGEST_INTERVAL_S,
+    TRANSITIONS,
+    OperatorRequest,
+    OutputInputs,
+    OutputLimits,
+    initial_memory,
+    step,
+    why_not_ready,
+)
+from models.records import OutputState, Phase
+
+AXES = ("y", "z")
+LIMITS = OutputLimits(
+    axes=AXES,
+    absolute_bound_um=np.array([30.0, 60.0]),
+    slew_um_per_min=np.array([2.0, 4.0]),
+    step_um=np.array([5.0, 8.0]),
+    deadband_um=np.array([0.1, 0.1]),
+    stale_after_s=60.0,
+    hold_limit_s=600.0,
+    min_confidence=0.7,
+)
+
+
+def inputs(**changes):
+    good = OutputInputs(
+        now_s=0.0,
+        phase=Phase.SAFE_POINT,
+        link=True,
+        applied_um=np.zeros(2),
+        thermal_error_um=np.array([-3.0, -20.0]),
+        estimate_age_s=1.0,
+        confidence=1.0,
+        in_domain=True,
+        reference_id="r1",
+        estimate_reference_id="r1",
+        model_id="m1",
+    )
+    return replace(good, **changes)
+
+
+def started(applied=(0.0, 0.0), wanted=(False, False)):
+    return initial_memory(now_s=0.0, applied_um=np.array(applied), wanted=wanted)
+
+
+def run(memory, count, *, start_s=0.0, follow=True, **changes):
+    """Take `count` steps a second apart, with a guard that applies at once."""
+    applied = changes.pop("applied_um", memory.command_um)
+    command = None
+    for k in range(count):
+        memory, command = step(memory, inputs(now_s=start_s + k + 1.0, applied_um=applied, **changes), LIMITS)
+        if follow and command.write:
+            applied = command.compensation_um
+        changes.pop("request", None)
+    return memory, command
+
+
+def active(seconds=600):
+    return run(started(), seconds, request=OperatorRequest(enable=frozenset(AXES)))
+
+
+def test_starts_off_and_writes_nothing_but_zero():
+    memory, command = run(started(), 3)
+    assert memory.state is OutputState.OFF
+    assert command.enable == (False, False)
+    assert not command.compensation_um.any()
+
+
+def test_follows_minus_the_error_at_the_slew_rate():
+    memory, command = active(60)
+    assert memory.state is OutputState.ACTIVE
+    assert command.compensation_um == pytest.approx([2.0, 4.0], rel=0.05)
+    memory, command = active(600)
+    assert command.compensation_um == pytest.approx([3.0, 20.0], abs=0.1)
+
+
+def test_an_echo_from_before_the_start_leads_to_hold_with_that_value():
+    memory = started(applied=(0.0, 12.0))
+    assert memory.state is OutputState.HOLD
+    memory, command = step(memory, inputs(now_s=1.0, applied_um=np.array([0.0, 12.0]), reference_id=None), LIMITS)
+    assert command.compensation_um[1] == pytest.approx(12.0, abs=0.1)
+
+
+def test_a_vacant_echo_cannot_start():
+    with pytest.raises(ValueError, match="vacant"):
+        started(applied=(np.nan, 0.0))
+
+
+def test_setting_a_reference_moves_nothing_and_makes_the_applied_value_the_baseline():
+    memory, command = active()
+    before = command.compensation_um.copy()
+    memory, command = run(
+        memory, 1, start_s=600.0, reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2)
+    )
+    assert command.compensation_um == pytest.approx(before)
+    assert memory.baseline_um == pytest.approx(before)
+    memory, command = run(
+        memory, 600, start_s=601.0, reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.array([0, -5.0])
+    )
+    assert command.compensation_um == pytest.approx(before + [0.0, 5.0], abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"link": False}, "no link"),
+        ({"reference_id": None}, "no valid reference"),
+        ({"estimate_age_s": 61.0}, "stale"),
+        ({"estimate_age_s": np.inf}, "no estimate"),
+        ({"confidence": 0.69}, "confidence"),
+        ({"in_domain": False}, "outside the range"),
+        ({"refusals": ("no commissioning record",)}, "commissioning"),
+        ({"thermal_error_um": np.array([np.nan, 1.0])}, "no estimate"),
+        ({"estimate_reference_id": "old"}, "first estimate"),
+    ],
+)
+def test_bad_input_freezes_and_says_why(change, words):
+    memory, command = active()
+    before = command.compensation_um.copy()
+    changed = inputs(now_s=601.0, applied_um=before, **change)
+    memory, command = step(memory, changed, LIMITS)
+    assert memory.state is OutputState.HOLD
+    assert words in memory.reason
+    assert words in why_not_ready(memory, changed, LIMITS)
+    assert command.compensation_um == pytest.approx(before)
+
+
+def test_held_too_long_retreats_to_the_baseline_and_is_no_longer_wanted():
+    memory, _ = active()
+    memory, command = run(memory, 1900, start_s=600.0, estimate_age_s=999.0)
+    assert memory.state is OutputState.OFF
+    assert memory.wanted == (False, False)
+    assert not command.compensation_um.any()
+
+
+def test_retreat_stays_at_a_baseline_until_the_reference_ends_and_then_goes_to_zero():
+    memory = started(applied=(0.0, 12.0), wanted=(False, True))
+    memory, command = run(memory, 5)
+    assert memory.state is OutputState.ACTIVE
+    memory, command = run(memory, 1200, start_s=5.0, request=OperatorRequest(disable=frozenset({"z"})))
+    assert memory.state is OutputState.RETREAT
+    assert command.compensation_um[1] == pytest.approx(12.0)
+    memory, command = run(memory, 600, start_s=1205.0, reference_id=None)
+    assert memory.state is OutputState.OFF
+    assert not command.compensation_um.any()
+
+
+def test_a_person_who_asks_for_zero_gets_zero_even_with_a_valid_reference():
+    memory = started(applied=(0.0, 12.0), wanted=(False, True))
+    memory, _ = run(memory, 5)
+    memory, command = run(memory, 600, start_s=5.0, request=OperatorRequest(zero=True))
+    assert memory.state is OutputState.OFF
+    assert not command.compensation_um.any()
+
+
+def test_one_axis_disabled_retreats_alone():
+    memory, before = active()
+    memory, command = run(memory, 600, start_s=600.0, request=OperatorRequest(disable=frozenset({"y"})))
+    assert memory.state is OutputState.ACTIVE
+    assert command.compensation_um == pytest.approx([0.0, before.compensation_um[1]], abs=0.2)
+    assert command.enable == (False, True)
+
+
+def test_a_fault_latches_writes_nothing_and_leads_to_hold_with_the_echo():
+    memory, command = active()
+    memory, command = run(memory, 1, start_s=600.0, output_fault="read-back differs")
+    assert memory.state is OutputState.FAULT
+    assert not command.write
+    memory, command = run(memory, 100, start_s=601.0, applied_um=np.array([1.0, 9.0]), follow=False)
+    assert memory.state is OutputState.FAULT
+    acknowledged = inputs(
+        now_s=702.0, applied_um=np.array([1.0, 9.0]), request=OperatorRequest(acknowledge=True), reference_id=None
+    )
+    memory, command = step(memory, acknowledged, LIMITS)
+    assert memory.state is OutputState.HOLD
+    assert command.compensation_um == pytest.approx([1.0, 9.0])
+
+
+def test_acknowledging_while_the_cause_stands_stays_in_fault():
+    memory, _ = active()
+    memory, _ = run(memory, 1, start_s=600.0, output_fault="foreign value")
+    still = inputs(now_s=602.0, output_fault="foreign value", request=OperatorRequest(acknowledge=True))
+    memory, _ = step(memory, still, LIMITS)
+    assert memory.state is OutputState.FAULT
+
+
+def test_a_change_of_model_keeps_the_output_where_it_is():
+    memory, command = active()
+    before = command.compensation_um.copy()
+    memory, command = run(memory, 30, start_s=600.0, model_id="m2", thermal_error_um=np.array([-9.0, 11.0]))
+    assert command.compensation_um == pytest.approx(before)
+    memory, command = run(memory, 600, start_s=630.0, model_id="m2", thermal_error_um=np.array([-9.0, 10.0]))
+    assert command.compensation_um == pytest.approx(before + [0.0, 1.0], abs=0.15)
+
+
+def test_what_is_written_never_runs_ahead_of_the_guard_by_more_than_its_step():
+    memory, command = run(
+        started(), 3000, follow=False, applied_um=np.zeros(2), request=OperatorRequest(enable=frozenset(AXES))
+    )
+    assert np.all(np.abs(command.compensation_um) <= LIMITS.step_um + 1e-9)
+    assert "z:step" in command.limits_hit
+
+
+def test_the_deadband_keeps_small_changes_from_being_written():
+    memory, command = active()
+    before = command.compensation_um.copy()
+    memory, command = run(memory, 60, start_s=600.0, thermal_error_um=np.array([-3.0, -20.0]) + 0.05)
+    assert np.array_equal(command.compensation_um, before)
+
+
+def test_every_state_can_be_left():
+    assert set(TRANSITIONS) == set(OutputState)
+    assert all(rows for rows in TRANSITIONS.values())
+
+
+@given(error=st.floats(allow_nan=True, allow_infinity=True), elapsed=st.floats(0, 1e6))
+@settings(max_examples=200)
+def test_no_single_estimate_moves_further_than_the_slew_rate(error, elapsed):
+    memory, command = active()
+    before = command.compensation_um.copy()
+    _, command = step(
+        memory,
+        inputs(now_s=600.0 + elapsed, applied_um=before, thermal_error_um=np.array([error, error])),
+        LIMITS,
+    )
+    reach = LIMITS.slew_um_per_min * min(elapsed, LONGEST_INTERVAL_S) / 60.0
+    assert np.all(np.isfinite(command.compensation_um))
+    assert np.all(np.abs(command.compensation_um - before) <= reach + 1e-9)
+
+
+class Histories(RuleBasedStateMachine):
+    """Random histories of inputs, faults, guard runs and operator actions."""
+
+    @initialize(applied=st.sampled_from([(0.0, 0.0), (5.0, -20.0)]), wanted=st.booleans())
+    def start(self, applied, wanted):
+        self.now_s = 0.0
+        self.applied = np.array(applied)
+        self.memory = initial_memory(now_s=0.0, applied_um=self.applied, wanted=(wanted, wanted))
+        self.written = self.applied.copy()
+        self.reference = 0
+        self.current = inputs(applied_um=self.applied, reference_id=None, estimate_reference_id=None)
+        self.output_fault = None
+
+    def take(self, elapsed_s=1.0, request=None, **changes):
+        self.now_s += elapsed_s
+        self.current = replace(self.current, **changes)
+        given_now = replace(self.current, now_s=self.now_s, applied_um=self.applied.copy())
+        if request is not None:
+            given_now = replace(given_now, request=request)
+        before, self.memory_before = self.memory.command_um.copy(), self.memory
+        self.memory, self.command = step(self.memory, given_now, LIMITS)
+        now = self.command.compensation_um
+        assert np.all(np.isfinite(now))
+        reach = LIMITS.slew_um_per_min * min(elapsed_s, LONGEST_INTERVAL_S) / 60.0 + 1e-9
+        moved_from_written = np.abs(now - before) <= reach
+        moved_from_applied = np.abs(now - self.applied) <= reach
+        assert np.all(moved_from_written | moved_from_applied)
+        assert np.all(np.abs(now) <= np.maximum(LIMITS.absolute_bound_um, np.abs(before)) + 1e-9)
+        assert np.all(np.abs(now - self.applied) <= np.maximum(LIMITS.step_um, np.abs(before - self.applied)) + 1e-9)
+        if self.command.write:
+            self.written = now.copy()
+        else:
+            assert self.memory.state is OutputState.FAULT or not given_now.link
+
+    @rule(
+        errors=st.tuples(st.floats(-200, 200), st.floats(-200, 200)),
+        elapsed=st.sampled_from([0.3, 1.0, 5.0, 30.0, 3600.0]),
+    )
+    def estimate(self, errors, elapsed):
+        self.take(elapsed, thermal_error_um=np.array(errors), estimate_age_s=0.1)
+
+    @rule(bad=st.sampled_from([np.nan, np.inf, -np.inf]))
+    def bad_estimate(self, bad):
+        self.take(thermal_error_um=np.array([bad, bad]))
+
+    @rule(confidence=st.floats(0, 1), in_domain=st.booleans(), age=st.sampled_from([0.1, 30.0, 90.0, np.inf]))
+    def quality(self, confidence, in_domain, age):
+        before = self.memory.command_um.copy()
+        frozen = self.memory.state is OutputState.ACTIVE and (confidence < 0.7 or not in_domain or age > 60)
+        self.take(confidence=confidence, in_domain=in_domain, estimate_age_s=age)
+        if frozen and all(self.memory.wanted):
+            assert np.array_equal(self.memory.command_um, before)
+
+    @rule()
+    def guard_runs(self):
+        """The guard macro reaches a safe point and applies what is written, a step at most."""
+        self.applied = self.applied + np.clip(self.written - self.applied, -LIMITS.step_um, LIMITS.step_um)
+
+    @rule()
+    def new_reference(self):
+        self.reference += 1
+        name = f"r{self.reference}"
+        applied, written = self.applied.copy(), self.memory.command_um.copy()
+        self.take(reference_id=name, estimate_reference_id=name, thermal_error_um=np.zeros(2), estimate_age_s=0.1)
+        if self.memory.reference_id == name and self.memory.state in (OutputState.ACTIVE, OutputState.HOLD):
+            reach = LIMITS.slew_um_per_min / 60.0 + 1e-9
+            on = np.array(self.memory.wanted)
+            assert np.all(np.abs(self.command.compensation_um - applied)[on] <= reach[on]), (applied, written)
+
+    @rule()
+    def reference_ends(self):
+        self.take(reference_id=None)
+
+    @rule(link=st.booleans())
+    def link(self, link):
+        self.take(link=link)
+
+    @rule(axes=st.sampled_from([{"y"}, {"z"}, {"y", "z"}]), elapsed=st.sampled_from([1.0, 30.0]))
+    def enable(self, axes, elapsed):
+        self.take(elapsed, request=OperatorRequest(enable=frozenset(axes)))
+
+    @rule(axes=st.sampled_from([{"y"}, {"z"}, {"y", "z"}]))
+    def disable(self, axes):
+        self.take(request=OperatorRequest(disable=frozenset(axes)))
+
+    @rule()
+    def ask_for_zero(self):
+        self.take(request=OperatorRequest(zero=True))
+
+    @rule()
+    def fault(self):
+        self.take(output_fault="read-back differs")
+
+    @precondition(lambda self: self.memory.state is OutputState.FAULT)
+    @rule()
+    def acknowledge(self):
+        self.take(output_fault=None, request=OperatorRequest(acknowledge=True))
+
+    @rule(model=st.sampled_from(["m1", "m2"]), errors=st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
+    def change_model(self, model, errors):
+        self.take(model_id=model, thermal_error_um=np.array(errors))
+
+    @rule()
+    def restart(self):
+        """The daemon dies and begins again from the CNC's echo."""
+        self.memory = initial_memory(now_s=self.now_s, applied_um=self.applied, wanted=self.memory.wanted)
+        assert np.array_equal(self.memory.command_um, self.applied)
+
+    @invariant()
+    def off_applies_nothing(self):
+        if getattr(self, "memory", None) is not None and self.memory.state is OutputState.OFF:
+            assert not self.memory.command_um.any()
+
+
+TestHistories = Histories.TestCase
+TestHistories.settings = settings(max_examples=120, stateful_step_count=60, deadline=None)
