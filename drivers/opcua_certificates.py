@@ -1,0 +1,115 @@
+"""Certificates of OPC UA applications: making a self-signed one, and reading what is there.
+
+OPC UA identifies an application by a URI that must stand in the certificate's subject alternative
+name, equal to the URI that the application calls itself.
+"""
+
+import hashlib
+import os
+from pathlib import Path
+
+from asyncua.crypto.cert_gen import (
+    dump_private_key_as_pem,
+    generate_private_key,
+    generate_self_signed_app_certificate,
+)
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from drivers.contract import FatalDriverError
+
+DEFAULT_DAYS = 3650
+
+
+def create_application_certificate(
+    certificate: Path,
+    private_key: Path,
+    *,
+    application_uri: str,
+    host_name: str,
+    days: int = DEFAULT_DAYS,
+    server: bool = False,
+) -> x509.Certificate:
+    """Make a key and a self-signed certificate for a client (or server) and write both to new files.
+
+    The key is written as PEM with mode 600, the certificate as DER when its name ends in .der, else
+    as PEM. Existing files are never overwritten (FatalDriverError).
+    """
+    for path in (certificate, private_key):
+        if path.exists():
+            raise FatalDriverError(f"{path} exists already and is not overwritten; move it away first")
+    key = generate_private_key()
+    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(application_uri), x509.DNSName(host_name)]
+    usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
+    made = generate_self_signed_app_certificate(key, application_uri, {}, names, extended=[usage], days=days)
+    encoding = serialization.Encoding.DER if certificate.suffix.lower() == ".der" else serialization.Encoding.PEM
+    _write_new(private_key, dump_private_key_as_pem(key), 0o600)
+    _write_new(certificate, made.public_bytes(encoding), 0o644)
+    return made
+
+
+def load_certificate(path: Path) -> x509.Certificate:
+    """Return the certificate in a file, PEM or DER whatever its name; raises FatalDriverError."""
+    content = read_file(path, "certificate")
+    try:
+        if b"-----BEGIN" in content:
+            return x509.load_pem_x509_certificate(content)
+        return x509.load_der_x509_certificate(content)
+    except ValueError as error:
+        raise FatalDriverError(f"{path} is not a certificate in PEM or DER form: {error}") from error
+
+
+def load_private_key(path: Path) -> rsa.RSAPrivateKey:
+    """Return the RSA key in a file, PEM or DER and unencrypted; raises FatalDriverError."""
+    content = read_file(path, "private key")
+    load = serialization.load_pem_private_key if b"-----BEGIN" in content else serialization.load_der_private_key
+    try:
+        key = load(content, password=None)
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise FatalDriverError(f"{path} is not an unencrypted private key in PEM or DER form: {error}") from error
+    if not isinstance(key, rsa.RSAPrivateKey):
+        raise FatalDriverError(f"{path} is not an RSA key, which Basic256Sha256 needs")
+    return key
+
+
+def application_uri(certificate: x509.Certificate) -> str | None:
+    """Return the application URI that a certificate carries, None where it carries none."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return None
+    uris = names.get_values_for_type(x509.UniformResourceIdentifier)
+    return uris[0] if uris else None
+
+
+def thumbprint(certificate: x509.Certificate) -> str:
+    """Return a certificate's SHA-256 thumbprint as people compare it."""
+    return certificate.fingerprint(hashes.SHA256()).hex().upper()
+
+
+def chain_thumbprint(chain: bytes) -> str:
+    """Return the thumbprint of the first certificate of a chain in DER form, as servers show it."""
+    try:
+        header = 2 + (chain[1] & 0x7F) if chain[1] & 0x80 else 2
+        length = int.from_bytes(chain[2:header]) if chain[1] & 0x80 else chain[1]
+    except IndexError:
+        return "none"
+    return hashlib.sha256(chain[: header + length]).hexdigest().upper()
+
+
+def read_file(path: Path, what: str) -> bytes:
+    """Return a file's bytes; raises FatalDriverError that says what it was wanted for."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FatalDriverError(f"cannot read the {what} {path}: {error.strerror or error}") from error
+
+
+def _write_new(path: Path, content: bytes, mode: int) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)

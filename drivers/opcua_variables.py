@@ -1,0 +1,176 @@
+"""The CNC's variables in its OPC UA address space: their node ids, and what their values mean."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from asyncua import ua
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.status_codes import StatusCodes
+from asyncua.ua.uaerrors import UaError
+
+from config.schema.cnc import OpcUaNodesConfig
+from drivers.contract import FatalDriverError, LinkError
+from models.records import CncMode, CncRun, CncSample, Instant
+
+STATE_NODES = (
+    "mode",
+    "run",
+    "alarm",
+    "program",
+    "sequence_number",
+    "spindle_speed",
+    "motor_temperature",
+    "clock",
+    "power_on_count",
+    "work_offset",
+    "tool_number",
+)
+"""Keys of `OpcUaNodesConfig` in the order in which they are read."""
+MEASURED = frozenset({"spindle_speed", "motor_temperature"})
+"""Measurements: without a value they are NaN, while the others are needed to know what the machine does."""
+
+MODES = {
+    0: CncMode.MDI,
+    1: CncMode.MEMORY,
+    3: CncMode.EDIT,
+    4: CncMode.HANDLE,
+    5: CncMode.JOG,
+    10: CncMode.REMOTE,
+}
+RUNS = {0: CncRun.RESET, 1: CncRun.STOP, 2: CncRun.HOLD, 3: CncRun.START, 4: CncRun.START}
+
+VACANT = frozenset(
+    {
+        StatusCodes.BadNoData,
+        StatusCodes.BadNoDataAvailable,
+        StatusCodes.BadDataUnavailable,
+        StatusCodes.GoodNoData,
+    }
+)
+UNKNOWN_NODE = frozenset({StatusCodes.BadNodeIdUnknown, StatusCodes.BadNodeIdInvalid})
+
+
+class Variables:
+    """Node ids of one CNC, built once per connection, and requests prepared from them."""
+
+    def __init__(self, nodes: OpcUaNodesConfig, namespace_index: int) -> None:
+        self._namespace_index = namespace_index
+        self._macro_pattern = nodes.macro
+        self._macros: dict[int, ua.NodeId] = {}
+        self._texts = [getattr(nodes, key) for key in STATE_NODES]
+        self._state = [
+            self._read_value(self._node_id(key, text)) for key, text in zip(STATE_NODES, self._texts, strict=True)
+        ]
+        self._reads: dict[tuple[int, ...], ua.ReadParameters] = {}
+
+    def read_request(self, macros: Sequence[int], *, state: bool) -> ua.ReadParameters:
+        """Return the request that reads the state (or not) and the given macro variables."""
+        key = (int(state), *macros)
+        if key not in self._reads:
+            wanted = [self._read_value(self._macro_node_id(number)) for number in macros]
+            self._reads[key] = ua.ReadParameters(
+                TimestampsToReturn=ua.TimestampsToReturn.Neither,
+                NodesToRead=[*self._state, *wanted] if state else wanted,
+            )
+        return self._reads[key]
+
+    def write_request(self, group: Sequence[tuple[int, float]]) -> ua.WriteParameters:
+        """Return the request that writes one group. Only values travel: many CNCs refuse status and time stamps."""
+        return ua.WriteParameters(
+            NodesToWrite=[
+                ua.WriteValue(
+                    NodeId=self._macro_node_id(number),
+                    AttributeId=AttributeIds.Value,
+                    Value=ua.DataValue(ua.Variant(float(value), ua.VariantType.Double), StatusCode=None),
+                )
+                for number, value in group
+            ]
+        )
+
+    def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[ua.DataValue]) -> CncSample:
+        """Return what the answers to a read of state and macros say; raises LinkError or FatalDriverError."""
+        expected = len(STATE_NODES) + len(macros)
+        if len(answers) != expected:
+            raise LinkError(f"the CNC answered {len(answers)} values to a request for {expected}")
+        values = {
+            key: self._state_value(key, text, answer)
+            for key, text, answer in zip(STATE_NODES, self._texts, answers, strict=False)
+        }
+        return CncSample(
+            time=time,
+            mode=MODES.get(int(values["mode"]), CncMode.UNKNOWN),
+            run=RUNS.get(int(values["run"]), CncRun.UNKNOWN),
+            alarm=values["alarm"] != 0,
+            program=int(values["program"]),
+            sequence_number=int(values["sequence_number"]),
+            spindle_speed_rpm=values["spindle_speed"],
+            motor_temperature_degc=values["motor_temperature"],
+            clock_s=values["clock"],
+            power_on_count=int(values["power_on_count"]),
+            work_offset=int(values["work_offset"]),
+            tool_number=int(values["tool_number"]),
+            macros=self.macro_values(macros, answers[len(STATE_NODES) :]),
+        )
+
+    def macro_values(self, macros: Sequence[int], answers: Sequence[ua.DataValue]) -> dict[int, float | None]:
+        """Return macro variables by number, None where vacant."""
+        if len(answers) != len(macros):
+            raise LinkError(f"the CNC answered {len(answers)} values to a request for {len(macros)} macro variables")
+        return {number: self._macro_value(number, answer) for number, answer in zip(macros, answers, strict=True)}
+
+    def _macro_value(self, number: int, answer: ua.DataValue) -> float | None:
+        status = _status(answer)
+        if status.value in VACANT:
+            return None
+        name = f"macro variable #{number} ({self._macro_pattern.format(number=number)})"
+        if not status.is_good():
+            raise _unreadable(name, status)
+        value = _number(name, answer)
+        return None if math.isnan(value) else value
+
+    def _state_value(self, key: str, text: str, answer: ua.DataValue) -> float:
+        status = _status(answer)
+        name = f"variable {key} ({text})"
+        if status.value in UNKNOWN_NODE or not (status.is_good() or key in MEASURED):
+            raise _unreadable(name, status)
+        value = _number(name, answer) if status.is_good() else math.nan
+        if key not in MEASURED and not math.isfinite(value):
+            raise LinkError(f"the CNC gives no value for the {name}")
+        return value
+
+    def _macro_node_id(self, number: int) -> ua.NodeId:
+        if number not in self._macros:
+            self._macros[number] = self._node_id("macro", self._macro_pattern.format(number=number))
+        return self._macros[number]
+
+    def _node_id(self, key: str, text: str) -> ua.NodeId:
+        try:
+            return ua.NodeId.from_string(f"ns={self._namespace_index};{text}")
+        except (UaError, ValueError) as error:
+            raise FatalDriverError(
+                f"cnc.opcua.nodes.{key}: {text!r} is no node identifier; write s=text or i=number"
+            ) from error
+
+    @staticmethod
+    def _read_value(node_id: ua.NodeId) -> ua.ReadValueId:
+        return ua.ReadValueId(NodeId=node_id, AttributeId=AttributeIds.Value)
+
+
+def _status(answer: ua.DataValue) -> ua.StatusCode:
+    return answer.StatusCode if answer.StatusCode is not None else ua.StatusCode()
+
+
+def _number(name: str, answer: ua.DataValue) -> float:
+    value: Any = None if answer.Value is None else answer.Value.Value
+    if value is None:
+        return math.nan
+    if not isinstance(value, (bool, int, float)):
+        raise FatalDriverError(f"the CNC's {name} is a {type(value).__name__} ({value!r:.40}), not a number")
+    return float(value)
+
+
+def _unreadable(name: str, status: ua.StatusCode) -> LinkError | FatalDriverError:
+    if status.value in UNKNOWN_NODE:
+        return FatalDriverError(f"the CNC's OPC UA server has no {name}: check cnc.opcua.nodes ({status.name})")
+    return LinkError(f"the CNC's {name} cannot be read: {status.name}, {status.doc}")
