@@ -1,0 +1,93 @@
+"""The CNC driver against a CNC in another process that freezes, comes back and dies."""
+
+import asyncio
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SUPPORT = Path(__file__).resolve().parents[1] / "support"
+sys.path.insert(0, str(SUPPORT))
+from scripted_machine import GROUPS, cnc_config  # noqa: E402
+
+from drivers.clock import SystemClock  # noqa: E402
+from drivers.cnc_opcua import OpcUaCnc  # noqa: E402
+from drivers.contract import LinkError  # noqa: E402
+
+pytestmark = pytest.mark.wires
+
+
+class ServingProcess:
+    """A scripted CNC in a process of its own."""
+
+    def __init__(self) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(SUPPORT / "serve_cnc.py")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert self.process.stdout is not None
+        self.endpoint = self.process.stdout.readline().split()[0]
+
+
+@pytest.fixture
+def serving() -> Iterator[ServingProcess]:
+    serving = ServingProcess()
+    yield serving
+    serving.process.kill()
+    serving.process.communicate()
+
+
+async def test_frozen_cnc_ends_every_call_and_a_new_driver_works_when_it_thaws(serving: ServingProcess) -> None:
+    config = cnc_config(serving.endpoint, timeout_s=0.5)
+    patient = cnc_config(serving.endpoint)
+    reader, writer = OpcUaCnc(config, SystemClock()), OpcUaCnc(config, SystemClock())
+    await reader.connect()
+    await writer.connect()
+    before = asyncio.all_tasks()
+    serving.process.send_signal(signal.SIGSTOP)
+    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while reading"):
+        await reader.read([500])
+    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while writing macro variables"):
+        await writer.write_macros(GROUPS)
+    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while connecting"):
+        await OpcUaCnc(config, SystemClock()).connect()
+    await reader.close()
+    await writer.close()
+    assert asyncio.all_tasks() <= before
+
+    serving.process.send_signal(signal.SIGCONT)
+    cnc = OpcUaCnc(patient, SystemClock())
+    await cnc.connect()
+    assert (await cnc.read([])).program == 1000
+    await cnc.write_macros(GROUPS)
+    assert await cnc.read_macros([505]) == {505: 1.0}
+    await cnc.close()
+
+
+async def test_killed_cnc_is_a_lost_link_and_then_refuses(serving: ServingProcess) -> None:
+    cnc = OpcUaCnc(cnc_config(serving.endpoint), SystemClock())
+    await cnc.connect()
+    serving.process.kill()
+    serving.process.wait()
+    with pytest.raises(LinkError):
+        await cnc.read([])
+    with pytest.raises(LinkError, match="not connected"):
+        await cnc.read_macros([500])
+    await cnc.close()
+    assert asyncio.all_tasks() == {asyncio.current_task()}
+    with pytest.raises(LinkError, match="was lost while connecting"):
+        await OpcUaCnc(cnc_config(serving.endpoint), SystemClock()).connect()
+
+
+async def test_cnc_killed_while_a_write_waits_is_a_lost_link(serving: ServingProcess) -> None:
+    cnc = OpcUaCnc(cnc_config(serving.endpoint), SystemClock())
+    await cnc.connect()
+    serving.process.send_signal(signal.SIGSTOP)
+    write = asyncio.create_task(cnc.write_macros(GROUPS))
+    await asyncio.sleep(0.05)
+    serving.process.kill()
+    with pytest.raises(LinkError, match="while writing macro variables"):
+        await write
+    await cnc.close()

@@ -1,0 +1,181 @@
+"""The simulated CNC's OPC UA server, seen by a plain OPC UA client."""
+
+import asyncio
+import math
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import psutil
+import pytest
+import pytest_asyncio
+from asyncua import Client, ua
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from scripted_machine import NAMESPACE, PASSWORD, SERVER_URI, USER, Keys, ScriptedNc, cnc_config
+
+from drivers.sim.opcua_server import SimulatedCncServer
+
+pytestmark = [pytest.mark.wires, pytest.mark.asyncio(loop_scope="module")]
+
+NC = ScriptedNc()
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def server() -> AsyncIterator[SimulatedCncServer]:
+    server = SimulatedCncServer(NC, cnc_config(), port=0)
+    await server.start()
+    yield server
+    await server.stop()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def client(server: SimulatedCncServer) -> AsyncIterator[Client]:
+    NC.reset()
+    async with Client(server.endpoint, timeout=10) as client:
+        yield client
+
+
+async def variable(client: Client, text: str) -> ua.NodeId:
+    return ua.NodeId.from_string(f"ns={await client.get_namespace_index(NAMESPACE)};{text}")
+
+
+async def write(client: Client, text: str, value: ua.Variant) -> str:
+    item = ua.WriteValue(
+        NodeId=await variable(client, text), AttributeId=ua.AttributeIds.Value, Value=ua.DataValue(value)
+    )
+    [status] = await client.uaclient.write(ua.WriteParameters(NodesToWrite=[item]))
+    return str(status.name)
+
+
+async def test_listens_on_loopback_only(server: SimulatedCncServer) -> None:
+    listening = [c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.laddr.port == server.port]
+    assert set(listening) == {"127.0.0.1"}
+
+
+async def test_calls_itself_by_the_application_uri(client: Client) -> None:
+    assert [e.Server.ApplicationUri for e in await client.get_endpoints()] == [SERVER_URI]
+    assert await client.get_node(ua.ObjectIds.Server_ServerArray).read_value() == [SERVER_URI]
+
+
+async def test_reads_show_the_present_state(client: Client) -> None:
+    node = client.get_node(await variable(client, "s=SequenceNumber"))
+    clock = client.get_node(await variable(client, "s=Clock"))
+    for number in (30, 40):
+        NC.sequence_number = number
+        assert await node.read_value() == number
+    assert await clock.read_value() < await clock.read_value()
+
+
+async def test_the_servers_own_time_moves(client: Client) -> None:
+    node = client.get_node(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+    first = await node.read_value()
+    assert await node.read_value() > first
+
+
+async def test_vacant_macro_has_a_status_and_no_value(client: Client) -> None:
+    node = client.get_node(await variable(client, "s=Macro.501"))
+    answer = await node.read_data_value(raise_on_bad_status=False)
+    assert (answer.StatusCode.name, answer.Value.Value) == ("BadNoData", None)
+    NC.macros.set(501, 0.25)
+    assert await node.read_value() == 0.25
+
+
+async def test_writes_reach_the_nc_at_once_and_in_order(client: Client) -> None:
+    numbers = [505, 500, 100, 503, 501]
+    items = [
+        ua.WriteValue(
+            NodeId=await variable(client, f"s=Macro.{number}"),
+            AttributeId=ua.AttributeIds.Value,
+            Value=ua.DataValue(ua.Variant(float(number), ua.VariantType.Double)),
+        )
+        for number in numbers
+    ]
+    statuses = await client.uaclient.write(ua.WriteParameters(NodesToWrite=items))
+    assert all(status.is_good() for status in statuses)
+    assert NC.macros.written == [(number, float(number)) for number in numbers]
+
+
+@pytest.mark.parametrize("text", ["s=Mode", "s=Clock", "s=Macro.510", "s=Macro.515"])
+async def test_state_and_echo_are_not_writable(client: Client, text: str) -> None:
+    kind = ua.VariantType.Int32 if text == "s=Mode" else ua.VariantType.Double
+    assert await write(client, text, ua.Variant(1 if text == "s=Mode" else 1.0, kind)) == "BadUserAccessDenied"
+    assert NC.macros.written == []
+
+
+async def test_macros_outside_the_list_do_not_exist(client: Client) -> None:
+    assert await write(client, "s=Macro.900", ua.Variant(1.0, ua.VariantType.Double)) != "Good"
+
+
+@pytest.mark.parametrize(
+    ("value", "status"),
+    [
+        (ua.Variant("1.0", ua.VariantType.String), "BadTypeMismatch"),
+        (ua.Variant(1, ua.VariantType.Int32), "BadTypeMismatch"),
+        (ua.Variant([1.0, 2.0], ua.VariantType.Double), "BadTypeMismatch"),
+        (ua.Variant(math.nan, ua.VariantType.Double), "BadOutOfRange"),
+        (ua.Variant(math.inf, ua.VariantType.Double), "BadOutOfRange"),
+    ],
+)
+async def test_values_that_are_no_numbers_are_refused(client: Client, value: ua.Variant, status: str) -> None:
+    assert await write(client, "s=Macro.501", value) == status
+    assert NC.macros.written == []
+
+
+async def test_clients_are_never_administrators(client: Client) -> None:
+    node = client.get_node(await variable(client, "s=Macro.510"))
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await node.set_writable()
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await client.nodes.objects.add_variable(1, "mine", 1.0)
+
+
+async def test_subscribers_are_told_of_changes(client: Client) -> None:
+    changes: asyncio.Queue[float] = asyncio.Queue()
+
+    class Handler:
+        def datachange_notification(self, _node: object, value: float, _data: object) -> None:
+            changes.put_nowait(value)
+
+    subscription = await client.create_subscription(50, Handler())
+    await subscription.subscribe_data_change(client.get_node(await variable(client, "s=SequenceNumber")))
+    seen: list[float] = []
+    async with asyncio.timeout(10):
+        for number in (20, 77):
+            NC.sequence_number = number
+            while number not in seen:
+                seen.append(await changes.get())
+    await subscription.delete()
+
+
+async def test_stop_ends_connections_and_leaves_no_task_and_can_be_repeated() -> None:
+    before = asyncio.all_tasks()
+    server = SimulatedCncServer(ScriptedNc(), cnc_config(), port=0)
+    await server.start()
+    client = Client(server.endpoint, timeout=10)
+    await client.connect()
+    await server.stop()
+    await server.stop()
+    async with asyncio.timeout(10):
+        while client.state.value == "connected":
+            await asyncio.sleep(0.01)
+    await client.disconnect()
+    assert asyncio.all_tasks() <= before
+
+
+async def test_secure_server_admits_nobody_without_encryption(tmp_path: Path) -> None:
+    """Not even a client that ignores the list of endpoints and sends user and password in the clear."""
+    keys = Keys(tmp_path)
+    server = SimulatedCncServer(ScriptedNc(), cnc_config(), port=0, security=keys.server_security())
+    await server.start()
+    client = Client(server.endpoint, timeout=10)
+    await client.connect_socket()
+    await client.send_hello()
+    await client.open_secure_channel()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Client, "find_endpoint", staticmethod(lambda endpoints, *_: endpoints[0]))
+        await client.create_session()
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await client.activate_session(username=USER, password=PASSWORD)
+    client.disconnect_socket()
+    await server.stop()

@@ -1,0 +1,156 @@
+"""A machine without physics for tests: whatever a test sets is what the faces show."""
+
+import itertools
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, OpcUaSecurityConfig
+from drivers.opcua_certificates import create_application_certificate
+from drivers.sim.contract import AxisTruth
+from drivers.sim.opcua_server import ServerSecurity
+
+USER, PASSWORD = "toolpoint", "a secret with blanks "
+CLIENT_URI = "urn:test-computer:toolpoint"
+SERVER_URI = "urn:toolpoint:simulated-cnc"
+NAMESPACE = "urn:toolpoint:cnc"
+
+
+class ScriptedMacros:
+    """Macro variables #100-#199 and #500-#999, all vacant at first; remembers every write in order."""
+
+    def __init__(self) -> None:
+        self.values: dict[int, float | None] = dict.fromkeys(itertools.chain(range(100, 200), range(500, 1000)))
+        self.written: list[tuple[int, float | None]] = []
+
+    def get(self, number: int) -> float | None:
+        return self.values[number]
+
+    def set(self, number: int, value: float | None) -> None:
+        if number not in self.values:
+            raise KeyError(number)
+        self.values[number] = value
+        self.written.append((number, value))
+
+
+class ScriptedNc:
+    """State of an NC in MEM mode, started; its clock moves by a millisecond with every look at it."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self.mode, self.run, self.alarm = 1, 3, 0
+        self.program, self.sequence_number = 1000, 20
+        self.spindle_speed_rpm, self.motor_temperature_degc = 5000.0, 31.5
+        self.power_on_count, self.work_offset, self.tool_number = 7, 54, 3
+        self.macros = ScriptedMacros()
+        self.clock_runs = True
+        self._clock_s = 100.0
+
+    @property
+    def clock_s(self) -> float:
+        self._clock_s += 0.001 if self.clock_runs else 0.0
+        return self._clock_s
+
+
+class ScriptedMachine:
+    """Registers are 0x190 plus the sensor's id; errors follow `truth_table`."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self.nc = ScriptedNc()
+        self.steps: list[float] = []
+        # from_s, uncompensated, compensated, cutting
+        self.truth_table: list[tuple[float, float, float, bool]] = []
+        self.codes: dict[int, int] = {}
+
+    def advance(self, to_s: float) -> None:
+        if to_s > self.time_s:
+            self.steps.append(to_s - self.time_s)
+            self.time_s = to_s
+
+    def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
+        return [self.codes.get(sensor_id, 0x190 + sensor_id) for sensor_id in sensor_ids]
+
+    def displacement_um(self) -> dict[str, float]:
+        return {"x1": self.time_s / 60, "z": -1.5}
+
+    def truth(self) -> dict[str, AxisTruth]:
+        row = next((row for row in reversed(self.truth_table) if row[0] <= self.time_s), None)
+        if row is None:
+            return {}
+        return {"Z": AxisTruth(uncompensated_um=row[1], compensated_um=row[2], cutting=row[3])}
+
+
+def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> CncConfig:
+    """A CNC with three axes; `changes` go to CncConfig or, for endpoint's siblings, to OpcUaConfig."""
+    opcua = {key: changes.pop(key) for key in ("security", "allow_insecure_writes", "nodes") if key in changes}
+    opcua.setdefault("allow_insecure_writes", opcua.get("security") is None)
+    changes.setdefault("timeout_s", 10.0)
+    writable = changes.pop("writable", ["100-110", "500-520"])
+    return CncConfig(
+        opcua=OpcUaConfig(endpoint=endpoint, namespace_uri=changes.pop("namespace_uri", NAMESPACE), **opcua),
+        macros=MacroMapConfig(
+            writable=writable,
+            sequence_a=500,
+            values={"X": 501, "Y": 502, "Z": 503},
+            valid_until=100,
+            enable=504,
+            sequence_b=505,
+            echo_applied={"X": 510, "Y": 511, "Z": 512},
+            echo_time=513,
+            echo_status=514,
+            echo_guard_version=515,
+        ),
+        **changes,
+    )
+
+
+GROUPS = (
+    ((500, 1.0),),
+    ((501, 0.001), (502, -0.002), (503, 0.0105), (100, 130.5), (504, 7.0)),
+    ((505, 1.0),),
+)
+"""A whole block in the order in which the daemon writes it."""
+
+
+class Keys:
+    """Certificates and password of one client and one server, in a directory."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.client, self.client_key = directory / "client.der", directory / "client.key"
+        self.server, self.server_key = directory / "server.pem", directory / "server.key"
+        self.password = directory / "password"
+        create_application_certificate(
+            self.client, self.client_key, application_uri=CLIENT_URI, host_name=socket.gethostname()
+        )
+        create_application_certificate(
+            self.server, self.server_key, application_uri=SERVER_URI, host_name=socket.gethostname(), server=True
+        )
+        self.password.write_text(PASSWORD + "\n", encoding="utf-8")
+        self.password.chmod(0o600)
+
+    def client_config(self, **changes: Any) -> OpcUaSecurityConfig:
+        """The security section of the client's configuration."""
+        section = {
+            "user_name": USER,
+            "password_file": self.password,
+            "certificate": self.client,
+            "private_key": self.client_key,
+            "server_certificate": self.server,
+        }
+        return OpcUaSecurityConfig(**(section | changes))
+
+    def server_security(self, **changes: Any) -> ServerSecurity:
+        """What the simulated server needs."""
+        section = {
+            "user_name": USER,
+            "password": PASSWORD,
+            "certificate": self.server,
+            "private_key": self.server_key,
+            "trusted_clients": (self.client,),
+        }
+        return ServerSecurity(**(section | changes))
