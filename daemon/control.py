@@ -112,6 +112,18 @@ class ControlTask:
 
     def request(self, request: OperatorRequest, person: str) -> str:
         """Queue what a person asks for; return why it is refused, '' when it is taken."""
+        refusal = self._why_refused(request)
+        if refusal:
+            self._event("refused", f"{_in_words(request)}: {refusal}", person)
+            self.writes["refused"] += 1
+            return refusal
+        self._requests.append((request, person))
+        self._wake.set()
+        return ""
+
+    def _why_refused(self, request: OperatorRequest) -> str:
+        if self.memory is None:
+            return "the CNC has not been reached yet, so what it applies is unknown"
         unknown = (request.enable | request.disable) - set(self.limits.axes)
         if unknown:
             return f"there is no axis {', '.join(sorted(unknown))}; axes are {', '.join(self.limits.axes)}"
@@ -120,11 +132,8 @@ class ControlTask:
                 f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
                 "so it stays disabled"
             )
-        if request.enable and (refusals := self._refusals(request.enable)):
-            return refusals[0]
-        self._requests.append((request, person))
-        self._wake.set()
-        return ""
+        refusals = self._refusals(request.enable) if request.enable else ()
+        return refusals[0] if refusals else ""
 
     def request_reference(self, person: str) -> str:
         """Set a reference by hand; return why it is refused, '' when it is taken."""
@@ -263,7 +272,6 @@ class ControlTask:
 
     async def _act(self, estimate: ThermalErrorEstimate | None) -> None:
         if self.memory is None:
-            self._refuse_requests("the CNC has not been reached yet")
             return
         before = self.memory
         inputs = self._inputs()
@@ -350,12 +358,6 @@ class ControlTask:
 
     def _take_request(self) -> tuple[OperatorRequest, str]:
         return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
-
-    def _refuse_requests(self, why: str) -> None:
-        for request, person in self._requests:
-            self._event("refused", f"{_in_words(request)}: {why}", person)
-            self.writes["refused"] += 1
-        self._requests.clear()
 
     def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
         obstacles = [self._model_obstacle]

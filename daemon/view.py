@@ -37,7 +37,7 @@ def sparkline(values: Sequence[float], *, low: float, high: float) -> str:
     return "".join(SPARKS[round(min(max((value - low) / span, 0.0), 1.0) * steps)] for value in values)
 
 
-def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = ()) -> Group:
+def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "") -> Group:
     """Return the whole view of one status picture; `beside` comes under the header."""
     return Group(
         _header(picture),
@@ -45,6 +45,7 @@ def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (
         _axes(picture["axes"]),
         Columns([_temperatures(picture), _cnc(picture), _latency(picture)], expand=True, equal=True),
         _links(picture),
+        Text(footer, style="dim"),
     )
 
 

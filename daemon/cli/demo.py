@@ -1,0 +1,129 @@
+"""`toolpoint demo`: the simulated machine, the daemon, and a live view of both."""
+
+import contextlib
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+
+from daemon.cli.common import json_option, refuse, write_json
+from daemon.demonstration import Trail, result, settle, switch_on, watch
+from daemon.rehearsal import Rehearsal, RehearsalError, rehearse, write_rehearsal_configuration
+
+LIVE_PERIOD_S = 0.25
+
+
+@click.command()
+@click.option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
+@click.option(
+    "--minutes", type=click.FloatRange(min=0, min_open=True), default=None, help="Simulated minutes (headless: 60)."
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True, max=600),
+    default=60.0,
+    show_default=True,
+    help="Simulated seconds per second.",
+)
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Where wires, logs and store go, and stay (default: a folder that is removed).",
+)
+@click.option(
+    "--faults",
+    "faults_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Fault script (YAML) for the simulated machine.",
+)
+@json_option
+def demo(
+    headless: bool,
+    minutes: float | None,
+    speed: float,
+    directory: Path | None,
+    faults_path: Path | None,
+    json_path: str | None,
+) -> None:
+    """Watch a simulated machine tool warm up while the daemon compensates it.
+
+    Exit status 0 when the run met its own checks, 1 when it did not, 2 for bad usage.
+    """
+    duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
+    with _folder(directory) as folder:
+        path, _ = write_rehearsal_configuration(_machine(), folder, http=not headless)
+        arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
+        if faults_path is not None:
+            arguments += ["--faults", str(faults_path.resolve())]
+        try:
+            with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+                switch_on(running)
+                if headless:
+                    watch(running, duration_s, lambda status: None, 1.0)
+                else:
+                    _show(running, duration_s)
+                    if math.isinf(duration_s):
+                        return
+                final, status = settle(running)
+        except RehearsalError as error:
+            click.echo(f"{error}; logs are in {folder}", err=True)
+            sys.exit(1)
+    numbers, failures = result(final, status)
+    write_json(json_path, numbers)
+    for failure in failures:
+        click.echo(failure, err=True)
+    sys.exit(1 if failures else 0)
+
+
+def _machine() -> dict[str, Any]:
+    """Return the published machine's description with the simulated machine's model and commissioning record."""
+    from config.machines import shipped_file
+
+    content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    content["machine"] = "simulated CFRP machine tool"
+    content["compensation"]["model_file"] = str(shipped_file("simulated_machine_model.json"))
+    content["compensation"]["commissioning_file"] = str(shipped_file("simulated_machine_commissioning.json"))
+    return content
+
+
+@contextlib.contextmanager
+def _folder(directory: Path | None) -> Iterator[Path]:
+    if directory is not None:
+        if directory.exists() and any(directory.iterdir()):
+            refuse(f"{directory}: is not empty; name an empty or new folder")
+        directory.mkdir(parents=True, exist_ok=True)
+        yield directory.resolve()
+        return
+    with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
+        yield Path(name)
+
+
+def _show(running: Rehearsal, until_s: float) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    from daemon.view import status_view, truth_panel
+
+    trail = Trail()
+    port = running.configuration.service.http_port
+    with Live(console=Console(), screen=True, auto_refresh=False) as live:
+
+        def look(status: dict[str, Any]) -> None:
+            report = trail.take(running.reports)
+            beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
+            live.update(
+                status_view(status, beside, footer=f"metrics: http://127.0.0.1:{port}/metrics · Ctrl-C ends"),
+                refresh=True,
+            )
+
+        with contextlib.suppress(KeyboardInterrupt):
+            watch(running, until_s, look, LIVE_PERIOD_S)

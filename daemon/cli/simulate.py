@@ -1,0 +1,72 @@
+"""`toolpoint simulate`: the simulated machine alone, on real wires."""
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daemon.cli.common import config_option, read_configuration, refuse
+from daemon.cli.run import parse_simulated_clock
+from daemon.logs import configure_logging
+from daemon.simulation import SimulationError, recorded_simulation, simulated_day
+
+
+@click.command()
+@config_option
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    required=True,
+    help="Where the serial lines (NAME.tty) and the displacement file go.",
+)
+@click.option(
+    "--simulated-clock",
+    metavar="REAL:UTC:SPEED",
+    required=True,
+    help="Monotonic and calendar second at which simulated time is 0, and its speed.",
+)
+@click.option("--day", type=int, default=None, help="Seed of the simulated day (default: the demo's).")
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Play this recording instead of the simulated machine (prepared by `toolpoint replay`).",
+)
+@click.option(
+    "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
+)
+@click.option("--until-s", type=float, default=None, help="Send no cycle that would begin after this time [s].")
+@click.option("--report-s", type=float, default=10.0, show_default=True, help="Time between reports [s].")
+def simulate(
+    config_path: Path,
+    directory: Path,
+    simulated_clock: str,
+    day: int | None,
+    recording: Path | None,
+    faults_path: Path | None,
+    until_s: float | None,
+    report_s: float,
+) -> None:
+    """Run the simulated machine: serial lines, displacement file, OPC UA server; reports as JSON lines."""
+    configuration = read_configuration(config_path)
+    configure_logging(configuration.service.log_level)
+    clock = parse_simulated_clock(simulated_clock)
+
+    def report(content: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+    try:
+        work = (
+            recorded_simulation(configuration, clock, recording)
+            if recording is not None
+            else simulated_day(configuration, clock, day)
+        )
+        asyncio.run(work.run(directory, faults_path=faults_path, until_s=until_s, report_s=report_s, report=report))
+    except SimulationError as error:
+        refuse(str(error))
+    except KeyboardInterrupt:
+        return

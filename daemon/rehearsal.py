@@ -1,0 +1,190 @@
+"""A simulated machine and a daemon as two processes on real wires, watched by a third.
+
+`toolpoint demo` and `toolpoint replay` both stand on this: they differ in the machine.
+"""
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from config.loader import load_configuration
+from config.schema import Configuration
+from daemon.control_socket import ControlClient, DaemonUnreachableError
+
+FIRST_LEAD_S = 4.0
+"""The simulated time starts this long after the processes [s]; doubled when they were not ready."""
+MOST_LEADS = 4
+STOP_PATIENCE_S = 15.0
+
+
+class RehearsalError(Exception):
+    """The rehearsal could not be set up or broke off; the text says why."""
+
+
+def free_port() -> int:
+    """Return a TCP port of the loopback interface that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def write_rehearsal_configuration(base: dict[str, Any], directory: Path, *, http: bool) -> tuple[Path, Configuration]:
+    """Write a configuration for wires, sockets and store inside `directory`; return it loaded."""
+    for line in base["temperatures"]["lines"]:
+        line["port"] = str(directory / f"{line['name']}.tty")
+    if base.get("displacements"):
+        base["displacements"]["file"] = {"path": str(directory / "displacement.csv"), "header": "time"}
+    base["cnc"]["opcua"] = {
+        "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
+        "namespace_uri": "urn:toolpoint:cnc",
+        "allow_insecure_writes": True,
+    }
+    base["history"] = {"path": str(directory / "history.sqlite")}
+    base["service"] = {
+        "socket": str(directory / "control.sock"),
+        "http_port": free_port() if http else None,
+        "log_level": "info",
+    }
+    path = directory / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
+    return path, load_configuration(path)
+
+
+@dataclass(slots=True)
+class Rehearsal:
+    """Two running processes and what they have said."""
+
+    configuration: Configuration
+    simulator: "subprocess.Popen[str]"
+    daemon: "subprocess.Popen[bytes]"
+    client: ControlClient
+    epoch_real_s: float
+    speed: float
+    reports: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return (time.monotonic() - self.epoch_real_s) * self.speed
+
+    def check_alive(self) -> None:
+        """Raise RehearsalError when one of the two has ended."""
+        for name, process in (("the simulated machine", self.simulator), ("the daemon", self.daemon)):
+            if process.poll() is not None:
+                raise RehearsalError(f"{name} ended with status {process.returncode}")
+
+    def wait_for_report(self, wanted: str, timeout_s: float) -> dict[str, Any]:
+        """Return the first report that carries the key `wanted`."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            for report in self.reports:
+                if wanted in report:
+                    return report
+            self.check_alive()
+            time.sleep(0.02)
+        raise RehearsalError(f"the simulated machine did not report {wanted!r} within {timeout_s:.0f} s")
+
+
+@contextlib.contextmanager
+def rehearse(
+    simulate_arguments: Sequence[str], config_path: Path, *, speed: float, epoch_utc_s: float, directory: Path
+) -> Iterator[Rehearsal]:
+    """Start both processes so that the daemon is ready before the simulated time begins, and stop them."""
+    lead_s = FIRST_LEAD_S
+    for _ in range(MOST_LEADS):
+        epoch_real_s = time.monotonic() + lead_s
+        running = _start(simulate_arguments, config_path, speed, epoch_real_s, epoch_utc_s, directory)
+        try:
+            if running is not None:
+                yield running
+                return
+        finally:
+            if running is not None:
+                _stop(running)
+        lead_s *= 2
+    raise RehearsalError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s; see {directory}")
+
+
+def _start(
+    simulate_arguments: Sequence[str],
+    config_path: Path,
+    speed: float,
+    epoch_real_s: float,
+    epoch_utc_s: float,
+    directory: Path,
+) -> Rehearsal | None:
+    clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
+    toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
+    common = ["--config", str(config_path), "--simulated-clock", clock]
+    with (directory / "simulator.log").open("ab") as log:
+        simulator = subprocess.Popen(
+            [*toolpoint, "simulate", *common, "--directory", str(directory), *simulate_arguments],
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+    with (directory / "daemon.log").open("ab") as log:
+        daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
+    configuration = load_configuration(config_path)
+    try:
+        client = _connect(configuration.service.socket, daemon, epoch_real_s)
+        running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed)
+        threading.Thread(target=_collect, args=(running,), daemon=True).start()
+        while time.monotonic() < epoch_real_s - 0.1:
+            running.check_alive()
+            links = client.ask("status")["links"]
+            if all(link["up"] for link in links if link["name"] == "cnc"):
+                return running
+            time.sleep(0.05)
+    except RehearsalError:
+        _kill(simulator, daemon)
+        raise
+    except DaemonUnreachableError:
+        pass
+    _kill(simulator, daemon)
+    return None
+
+
+def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> ControlClient:
+    while time.monotonic() < until_s:
+        try:
+            return ControlClient(path)
+        except DaemonUnreachableError:
+            if daemon.poll() is not None:
+                raise RehearsalError(f"the daemon ended with status {daemon.returncode}") from None
+            time.sleep(0.05)
+    raise DaemonUnreachableError(f"{path}: no daemon in time")
+
+
+def _collect(running: Rehearsal) -> None:
+    assert running.simulator.stdout is not None
+    for line in running.simulator.stdout:
+        running.reports.append(json.loads(line))
+
+
+def _stop(running: Rehearsal) -> None:
+    with contextlib.suppress(OSError):
+        running.client.close()
+    for process in (running.daemon, running.simulator):
+        process.terminate()
+    for process in (running.daemon, running.simulator):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(STOP_PATIENCE_S)
+    _kill(running.simulator, running.daemon)
+
+
+def _kill(*processes: "subprocess.Popen[Any]") -> None:
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.wait()

@@ -1,0 +1,68 @@
+"""The local socket: answers, refusals, and who asked."""
+
+import asyncio
+import os
+import stat
+
+import pytest
+
+from daemon.control_socket import ControlClient, ControlSocket, DaemonUnreachableError, RequestError
+
+
+async def serve(path, handle, work):
+    task = asyncio.create_task(ControlSocket(path, None, handle).run())
+    for _ in range(500):
+        if path.exists():
+            break
+        await asyncio.sleep(0.01)
+    try:
+        return await asyncio.to_thread(work)
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_a_request_is_answered_and_its_author_is_known(tmp_path):
+    asked = []
+
+    async def handle(request, person):
+        asked.append((request, person))
+        return {"answer": 42}
+
+    def work():
+        client = ControlClient(tmp_path / "s")
+        mode = stat.S_IMODE((tmp_path / "s").stat().st_mode)
+        answer = client.ask("enable", axes=["z"])
+        client.close()
+        return answer, mode
+
+    answer, mode = await serve(tmp_path / "s", handle, work)
+    assert answer == {"answer": 42}
+    assert mode == 0o600
+    request, person = asked[0]
+    assert request == {"command": "enable", "axes": ["z"]}
+    assert f"uid {os.getuid()}" in person and f"pid {os.getpid()}" in person
+    assert not (tmp_path / "s").exists()
+
+
+async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
+    async def handle(request, person):
+        raise RequestError("there is no axis w")
+
+    def work():
+        client = ControlClient(tmp_path / "s")
+        with pytest.raises(RequestError, match="no axis w"):
+            client.ask("enable", axes=["w"])
+        client._socket.sendall(b"\xff{not json\n[1]\n")
+        answers = [client._stream.readline(), client._stream.readline()]
+        client.close()
+        return answers
+
+    first, second = await serve(tmp_path / "s", handle, work)
+    assert b"not JSON" in first
+    assert b"one JSON object" in second
+
+
+def test_without_a_daemon_the_client_says_what_to_do(tmp_path):
+    with pytest.raises(DaemonUnreachableError, match="is it running"):
+        ControlClient(tmp_path / "nobody")
