@@ -58,7 +58,8 @@ class TemperatureCycle:
     complete: bool
     """Every expected ID that is not quarantined arrived exactly once."""
     faults: tuple[str, ...] = ()
-    """What went wrong in this cycle, in words, naming sensor or byte; empty when complete."""
+    """What went wrong in this cycle, in words, naming sensor or byte. A complete cycle has some too
+    when a sensor reported an error or bytes around its frames were rejected."""
     trace: Trace
 
     def __post_init__(self) -> None:
