@@ -1,0 +1,57 @@
+"""From packed or raw rows of the audit to records."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from daemon.history.frames import Frame
+from daemon.history.series import WriteRecord
+from models.records import WriteOutcome
+
+STAGES = ("cleansed", "estimated", "written", "read_back")
+
+
+def write_records(frame: Frame) -> list[WriteRecord]:
+    """Return each row of the audit as a record."""
+    return [_record(frame, index) for index in range(frame.rows)]
+
+
+def _record(frame: Frame, index: int) -> WriteRecord:
+    def number(name: str) -> float | None:
+        value = float(frame.numbers(name)[index])
+        return None if np.isnan(value) else value
+
+    written = frame.mapping("macros").row(index) or {}
+    outcome = WriteOutcome(int(frame.integers("outcome")[index]))
+    outcome_ms, sequence = number("outcome_utc_ms"), number("sequence")
+    delays_us = {stage: number(f"{stage}_us") for stage in STAGES}
+    return WriteRecord(
+        write_id=int(frame.integers("write_id")[index]),
+        time_s=int(frame.integers("utc_ms")[index]) / 1e3,
+        cause=frame.texts("cause")[index] or "",
+        person=frame.texts("person")[index],
+        state=frame.texts("state")[index],
+        reason=frame.texts("reason")[index],
+        requested_um=frame.mapping("requested_um").row(index) or {},
+        compensation_um=frame.mapping("compensation_um").row(index) or {},
+        enable=tuple(_listed(frame.texts("enable")[index])),
+        limits_hit=tuple(_listed(frame.texts("limits_hit")[index])),
+        macros=tuple((int(key.partition("#")[0]), np.nan if v is None else v) for key, v in written.items()),
+        outcome=outcome,
+        sequence=None if sequence is None else int(sequence),
+        detail=frame.texts("detail")[index],
+        read_back=_read_back(frame, index, written) if outcome is not WriteOutcome.INTENDED else (),
+        applied_um=frame.mapping("applied_um").row(index) or {},
+        outcome_time_s=None if outcome_ms is None else outcome_ms / 1e3,
+        delay_s={stage: us / 1e6 for stage, us in delays_us.items() if us is not None},
+    )
+
+
+def _listed(text: str | None) -> list[Any]:
+    return [] if text is None else list(json.loads(text))
+
+
+def _read_back(frame: Frame, index: int, written: dict[str, float | None]) -> tuple[float | None, ...]:
+    found = frame.mapping("read_back").row(index)
+    return tuple(written.values()) if found is None else tuple(found.get(key) for key in written if key in found)

@@ -1,0 +1,266 @@
+"""Read the store, from any process, while the daemon writes; raw rows and packed hours alike."""
+
+import json
+import sqlite3
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from daemon.history.audit import write_records
+from daemon.history.database import HOUR_MS, connect_reader
+from daemon.history.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
+from daemon.history.joining import in_order, merge_cycles, ms_from_s, reference_from_row, texts_of, time_s_of
+from daemon.history.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
+from daemon.history.packing import cycle_block, id_column
+from daemon.history.series import (
+    CncHistory,
+    DisplacementHistory,
+    EstimateHistory,
+    EventRecord,
+    TemperatureHistory,
+    WriteRecord,
+)
+from daemon.history.temperature_chunks import CycleBlock, decode_temperatures
+from models.records import Reference, WriteOutcome
+
+TABLES = {TEMPERATURES: CYCLES.table, **{kind.name: kind.table for kind in KINDS.values()}, "events": "events"}
+"""Table of each kind of record that can be counted and listed."""
+
+
+class HistoryReader:
+    """One read-only connection; for one thread. Times are UTC seconds, from <= t < to."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._connection = connect_reader(path)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _snapshot(self) -> Iterator[sqlite3.Connection]:
+        """One view of rows and chunks, so that an hour packed meanwhile is neither missing nor doubled."""
+        if self._connection.in_transaction:
+            yield self._connection
+            return
+        self._connection.execute("BEGIN")
+        try:
+            yield self._connection
+        finally:
+            self._connection.execute("COMMIT")
+
+    # --- measurements --------------------------------------------------------------------
+
+    def sensor_ids(self) -> tuple[int, ...]:
+        """Return all sensors of which the store knows, in ascending order."""
+        return tuple(sorted({i for _, _, members in self._line_layouts() for i in members}))
+
+    def temperatures(self, sensor_ids: Sequence[int] | None, from_utc_s: float, to_utc_s: float) -> TemperatureHistory:
+        """Return the cycles of all lines on which one of the sensors hangs (None: all sensors)."""
+        wanted = self.sensor_ids() if sensor_ids is None else tuple(sensor_ids)
+        column_of = {sensor_id: column for column, sensor_id in enumerate(wanted)}
+        parts = []
+        with self._snapshot():
+            for layout_id, line, members in self._line_layouts():
+                positions = [position for position, i in enumerate(members) if i in column_of]
+                if positions:
+                    columns = [column_of[members[position]] for position in positions]
+                    for content in self._cycles(layout_id, positions, ms_from_s(from_utc_s), ms_from_s(to_utc_s)):
+                        parts.append((line, columns, content))
+        return merge_cycles(wanted, parts, ms_from_s(from_utc_s), ms_from_s(to_utc_s))
+
+    def _line_layouts(self) -> list[tuple[int, str, list[int]]]:
+        found = self._connection.execute("SELECT layout_id, name, members FROM layouts WHERE kind = 'line'")
+        return [(layout_id, name, json.loads(members)) for layout_id, name, members in found]
+
+    def _cycles(self, layout_id: int, positions: list[int], from_ms: int, to_ms: int) -> Iterator[CycleBlock]:
+        names = ("utc_ms", "number")
+        for data in self._chunks(TEMPERATURES, layout_id, from_ms, to_ms):
+            yield decode_temperatures(data, positions, names)
+        rows = self._connection.execute(
+            "SELECT utc_ms, number, counts, flags FROM temperature_cycles "
+            "WHERE layout_id = ? AND utc_ms >= ? AND utc_ms < ? ORDER BY id",
+            (layout_id, from_ms, to_ms),
+        ).fetchall()
+        if rows:
+            block = cycle_block(names, rows)
+            yield replace(
+                block,
+                counts=block.counts[:, positions],
+                quality=block.quality[:, positions],
+                reason=block.reason[:, positions],
+            )
+
+    def _chunks(self, kind: str, layout_id: int, from_ms: int, to_ms: int) -> list[bytes]:
+        found = self._connection.execute(
+            "SELECT data FROM chunks WHERE kind = ? AND layout_id = ? AND start_ms > ? AND start_ms < ? "
+            "AND end_ms >= ? ORDER BY start_ms, chunk_id",
+            (kind, layout_id, from_ms - HOUR_MS, to_ms, from_ms),
+        )
+        return [data for (data,) in found]
+
+    def frame(self, kind: Kind, from_utc_s: float, to_utc_s: float, names: Collection[str] | None = None) -> Frame:
+        """Return the rows of a kind as columns, in order of time."""
+        from_ms, to_ms = ms_from_s(from_utc_s), ms_from_s(to_utc_s)
+        wanted = kind.closure(names) | {"utc_ms"}
+        columns = [name for name in kind.names if name in wanted]
+        with self._snapshot() as connection:
+            frames = [decode_frame(kind, data, wanted) for data in self._chunks(kind.name, 0, from_ms, to_ms)]
+            rows = connection.execute(
+                f"SELECT {', '.join(columns)} FROM {kind.table} WHERE utc_ms >= ? AND utc_ms < ? "
+                f"ORDER BY {id_column(kind)}",
+                (from_ms, to_ms),
+            ).fetchall()
+        joined = concatenate([*frames, frame_from_rows(kind, columns, rows)])
+        return in_order(joined, from_ms, to_ms)
+
+    def displacements(self, from_utc_s: float, to_utc_s: float) -> DisplacementHistory:
+        """Return the rows of the logger's files."""
+        frame = self.frame(DISPLACEMENTS, from_utc_s, to_utc_s)
+        um, reasons = frame.mapping("um"), frame.mapping("reasons")
+        none = np.zeros(frame.rows)
+        return DisplacementHistory(
+            time_s=time_s_of(frame),
+            um=um.values,
+            reason={key: np.nan_to_num(reasons.values.get(key, none)).astype(np.uint8) for key in um.values},
+            source=texts_of(frame, "source"),
+        )
+
+    def cnc(self, from_utc_s: float, to_utc_s: float) -> CncHistory:
+        """Return the polls of the CNC."""
+        frame = self.frame(CNC, from_utc_s, to_utc_s)
+        return CncHistory(
+            time_s=time_s_of(frame),
+            mode=texts_of(frame, "mode"),
+            run=texts_of(frame, "run"),
+            alarm=frame.integers("alarm").astype(bool),
+            program=frame.integers("program"),
+            sequence_number=frame.integers("sequence_number"),
+            spindle_speed_rpm=frame.numbers("spindle_speed_rpm"),
+            motor_temperature_degc=frame.numbers("motor_temperature_degc"),
+            clock_s=frame.numbers("clock_ms") / 1e3,
+            power_on_count=frame.integers("power_on_count"),
+            work_offset=frame.integers("work_offset"),
+            tool_number=frame.integers("tool_number"),
+            macros={int(key): values for key, values in frame.mapping("macros").values.items()},
+        )
+
+    def estimates(self, from_utc_s: float, to_utc_s: float) -> EstimateHistory:
+        """Return the estimates."""
+        frame = self.frame(ESTIMATES, from_utc_s, to_utc_s)
+        return EstimateHistory(
+            time_s=time_s_of(frame),
+            cycle_time_s=frame.integers("cycle_utc_ms") / 1e3,
+            thermal_error_um=frame.mapping("thermal_error_um").values,
+            band_um=frame.mapping("band_um").values,
+            label_degc=frame.mapping("label_degc").values,
+            label_increment_degc=frame.mapping("label_increment_degc").values,
+            in_domain=frame.integers("in_domain").astype(bool),
+            confidence=frame.numbers("confidence"),
+            imputed=tuple(tuple(json.loads(text)) for text in texts_of(frame, "imputed")),
+            model_id=texts_of(frame, "model_id"),
+            reference_id=tuple(frame.texts("reference_id")),
+        )
+
+    # --- audit ---------------------------------------------------------------------------
+
+    def writes(self, from_utc_s: float, to_utc_s: float) -> list[WriteRecord]:
+        """Return the audit of macro writes."""
+        return write_records(self.frame(WRITES, from_utc_s, to_utc_s))
+
+    def unsettled_writes(self) -> list[WriteRecord]:
+        """Return the intents whose outcome is not known: the daemon ended in between."""
+        rows = self._connection.execute(
+            f"SELECT {', '.join(WRITES.names)} FROM writes WHERE outcome = 0 ORDER BY write_id"
+        ).fetchall()
+        return write_records(frame_from_rows(WRITES, WRITES.names, rows))
+
+    def last_written_macros(self) -> dict[int, tuple[float, ...]] | None:
+        """Return per macro what it may hold: the last verified value, then what later writes may have left.
+
+        None when the audit is empty.
+        """
+        since_verified: list[WriteRecord] = []
+        for record in self._writes_backwards():
+            since_verified.append(record)
+            if record.outcome is WriteOutcome.VERIFIED:
+                break
+        possible: dict[int, tuple[float, ...]] = {}
+        for record in reversed(since_verified):
+            if record.outcome is WriteOutcome.REFUSED:
+                continue
+            for number, value in record.macros:
+                before = () if record.outcome is WriteOutcome.VERIFIED else possible.get(number, ())
+                possible[number] = before if value in before else (*before, value)
+        return possible or None
+
+    def _writes_backwards(self) -> Iterator[WriteRecord]:
+        columns = ", ".join(WRITES.names)
+        for row in self._connection.execute(f"SELECT {columns} FROM writes ORDER BY write_id DESC"):
+            yield from write_records(frame_from_rows(WRITES, WRITES.names, [row]))
+        chunks = self._connection.execute(
+            "SELECT data FROM chunks WHERE kind = ? AND layout_id = 0 ORDER BY start_ms DESC", (WRITES.name,)
+        )
+        for (data,) in chunks:
+            yield from reversed(write_records(decode_frame(WRITES, data)))
+
+    def events(self, from_utc_s: float, to_utc_s: float) -> list[EventRecord]:
+        """Return operator actions, state changes and alarms."""
+        found = self._connection.execute(
+            "SELECT utc_ms, kind, text, person FROM events WHERE utc_ms >= ? AND utc_ms < ? ORDER BY utc_ms, id",
+            (ms_from_s(from_utc_s), ms_from_s(to_utc_s)),
+        )
+        return [EventRecord(time_s=ms / 1e3, kind=kind, text=text, person=who) for ms, kind, text, who in found]
+
+    def references(self, from_utc_s: float, to_utc_s: float) -> list[Reference]:
+        """Return the references that were set."""
+        found = self._connection.execute(
+            "SELECT reference_id, monotonic_s, utc_s, real_s, source, degc, program, work_offset, power_on_count "
+            "FROM reference_points WHERE utc_ms >= ? AND utc_ms < ? ORDER BY utc_ms, id",
+            (ms_from_s(from_utc_s), ms_from_s(to_utc_s)),
+        )
+        return [reference_from_row(row) for row in found]
+
+    # --- the daemon's own ----------------------------------------------------------------
+
+    def get_state(self, key: str) -> Any:
+        """Return what the daemon kept under a key; None where there is nothing."""
+        found = self._connection.execute("SELECT json FROM state WHERE key = ?", (key,)).fetchone()
+        return None if found is None else json.loads(found[0])
+
+    def acknowledged(self) -> dict[str, int]:
+        """Return the number of the last committed cycle of each line."""
+        return dict(self._connection.execute("SELECT line, number FROM acknowledged").fetchall())
+
+    def last_displacement_utc_s(self) -> float | None:
+        """Return the time of the newest displacement; None without any."""
+        extent = self.extent(DISPLACEMENTS.name)
+        return None if extent is None else extent[1]
+
+    def extent(self, kind: str) -> tuple[float, float] | None:
+        """Return first and last time [s] of a kind ('temperatures', 'cnc', ..); None where there is nothing."""
+        with self._snapshot() as connection:
+            found = [
+                *connection.execute(f"SELECT min(utc_ms), max(utc_ms) FROM {TABLES[kind]}"),
+                *connection.execute("SELECT min(start_ms), max(end_ms) FROM chunks WHERE kind = ?", (kind,)),
+            ]
+        times = [ms / 1e3 for pair in found for ms in pair if ms is not None]
+        return (min(times), max(times)) if times else None
+
+    def row_count(self, kind: str) -> int:
+        """Return how many rows of a kind there are, packed ones included."""
+        with self._snapshot() as connection:
+            (raw,) = connection.execute(f"SELECT count(*) FROM {TABLES[kind]}").fetchone()
+            (packed,) = connection.execute("SELECT sum(row_count) FROM chunks WHERE kind = ?", (kind,)).fetchone()
+        return int(raw + (packed or 0))

@@ -1,0 +1,128 @@
+"""Housekeeping on the writing connection: rows for chunks, what is too old, free pages; and back-ups."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from config.schema.service import HistoryConfig
+from daemon.history.database import HistoryError, WriterLock, connect_reader, connect_writer
+from daemon.history.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
+from daemon.history.packing import PackedHour, pack_hours, packing_cutoff_ms, rows_of_hour, table_of
+
+DAY_MS = 86_400_000
+SLICE_ROWS = 2000
+SLICE_CHUNKS = 50
+SPARE_PAGES = 2048
+"""Free pages (8 MiB) that stay in the file for the rows of the next hours."""
+SLICE_PAGES = 1024
+
+
+@dataclass(slots=True, kw_only=True)
+class HousekeepingReport:
+    """What housekeeping did."""
+
+    packed_hours: int = 0
+    packed_rows: int = 0
+    removed_rows: int = 0
+    removed_chunks: int = 0
+    freed_pages: int = 0
+
+
+def store_hour(connection: sqlite3.Connection, hour: PackedHour) -> bool:
+    """Put a chunk in the place of its rows, in one transaction.
+
+    False, with nothing changed, when the rows are no longer those that were packed.
+    """
+    table, _ = table_of(hour.kind)
+    connection.execute("BEGIN IMMEDIATE")
+    connection.execute(
+        "INSERT INTO chunks (kind, layout_id, start_ms, end_ms, row_count, data) VALUES (?, ?, ?, ?, ?, ?)",
+        (hour.kind, hour.layout_id, hour.start_ms, hour.end_ms, hour.row_count, hour.data),
+    )
+    removed = connection.execute(
+        f"DELETE FROM {table} WHERE {rows_of_hour(hour.kind)}",
+        {"hour_ms": hour.hour_ms, "layout_id": hour.layout_id, "last_id": hour.last_id},
+    ).rowcount
+    if removed != hour.row_count:
+        connection.execute("ROLLBACK")
+        return False
+    connection.execute("COMMIT")
+    return True
+
+
+def retention(config: HistoryConfig) -> list[tuple[str, str, float]]:
+    """Return table, name of the chunks (empty without) and days kept, for each kind of record."""
+    return [
+        (CYCLES.table, TEMPERATURES, config.keep_temperatures_days),
+        (CNC.table, CNC.name, config.keep_cnc_days),
+        (DISPLACEMENTS.table, DISPLACEMENTS.name, config.keep_displacements_days),
+        (ESTIMATES.table, ESTIMATES.name, config.keep_estimates_days),
+        (WRITES.table, WRITES.name, config.keep_writes_days),
+        ("events", "", config.keep_writes_days),
+        ("reference_points", "", config.keep_writes_days),
+    ]
+
+
+def tidy(connection: sqlite3.Connection, config: HistoryConfig, now_utc_s: float, report: HousekeepingReport) -> bool:
+    """Remove one slice of what is too old, or give back one slice of free pages; True while there is more."""
+    for table, kind, keep_days in retention(config):
+        cutoff_ms = int(now_utc_s * 1e3 - keep_days * DAY_MS)
+        rows = _delete(connection, table, "utc_ms < ?", (cutoff_ms,), SLICE_ROWS)
+        chunks = _delete(
+            connection, "chunks", "kind = ? AND start_ms < ? AND end_ms < ?", (kind, cutoff_ms, cutoff_ms), SLICE_CHUNKS
+        )
+        report.removed_rows += rows
+        report.removed_chunks += chunks
+        if rows == SLICE_ROWS or chunks == SLICE_CHUNKS:
+            return True
+    return _vacuum(connection, report)
+
+
+def _delete(connection: sqlite3.Connection, table: str, condition: str, parameters: tuple[object, ...], n: int) -> int:
+    return connection.execute(
+        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} WHERE {condition} LIMIT {n})", parameters
+    ).rowcount
+
+
+def _vacuum(connection: sqlite3.Connection, report: HousekeepingReport) -> bool:
+    (free,) = connection.execute("PRAGMA freelist_count").fetchone()
+    surplus = min(free - SPARE_PAGES, SLICE_PAGES)
+    if surplus <= 0:
+        return False
+    connection.execute(f"PRAGMA incremental_vacuum({surplus})").fetchall()
+    report.freed_pages += surplus
+    return bool(free - surplus > SPARE_PAGES)
+
+
+def housekeeping(path: Path, config: HistoryConfig, now_utc_s: float) -> HousekeepingReport:
+    """Pack and prune a store that no daemon writes. Raises HistoryError when one does.
+
+    A running daemon does the same by `HistoryWriter.request_housekeeping`.
+    """
+    report = HousekeepingReport()
+    with WriterLock(path), closing(connect_writer(path)) as connection, closing(connect_reader(path)) as reading:
+        for hour in pack_hours(reading, packing_cutoff_ms(now_utc_s, config.pack_after_s)):
+            if store_hour(connection, hour):
+                report.packed_hours += 1
+                report.packed_rows += hour.row_count
+        while tidy(connection, config, now_utc_s, report):
+            pass
+    return report
+
+
+def backup(path: Path, destination: Path) -> None:
+    """Copy a store, also one that is being written, to a file that is complete or not there."""
+    partial = Path(f"{destination}.partial")
+    partial.unlink(missing_ok=True)
+    try:
+        with closing(connect_reader(path)) as source, closing(sqlite3.connect(partial)) as target:
+            source.backup(target)
+            (verdict,) = target.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.Error as error:
+        partial.unlink(missing_ok=True)
+        raise HistoryError(f"{destination}: the back-up failed ({error}); check the space on that disk") from error
+    if verdict != "ok":
+        partial.unlink(missing_ok=True)
+        raise HistoryError(f"{path}: the store is damaged ({verdict}); restore an older back-up")
+    partial.replace(destination)

@@ -1,0 +1,134 @@
+"""What the reader gives: records as columns over time, and the audit as records."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daemon.history.codec import FloatArray, IntArray
+from models.quality import Quality
+from models.records import WriteOutcome
+
+CodeArray = npt.NDArray[np.uint8]
+NOT_IN_CYCLE = 255
+"""Quality and reason where the sensor hangs on another line than the row's cycle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureHistory:
+    """Temperatures as measured: one row per line cycle, one column per sensor."""
+
+    sensor_ids: tuple[int, ...]
+    time_s: FloatArray
+    """UTC of the cycle's first byte [s]."""
+    line: tuple[str, ...]
+    number: IntArray
+    degc: FloatArray
+    """Measured [degC]; NaN where no value arrived or the sensor is not on the row's line."""
+    quality: CodeArray
+    reason: CodeArray
+
+    def series(self, sensor_id: int) -> tuple[FloatArray, FloatArray, CodeArray]:
+        """Return time [s], measured temperature [degC] and quality of one sensor's own cycles."""
+        column = self.sensor_ids.index(sensor_id)
+        own = self.quality[:, column] != NOT_IN_CYCLE
+        return self.time_s[own], self.degc[own, column], self.quality[own, column]
+
+    def cleansed(self) -> FloatArray:
+        """Return [degC] what cleansing made of it: GOOD as measured, HELD the last GOOD one, else NaN.
+
+        A value held since before the first row is NaN: read from a little earlier.
+        """
+        rows = np.arange(self.time_s.size)[:, None]
+        latest = np.maximum.accumulate(np.where(self.quality == Quality.GOOD, rows, -1), axis=0)
+        held = np.take_along_axis(self.degc, np.maximum(latest, 0), axis=0)
+        usable = ((self.quality == Quality.GOOD) | (self.quality == Quality.HELD)) & (latest >= 0)
+        return np.where(usable, held, np.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplacementHistory:
+    """Displacements as the logger wrote them."""
+
+    time_s: FloatArray
+    um: dict[str, FloatArray]
+    """Per channel [um], NaN where there was no number."""
+    reason: dict[str, CodeArray]
+    source: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CncHistory:
+    """Polls of the CNC."""
+
+    time_s: FloatArray
+    mode: tuple[str, ...]
+    run: tuple[str, ...]
+    alarm: npt.NDArray[np.bool_]
+    program: IntArray
+    sequence_number: IntArray
+    spindle_speed_rpm: FloatArray
+    motor_temperature_degc: FloatArray
+    clock_s: FloatArray
+    power_on_count: IntArray
+    work_offset: IntArray
+    tool_number: IntArray
+    macros: dict[int, FloatArray]
+    """NaN where vacant or not asked for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimateHistory:
+    """Thermal errors as estimated."""
+
+    time_s: FloatArray
+    cycle_time_s: FloatArray
+    """First byte of the cycle behind each estimate."""
+    thermal_error_um: dict[str, FloatArray]
+    band_um: dict[str, FloatArray]
+    label_degc: dict[str, FloatArray]
+    label_increment_degc: dict[str, FloatArray]
+    in_domain: npt.NDArray[np.bool_]
+    confidence: FloatArray
+    imputed: tuple[tuple[int, ...], ...]
+    model_id: tuple[str, ...]
+    reference_id: tuple[str | None, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriteRecord:
+    """One write of macro variables in the audit."""
+
+    write_id: int
+    time_s: float
+    """UTC of the intent [s]."""
+    cause: str
+    person: str | None
+    state: str | None
+    reason: str | None
+    requested_um: dict[str, float | None]
+    compensation_um: dict[str, float | None]
+    enable: tuple[bool, ...]
+    limits_hit: tuple[str, ...]
+    macros: tuple[tuple[int, float], ...]
+    """In the order written."""
+    outcome: WriteOutcome
+    sequence: int | None
+    detail: str | None
+    read_back: tuple[float | None, ...]
+    """In the order of `macros`; empty while the outcome is not known."""
+    applied_um: dict[str, float | None]
+    """The guard's echo per axis."""
+    outcome_time_s: float | None
+    delay_s: dict[str, float]
+    """From the cycle's last byte to each stage that was passed, on the computer's clock."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventRecord:
+    """An operator's action, a change of state, an alarm."""
+
+    time_s: float
+    kind: str
+    text: str
+    person: str | None

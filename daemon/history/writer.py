@@ -1,0 +1,289 @@
+"""The store's only writer. Every method returns at once; the commits happen in its thread."""
+
+import asyncio
+import json
+import sqlite3
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from config.schema.service import HistoryConfig
+from daemon.history import rows
+from daemon.history.database import OlderStoreError, WriterLock, connect_writer
+from daemon.history.engine import Engine, cause_in_words
+from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
+from daemon.history.layout import MachineLayout
+from daemon.history.packer import packed_hours
+from daemon.history.packing import PackedHour
+from daemon.history.reader import HistoryReader
+from daemon.history.retention import HousekeepingReport, store_hour, tidy
+from drivers.clock import Clock
+from models.records import (
+    CncSample,
+    CompensationCommand,
+    DisplacementSample,
+    MachineTemperatures,
+    Receipt,
+    Reference,
+    TemperatureCycle,
+    ThermalErrorEstimate,
+)
+
+CYCLE_COMMIT_S = 0.05
+"""A cycle waits this long for its estimate and write, so that one commit carries all of them."""
+SAMPLE_COMMIT_S = 10.0
+"""Samples wait for a cycle's commit, but no longer than this."""
+CLOSE_WITHIN_S = 10.0
+QUEUE_LIMIT = 50_000
+"""Records that wait while the disk fails: some five hours, about 50 MB."""
+
+T = TypeVar("T")
+
+
+class WriteId(int):
+    """Number of a write in the audit; awaiting it waits for the commit of the intent."""
+
+    commit: Commit
+
+    def __new__(cls, number: int, commit: Commit) -> "WriteId":
+        write_id = super().__new__(cls, number)
+        write_id.commit = commit
+        return write_id
+
+    def __await__(self) -> Generator[Any, None, int]:
+        yield from self.commit.__await__()
+        return int(self)
+
+
+class HistoryWriter:
+    """Queues records from any thread and commits them in groups.
+
+    The callbacks run in the writer's thread: `on_acknowledged(line, number)` after the commit that
+    holds the cycle has returned, `on_problem(sentence)` when the store cannot be written, and
+    `on_problem("")` when it works again.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        clock: Clock,
+        machine: MachineLayout,
+        on_acknowledged: Callable[[str, int], None] = lambda _line, _number: None,
+        on_problem: Callable[[str], None] = lambda _problem: None,
+        queue_limit: int = QUEUE_LIMIT,
+    ) -> None:
+        self.path = path
+        self._clock = clock
+        self._machine = machine
+        self._intake = Intake(queue_limit)
+        self._engine = Engine(path, self._intake, machine, on_acknowledged=on_acknowledged, on_problem=on_problem)
+        self._lock = WriterLock(path)
+        self._state: dict[str, Any] = {}
+        self._last_displacement_utc_s: float | None = None
+        self._write_id: int | None = None
+        self._housekeeping = asyncio.Lock()
+
+    # --- life ----------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the store and start the thread.
+
+        Raises HistoryError when the store is another program's, newer, or has a writer already. A
+        full or failing disk is reported through `on_problem`, and tried again.
+        """
+        self._lock.acquire()
+        self._engine.start()
+        if self._engine.refusal is not None:
+            self._lock.release()
+            raise self._engine.refusal
+
+    def close(self) -> None:
+        """Write what is queued, close the store; blocks, at most some seconds."""
+        self._engine.stop(CLOSE_WITHIN_S)
+        self._lock.release()
+
+    async def flushed(self) -> None:
+        """Return when everything that was queued before is committed."""
+        await self.submit(lambda _connection: None)
+
+    @property
+    def waiting(self) -> int:
+        """Records that are not yet committed."""
+        return len(self._intake)
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Records that were given up, by kind."""
+        return self._intake.dropped.copy()
+
+    @property
+    def problem(self) -> str:
+        """What keeps the store from being written, in words; empty when nothing does."""
+        return self._engine.problem
+
+    # --- measurements --------------------------------------------------------------------
+
+    def temperatures(self, cleansed: MachineTemperatures | None, cycle: TemperatureCycle) -> None:
+        """Record a line cycle as measured, with the quality that cleansing gave each value."""
+        if cycle.line not in self._machine.lines:
+            raise ValueError(f"line {cycle.line!r} is not one of this machine's: {sorted(self._machine.lines)}")
+
+        def execute(connection: sqlite3.Connection, layout_ids: LayoutIds) -> None:
+            parameters, layout = rows.cycle_row(self._machine, cycle, cleansed)
+            connection.execute(rows.INSERT_CYCLE, (layout_ids[layout], *parameters))
+
+        acknowledges = (cycle.line, cycle.number, rows.utc_ms(cycle.trace.first_byte))
+        entry = Entry(kind="temperature cycles", execute=execute, bulk=True, acknowledges=acknowledges)
+        self._intake.put(entry, within_s=CYCLE_COMMIT_S)
+
+    def cnc_sample(self, sample: CncSample) -> None:
+        """Record a poll of the CNC, with the next cycle's commit."""
+        self._sample("CNC samples", rows.INSERT_CNC, partial(rows.cnc_row, self._machine, sample))
+
+    def displacement(self, sample: DisplacementSample) -> None:
+        """Record a row of the logger's file."""
+        if sample.um.size != len(self._machine.displacement_channels):
+            raise ValueError(
+                f"{sample.source}: {sample.um.size} displacements, the configuration has the channels "
+                f"{list(self._machine.displacement_channels)}"
+            )
+        self._last_displacement_utc_s = sample.utc_s
+        build = partial(rows.displacement_row, self._machine, sample)
+        self._sample("displacements", rows.INSERT_DISPLACEMENT, build)
+
+    def estimate(self, estimate: ThermalErrorEstimate) -> None:
+        """Record an estimate, with its cycle's commit."""
+        self._sample("estimates", rows.INSERT_ESTIMATE, partial(rows.estimate_row, estimate))
+
+    def _sample(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> None:
+        execute = _statement(sql, build)
+        self._intake.put(Entry(kind=kind, execute=execute, bulk=True), within_s=SAMPLE_COMMIT_S)
+
+    # --- audit ---------------------------------------------------------------------------
+
+    def write_intent(
+        self,
+        command: CompensationCommand | None,
+        macros: Sequence[tuple[int, float]],
+        cause: str,
+        person: str | None = None,
+    ) -> WriteId:
+        """Record what is about to be written; the number goes to `write_outcome`."""
+        now = self._clock.now()
+        number = self._next_write_id()
+        build = partial(rows.intent_row, number, now, command, tuple(macros), cause, person)
+        return WriteId(number, self._audit("write intents", rows.INSERT_INTENT, build))
+
+    def write_outcome(self, write_id: int, receipt: Receipt) -> Commit:
+        """Record how a write ended."""
+        now = self._clock.now()
+        build = partial(rows.outcome_row, self._machine, int(write_id), now, receipt)
+        return self._audit("write outcomes", rows.UPDATE_OUTCOME, build)
+
+    def event(self, kind: str, text: str, person: str | None = None) -> Commit:
+        """Record an operator's action, a change of state, an alarm."""
+        return self._audit("events", rows.INSERT_EVENT, partial(rows.event_row, self._clock.now(), kind, text, person))
+
+    def reference(self, reference: Reference) -> Commit:
+        """Record a reference."""
+
+        def execute(connection: sqlite3.Connection, layout_ids: LayoutIds) -> None:
+            before, after = rows.reference_row(reference)
+            connection.execute(rows.INSERT_REFERENCE, (*before, layout_ids[self._machine.machine], *after))
+
+        return self._put("references", execute)
+
+    def put_state(self, key: str, value: Any) -> Commit:
+        """Keep a JSON value for the next start of the daemon."""
+        text, time_ms = json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
+        self._state[key] = json.loads(text)
+        return self._audit("states", rows.PUT_STATE, lambda: (key, text, time_ms))
+
+    def _audit(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> Commit:
+        return self._put(kind, _statement(sql, build))
+
+    def _put(self, kind: str, execute: Execute) -> Commit:
+        entry = Entry(kind=kind, execute=execute)
+        self._intake.put(entry, within_s=0.0)
+        return entry.commit
+
+    def _next_write_id(self) -> int:
+        if self._write_id is None:
+            known = self._engine.last_write_id
+            # A store that could not be opened yet does not tell its last number: start above any.
+            self._write_id = rows.utc_ms(self._clock.now()) if known is None else known
+        self._write_id += 1
+        return self._write_id
+
+    # --- what an earlier run left --------------------------------------------------------
+
+    def get_state(self, key: str) -> Any:
+        """Return a value that `put_state` kept, None where there is none. May be called before `start`."""
+        if key not in self._state:
+            self._state[key] = self._look_up(lambda reader: reader.get_state(key))
+        return self._state[key]
+
+    def last_written_macros(self) -> dict[int, tuple[float, ...]] | None:
+        """Return what our macros may hold by the audit; None when nothing was ever written."""
+        return self._look_up(lambda reader: reader.last_written_macros())
+
+    def last_displacement_utc_s(self) -> float | None:
+        """Return the time of the newest displacement, so that a file is not read twice."""
+        if self._last_displacement_utc_s is None:
+            self._last_displacement_utc_s = self._look_up(lambda reader: reader.last_displacement_utc_s())
+        return self._last_displacement_utc_s
+
+    def _look_up(self, question: Callable[[HistoryReader], T]) -> T | None:
+        if not self.path.is_file() or self.path.stat().st_size == 0:
+            return None
+        try:
+            reader = HistoryReader(self.path)
+        except OlderStoreError:
+            with self._lock:
+                connect_writer(self.path).close()
+            reader = HistoryReader(self.path)
+        with reader:
+            return question(reader)
+
+    # --- jobs ----------------------------------------------------------------------------
+
+    def submit(self, job: Callable[[sqlite3.Connection], object]) -> Commit:
+        """Run a job on the writing connection, between two commits; keep it short. The commit holds its result."""
+        entry = Entry(kind="jobs", execute=lambda connection, _: job(connection), is_job=True)
+        self._intake.put(entry, within_s=0.0)
+        return entry.commit
+
+    async def request_housekeeping(self, config: HistoryConfig) -> HousekeepingReport | None:
+        """Pack and prune in small slices; the packing itself runs in a process of its own.
+
+        Trouble is reported through `on_problem`; what is left is done next time.
+        """
+        if self._housekeeping.locked():
+            return None
+        async with self._housekeeping:
+            report = HousekeepingReport()
+            now_utc_s = self._clock.now().utc_s
+            try:
+                async for hour in packed_hours(self.path, config, now_utc_s):
+                    await self.submit(partial(_store, hour, report))
+                while await self.submit(partial(tidy, config=config, now_utc_s=now_utc_s, report=report)):
+                    pass
+            except (OSError, sqlite3.Error, ValueError) as error:
+                self._engine.report(f"{self.path}: housekeeping is put off: {cause_in_words(error)}")
+            return report
+
+
+def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Connection) -> None:
+    if store_hour(connection, hour):
+        report.packed_hours += 1
+        report.packed_rows += hour.row_count
+
+
+def _statement(sql: str, build: Callable[[], rows.Parameters]) -> Execute:
+    def execute(connection: sqlite3.Connection, _layout_ids: LayoutIds) -> None:
+        connection.execute(sql, build())
+
+    return execute

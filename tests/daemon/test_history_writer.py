@@ -1,0 +1,392 @@
+"""The writer: what is committed when, what survives a failing disk, what is refused."""
+
+import asyncio
+import sqlite3
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+import history_records as make
+from history_records import EPOCH_S, SMALL, StillClock
+
+from daemon.history import HistoryError, HistoryReader, HistoryWriter, database
+from daemon.history.intake import Entry, Intake
+from models.records import WriteOutcome
+
+FOREVER_S = 30.0
+
+
+class Watched:
+    """A writer with what it called back."""
+
+    def __init__(self, path: Path, **options: object) -> None:
+        self.acknowledged: list[tuple[str, int]] = []
+        self.problems: list[str] = []
+        self.clock = StillClock()
+        self.writer = HistoryWriter(
+            path,
+            clock=self.clock,
+            machine=SMALL,
+            on_acknowledged=lambda line, number: self.acknowledged.append((line, number)),
+            on_problem=self.problems.append,
+            **options,
+        )
+
+    def commit(self) -> None:
+        self.writer.submit(lambda _: None).result(FOREVER_S)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    return tmp_path / "history.sqlite"
+
+
+@pytest.fixture
+def watched(store: Path) -> Iterator[Watched]:
+    watched = Watched(store)
+    watched.writer.start()
+    yield watched
+    watched.writer.close()
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + FOREVER_S
+    while not condition():
+        assert time.monotonic() < end_s, "waited in vain"
+        time.sleep(0.01)
+
+
+def spindle_cycle(number: int, first_s: float | None = None) -> object:
+    return make.cycle("spindle", number, EPOCH_S + 10 * number if first_s is None else first_s, [25.0, 24.5, 23.0625])
+
+
+def test_cycle_is_acknowledged_when_it_can_be_read(watched: Watched, store: Path) -> None:
+    seen: list[dict[str, int]] = []
+
+    def look(_line: str, _number: int) -> None:
+        with HistoryReader(store) as reader:
+            seen.append(reader.acknowledged())
+
+    watched.writer._engine._on_acknowledged = look
+    watched.writer.temperatures(None, spindle_cycle(7))
+    wait_until(lambda: bool(seen))
+    assert seen == [{"spindle": 7}]
+
+
+def test_samples_ride_with_the_next_cycle(watched: Watched, store: Path) -> None:
+    for k in range(4):
+        watched.writer.cnc_sample(make.cnc_sample(EPOCH_S + k / 2))
+    time.sleep(0.2)
+    with HistoryReader(store) as reader:
+        assert reader.row_count("cnc") == 0, "a sample alone must not cost a commit"
+    watched.writer.temperatures(None, spindle_cycle(1))
+    wait_until(lambda: watched.acknowledged == [("spindle", 1)])
+    with HistoryReader(store) as reader:
+        assert reader.row_count("cnc") == 4
+
+
+def test_sample_is_committed_at_the_latest_when_its_time_is_up(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daemon.history.writer.SAMPLE_COMMIT_S", 0.05)
+    watched.writer.cnc_sample(make.cnc_sample(EPOCH_S))
+    wait_until(lambda: watched.writer.waiting == 0)
+
+
+async def test_intent_is_awaitable_and_settled_by_its_outcome(watched: Watched, store: Path) -> None:
+    written = make.macros(5, np.array([0.0, 1.5, -2.5]))
+    write_id = watched.writer.write_intent(make.command([0.0, 1.5, -2.5]), written, "cycle")
+    number = await write_id
+    assert number == write_id == 1
+    with HistoryReader(store) as reader:
+        (open_,) = reader.unsettled_writes()
+        assert (open_.write_id, open_.outcome, open_.macros) == (1, WriteOutcome.INTENDED, written)
+        assert open_.read_back == ()
+    await watched.writer.write_outcome(write_id, make.receipt(EPOCH_S, written))
+    with HistoryReader(store) as reader:
+        assert reader.unsettled_writes() == []
+        (settled,) = reader.writes(EPOCH_S - 1, EPOCH_S + 1)
+    assert settled.outcome is WriteOutcome.VERIFIED
+    assert settled.read_back == tuple(value for _, value in written)
+    assert settled.applied_um == {"X": None, "Y": 1.5, "Z": -2.25}
+    assert settled.requested_um == {"X": 0.0, "Y": 1.875, "Z": -3.125}
+    assert (settled.state, settled.enable, settled.limits_hit) == ("ACTIVE", (False, True, True), ("Z slew",))
+    assert settled.delay_s == pytest.approx(
+        {"cleansed": 0.0004, "estimated": 0.0008, "written": 0.0012, "read_back": 0.0016}, abs=1e-6
+    )
+
+
+async def test_cancelled_waiter_leaves_the_commit_alone(watched: Watched, store: Path) -> None:
+    async def wait() -> None:
+        await watched.writer.event("note", "kept", "somebody")
+
+    waiter = asyncio.create_task(wait())
+    await asyncio.sleep(0)
+    waiter.cancel()
+    await watched.writer.flushed()
+    with HistoryReader(store) as reader:
+        assert [event.text for event in reader.events(0, EPOCH_S + 1)] == ["kept"]
+
+
+def test_numbers_of_writes_go_on_after_a_restart(store: Path) -> None:
+    for expected in (1, 2):
+        watched = Watched(store)
+        watched.writer.start()
+        assert watched.writer.write_intent(None, ((500, 1.0),), "commission", "somebody") == expected
+        watched.writer.close()
+
+
+def test_state_is_there_at_once_and_after_a_restart(store: Path) -> None:
+    first = Watched(store)
+    assert first.writer.get_state("wanted") is None, "no store yet"
+    first.writer.start()
+    first.writer.put_state("wanted", {"Z": True})
+    assert first.writer.get_state("wanted") == {"Z": True}
+    first.writer.close()
+    assert Watched(store).writer.get_state("wanted") == {"Z": True}
+
+
+def test_macros_that_a_lost_write_may_have_left(store: Path) -> None:
+    first = Watched(store)
+    assert first.writer.last_written_macros() is None
+    first.writer.start()
+    verified, lost, refused = ((500, 1.0), (501, 2.0)), ((500, 3.0), (501, 2.0)), ((500, 9.0),)
+    for written, outcome in ((((500, 0.0),), WriteOutcome.FAILED), (verified, WriteOutcome.VERIFIED)):
+        write_id = first.writer.write_intent(None, written, "cycle")
+        first.writer.write_outcome(write_id, make.receipt(EPOCH_S, written, outcome=outcome))
+    first.writer.write_intent(None, lost, "cycle")
+    never = first.writer.write_intent(None, refused, "cycle")
+    first.writer.write_outcome(never, make.receipt(EPOCH_S, refused, outcome=WriteOutcome.REFUSED))
+    first.writer.close()
+    assert Watched(store).writer.last_written_macros() == {500: (1.0, 3.0), 501: (2.0,)}
+
+
+def test_newest_displacement_is_known_after_a_restart(store: Path) -> None:
+    first = Watched(store)
+    assert first.writer.last_displacement_utc_s() is None
+    first.writer.start()
+    first.writer.displacement(make.displacement(EPOCH_S + 60, [1.0, 2.0, np.nan]))
+    assert first.writer.last_displacement_utc_s() == EPOCH_S + 60
+    first.writer.close()
+    assert Watched(store).writer.last_displacement_utc_s() == EPOCH_S + 60
+
+
+def test_second_writer_is_refused_until_the_first_has_closed(watched: Watched, store: Path) -> None:
+    second = Watched(store)
+    with pytest.raises(HistoryError, match=r"process \d+ writes this store"):
+        second.writer.start()
+    watched.writer.close()
+    third = Watched(store)
+    third.writer.start()
+    third.writer.close()
+
+
+def test_unknown_line_and_wrong_channels_are_refused_at_once(watched: Watched) -> None:
+    with pytest.raises(ValueError, match=r"line 'table' is not one of this machine's: \['bed', 'spindle'\]"):
+        watched.writer.temperatures(None, make.cycle("table", 1, EPOCH_S, [1.0]))
+    with pytest.raises(ValueError, match=r"today\.csv:2: 2 displacements"):
+        watched.writer.displacement(make.displacement(EPOCH_S, [1.0, 2.0]))
+
+
+def test_record_that_cannot_be_stored_costs_only_itself(watched: Watched, store: Path) -> None:
+    watched.writer.temperatures(None, spindle_cycle(1))
+    watched.writer.cnc_sample(make.cnc_sample(EPOCH_S, program=object()))
+    watched.writer.cnc_sample(make.cnc_sample(EPOCH_S))
+    watched.commit()
+    assert watched.writer.dropped == {"CNC samples": 1}
+    assert "one of the CNC samples cannot be stored and is dropped" in watched.problems[0]
+    assert watched.problems[-1] == "", "the store itself works"
+    with HistoryReader(store) as reader:
+        assert (reader.row_count("temperatures"), reader.row_count("cnc")) == (1, 1)
+
+
+def test_locked_store_keeps_records_until_it_is_free(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.1)
+    watched = Watched(store)
+    watched.writer.start()
+    watched.commit()
+    with closing(sqlite3.connect(store, isolation_level=None)) as intruder:
+        intruder.execute("BEGIN IMMEDIATE")
+        watched.writer.temperatures(None, spindle_cycle(1))
+        watched.writer.event("note", "meanwhile")
+        wait_until(lambda: bool(watched.problems))
+        assert "another program has locked it" in watched.problems[0]
+        assert watched.acknowledged == []
+        assert watched.writer.problem
+        intruder.execute("ROLLBACK")
+    wait_until(lambda: watched.acknowledged == [("spindle", 1)])
+    watched.writer.close()
+    assert (watched.problems[-1], watched.writer.dropped) == ("", {})
+
+
+def test_full_queue_gives_up_measurements_before_the_audit(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.1)
+    watched = Watched(store, queue_limit=6)
+    watched.writer.start()
+    watched.commit()
+    with closing(sqlite3.connect(store, isolation_level=None)) as intruder:
+        intruder.execute("BEGIN IMMEDIATE")
+        watched.writer.event("note", "first")
+        for k in range(9):
+            watched.writer.cnc_sample(make.cnc_sample(EPOCH_S + k))
+        watched.writer.event("note", "last")
+        wait_until(lambda: watched.writer.problem != "")
+        wait_until(lambda: watched.writer.waiting == 6)
+        intruder.execute("ROLLBACK")
+    wait_until(lambda: watched.writer.waiting == 0 and watched.writer.problem == "")
+    watched.writer.close()
+    with HistoryReader(store) as reader:
+        assert [event.text for event in reader.events(0, EPOCH_S + 1)] == ["first", "last"]
+        assert reader.cnc(0, EPOCH_S + 100).time_s.tolist() == [EPOCH_S + k for k in (5, 6, 7, 8)]
+    assert watched.writer.dropped == {"CNC samples": 5}
+    assert any("dropped: 5 CNC samples" in problem for problem in watched.problems)
+
+
+def test_failing_callback_does_not_end_the_writer(watched: Watched) -> None:
+    def fail(_line: str, _number: int) -> None:
+        raise RuntimeError("a mistake elsewhere")
+
+    watched.writer._engine._on_acknowledged = fail
+    watched.writer.temperatures(None, spindle_cycle(1))
+    watched.commit()
+    watched.writer.temperatures(None, spindle_cycle(2))
+    watched.commit()
+    assert watched.writer.waiting == 0
+
+
+def test_failing_job_tells_who_asked_and_leaves_no_transaction(watched: Watched, store: Path) -> None:
+    def job(connection: sqlite3.Connection) -> None:
+        connection.execute("BEGIN")
+        connection.execute("DELETE FROM layouts")
+        raise RuntimeError("half way")
+
+    with pytest.raises(RuntimeError, match="half way"):
+        watched.writer.submit(job).result(FOREVER_S)
+    watched.writer.temperatures(None, spindle_cycle(1))
+    watched.commit()
+    with HistoryReader(store) as reader:
+        assert reader.sensor_ids() == (11, 12, 13, 21, 22)
+        assert reader.row_count("temperatures") == 1
+
+
+def test_writing_from_the_loop_does_not_wait_for_the_disk(watched: Watched) -> None:
+    release = threading.Event()
+    stuck = watched.writer.submit(lambda _: release.wait(FOREVER_S))
+    for number in range(100):
+        watched.writer.temperatures(None, spindle_cycle(number))
+        watched.writer.event("note", str(number))
+    assert not stuck.done, "the queue must take records while the disk is stuck"
+    release.set()
+    watched.commit()
+    assert watched.acknowledged[-1] == ("spindle", 99)
+
+
+def test_after_close_a_record_is_counted_as_dropped(store: Path) -> None:
+    watched = Watched(store)
+    watched.writer.start()
+    watched.writer.close()
+    watched.writer.event("note", "too late")
+    assert watched.writer.dropped == {"events": 1}
+
+
+def test_intake_takes_the_audit_first_and_keeps_order_when_put_back() -> None:
+    intake = Intake(10)
+    order = []
+    for name, bulk in (("a", True), ("b", False), ("c", True), ("d", False)):
+        intake.put(Entry(kind=name, execute=lambda *_: None, bulk=bulk), within_s=0.0)
+    taken = intake.take(0.0)
+    intake.put(Entry(kind="e", execute=lambda *_: None), within_s=0.0)
+    intake.put_back(taken)
+    order = [entry.kind for entry in intake.take(0.0)]
+    assert [entry.kind for entry in taken] == ["b", "d", "a", "c"]
+    assert order == ["b", "d", "e", "a", "c"]
+
+
+class TestStore:
+    """The file itself."""
+
+    def test_settings(self, watched: Watched, store: Path) -> None:
+        def settings(connection: sqlite3.Connection) -> list[object]:
+            names = ("journal_mode", "synchronous", "auto_vacuum", "user_version", "application_id")
+            return [connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
+
+        expected = ["wal", 2, 2, database.schema_version(), database.APPLICATION_ID]
+        assert watched.writer.submit(settings).result(FOREVER_S) == expected
+
+    def test_scripts_are_numbered_without_a_gap(self) -> None:
+        numbers = [number for number, _ in database.schema_scripts()]
+        assert numbers == list(range(1, len(numbers) + 1))
+
+    def test_newer_store_is_refused(self, store: Path) -> None:
+        database.connect_writer(store).close()
+        newer = database.schema_version() + 1
+        with closing(sqlite3.connect(store)) as connection:
+            connection.execute(f"PRAGMA user_version={newer}")
+        known = database.schema_version()
+        with pytest.raises(HistoryError, match=rf"has schema {newer}, this version of toolpoint knows up to {known}"):
+            Watched(store).writer.start()
+        with pytest.raises(HistoryError, match=rf"has schema {newer}"):
+            HistoryReader(store)
+
+    def test_store_of_another_program_is_refused_untouched(self, store: Path) -> None:
+        with closing(sqlite3.connect(store)) as connection:
+            connection.execute("CREATE TABLE theirs (x)")
+            connection.commit()
+        before = store.read_bytes()
+        with pytest.raises(HistoryError, match="belongs to another program"):
+            Watched(store).writer.start()
+        with pytest.raises(HistoryError, match="belongs to another program"):
+            HistoryReader(store)
+        assert store.read_bytes() == before
+
+    def test_file_that_is_no_database_is_refused(self, store: Path) -> None:
+        store.write_text("time,temperature\n" * 100)
+        with pytest.raises(HistoryError, match="not a SQLite database"):
+            Watched(store).writer.start()
+        with pytest.raises(HistoryError, match="not a SQLite database"):
+            HistoryReader(store)
+
+    def test_refused_store_does_not_stay_locked(self, store: Path) -> None:
+        store.write_text("time,temperature\n" * 100)
+        with pytest.raises(HistoryError):
+            Watched(store).writer.start()
+        store.unlink()
+        watched = Watched(store)
+        watched.writer.start()
+        watched.writer.close()
+
+    def test_absent_store_is_named(self, store: Path) -> None:
+        with pytest.raises(HistoryError, match=r"history\.sqlite: there is no history store"):
+            HistoryReader(store)
+
+    def test_older_store_is_migrated_even_when_it_is_only_asked(
+        self, store: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        first = Watched(store)
+        first.writer.start()
+        first.writer.put_state("wanted", {"Z": True})
+        first.writer.close()
+        scripts = [*database.schema_scripts(), (2, "CREATE TABLE added (x INTEGER);")]
+        monkeypatch.setattr(database, "schema_scripts", lambda: scripts)
+        with pytest.raises(HistoryError, match="start the daemon once, which migrates it"):
+            HistoryReader(store)
+        assert Watched(store).writer.get_state("wanted") == {"Z": True}
+        with HistoryReader(store) as reader:
+            assert reader.get_state("wanted") == {"Z": True}
+
+    def test_failing_migration_leaves_the_old_schema(self, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        database.connect_writer(store).close()
+        scripts = [*database.schema_scripts(), (2, "CREATE TABLE added (x INTEGER); CREATE TABLE added (x INTEGER);")]
+        with monkeypatch.context() as patch:
+            patch.setattr(database, "schema_scripts", lambda: scripts)
+            with pytest.raises(sqlite3.OperationalError, match="already exists"):
+                database.connect_writer(store)
+        HistoryReader(store).close()
