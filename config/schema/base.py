@@ -1,8 +1,11 @@
 """Common base of all configuration sections."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
+
+KeyPath = tuple[str | int, ...]
 
 
 class Section(BaseModel):
@@ -11,7 +14,28 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class KeyProblems(ValueError):
+    """What a section's own check refuses, with the keys it means (paths relative to the section)."""
+
+    def __init__(self, problems: Sequence[tuple[KeyPath, str]]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(sentence for _, sentence in self.problems))
+
+
+NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+RANGE_PATTERN = r"^\d+-\d+$"
+NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
+ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
+
+FORMS = {
+    NAME_PATTERN: "letters, digits and underscores, a letter first",
+    RANGE_PATTERN: "a range such as 7-12",
+    NUMBER_OR_RANGE_PATTERN: 'a number or a range in quotes, such as "120" or "500-549"',
+    ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
+}
+"""What the patterns ask for, in words."""
+
 Seconds = Annotated[float, Field(gt=0)]
 Days = Annotated[float, Field(gt=0)]
 MacroNumber = Annotated[int, Field(ge=1, le=99999)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=40)]
+Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=40)]

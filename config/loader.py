@@ -1,0 +1,250 @@
+"""Configuration files: read, checked against the schema, every error with file, line, column and key."""
+
+import difflib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from config.knobs import knob_at, section_at
+from config.problems import ConfigurationError, Problem
+from config.schema import Configuration
+from config.schema.base import FORMS, KeyProblems
+from config.yaml_document import KeyPath, Position, YamlDocument, read_yaml
+
+Model = TypeVar("Model", bound=BaseModel)
+
+_TYPES = {
+    "string_type": "text",
+    "path_type": "text that names a file",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping (keys with values)",
+    "model_type": "a section (keys with values)",
+    "model_attributes_type": "a section (keys with values)",
+}
+_BOUNDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def load_configuration(path: Path) -> Configuration:
+    """Return the daemon's configuration; relative paths in it start at the file's own folder.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong in the file, sorted by position.
+    """
+    return with_absolute_paths(load_yaml_model(path, Configuration), path.resolve().parent)
+
+
+def load_yaml_model(path: Path, model: type[Model]) -> Model:
+    """Return a YAML file as an instance of `model`; paths in it stay as they are written.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong in the file, sorted by position.
+    """
+    return parse_yaml_model(_read_text(path), model, str(path))
+
+
+def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
+    """Return YAML text as an instance of `model`; `file` names the text in errors. Raises ConfigurationError."""
+    document = read_yaml(text)
+    problems = [_problem(file, fault.position, fault.path, fault.sentence) for fault in document.faults]
+    if not problems and document.value is None:
+        problems.append(_problem(file, (1, 1), (), "the file is empty; `toolpoint sample-config` prints a beginning"))
+    elif not problems and not isinstance(document.value, dict):
+        problems.append(_problem(file, (1, 1), (), f"must be keys with values, not {_described(document.value)}"))
+    if problems and not isinstance(document.value, dict):
+        raise ConfigurationError(problems)
+    try:
+        instance = model.model_validate_json(json.dumps(document.value))
+    except ValidationError as error:
+        refused = _refusals(error, document, model)
+        known = {fault.path for fault in document.faults}  # their values are unknown: one complaint is enough
+        problems += [_problem(file, *refusal) for refusal in refused if refusal[1] not in known or not refusal[1]]
+        raise ConfigurationError(problems) from None
+    if problems:
+        raise ConfigurationError(problems)
+    return instance
+
+
+def with_absolute_paths(section: Model, folder: Path) -> Model:
+    """Return a copy of a section in which every relative path starts at `folder`."""
+    return section.model_copy(
+        update={name: _absolute(getattr(section, name), folder) for name in type(section).model_fields}
+    )
+
+
+def _absolute(value: Any, folder: Path) -> Any:
+    if isinstance(value, Path):
+        return folder / value
+    if isinstance(value, BaseModel):
+        return with_absolute_paths(value, folder)
+    if isinstance(value, list):
+        return [_absolute(item, folder) for item in value]
+    if isinstance(value, dict):
+        return {name: _absolute(item, folder) for name, item in value.items()}
+    return value
+
+
+def _read_text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        sentence = f"cannot be read: {error.strerror or error}; check the path and its permissions"
+        raise ConfigurationError([_problem(str(path), (1, 1), (), sentence)]) from None
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = content[: error.start]
+        line = before.count(b"\n") + 1
+        column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8")) + 1
+        sentence = f"the byte 0x{content[error.start]:02X} is not UTF-8; save the file as UTF-8"
+        raise ConfigurationError([_problem(str(path), (line, column), (), sentence)]) from None
+
+
+def _problem(file: str, position: Position, path: KeyPath, sentence: str) -> Problem:
+    return Problem(file=file, line=position[0], column=position[1], key=key_text(path), sentence=sentence)
+
+
+def key_text(path: KeyPath) -> str:
+    """Return a path as people write it: `temperatures.lines[0].port`."""
+    text = ""
+    for step in path:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
+
+
+def _refusals(
+    error: ValidationError, document: YamlDocument, model: type[BaseModel]
+) -> list[tuple[Position, KeyPath, str]]:
+    """Return position, key and sentence for everything the schema refused."""
+    by_path: dict[KeyPath, list[Any]] = {}
+    refusals: list[tuple[Position, KeyPath, str]] = []
+    for detail in error.errors(include_url=False):
+        path = _path_in_file(detail["loc"], document.value, detail["type"])
+        cause = detail.get("ctx", {}).get("error")
+        if isinstance(cause, KeyProblems):
+            for below, sentence in cause.problems:
+                full = (*path, *below)
+                refusals.append((_nearest(document, full), full, sentence))
+        else:
+            by_path.setdefault(path, []).append(detail)
+    for path, details in by_path.items():
+        refusals.append((_place(document, path, details[0]), path, _sentence(details, path, model)))
+    return refusals
+
+
+def _path_in_file(location: Iterable[int | str], value: Any, kind: str) -> KeyPath:
+    """Return pydantic's location without the steps that are no keys (arms of unions, `[key]`)."""
+    steps = list(location)
+    path: list[int | str] = []
+    for index, step in enumerate(steps):
+        last = index == len(steps) - 1
+        if isinstance(value, dict) and isinstance(step, str) and (step in value or (last and kind == "missing")):
+            value = value.get(step)
+        elif isinstance(value, list) and isinstance(step, int) and step < len(value):
+            value = value[step]
+        else:
+            continue
+        path.append(step)
+    return tuple(path)
+
+
+def _nearest(document: YamlDocument, path: KeyPath) -> Position:
+    """Return where the key stands, or the nearest key above it."""
+    while path and path not in document.keys:
+        path = path[:-1]
+    return document.keys.get(path, (1, 1)) if path else (1, 1)
+
+
+def _place(document: YamlDocument, path: KeyPath, detail: Any) -> Position:
+    """Return the position that a refusal points at: the value if it is one, else the key."""
+    if detail["type"] in ("missing", "extra_forbidden") or "[key]" in detail["loc"]:
+        return _nearest(document, path)
+    if isinstance(detail["input"], dict | list):
+        return _nearest(document, path)
+    return document.values.get(path) or _nearest(document, path)
+
+
+def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
+    """Return one sentence for all that was refused about one key."""
+    first = details[0]
+    if first["type"] == "missing":
+        knob = knob_at(model, path)
+        words = f": {knob.description}" if knob and knob.description else ""
+        return f"this key is required and missing{words}"
+    if first["type"] == "extra_forbidden":
+        return _unknown_key(path, model)
+    beyond_type = [detail for detail in details if detail["type"] not in _TYPES]
+    wishes = list(dict.fromkeys(_wish(detail) for detail in beyond_type or details))
+    if any(wish is None for wish in wishes):
+        return "; ".join(str(detail["msg"]).removeprefix("Value error, ") for detail in beyond_type)
+    subject = "the name" if "[key]" in first["loc"] else "this"
+    return f"{subject} must be {' or '.join(str(wish) for wish in wishes)}, not {_described(first['input'])}"
+
+
+def _wish(detail: Any) -> str | None:
+    """Return what the schema wants there, None when its own message says it."""
+    kind, context = detail["type"], detail.get("ctx", {})
+    if kind in _TYPES:
+        return _TYPES[kind]
+    if kind in _BOUNDS:
+        name, word = _BOUNDS[kind]
+        return f"{word} {context[name]:g}"
+    if kind == "literal_error":
+        return f"one of {context['expected'].replace(' or ', ', ')}{_suggestion(detail['input'], context['expected'])}"
+    if kind == "string_pattern_mismatch":
+        return FORMS.get(context["pattern"], f"text of the form {context['pattern']}")
+    if kind == "string_too_long":
+        return f"at most {context['max_length']} characters long"
+    if kind in ("too_short", "string_too_short"):
+        return "filled in" if context["min_length"] == 1 else f"at least {context['min_length']} long"
+    return None
+
+
+def _suggestion(given: Any, expected: str) -> str:
+    choices = expected.replace(" or ", ", ").replace("'", "").split(", ")
+    close = difflib.get_close_matches(str(given), choices, n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def _unknown_key(path: KeyPath, model: type[BaseModel]) -> str:
+    parent = section_at(model, path[:-1])
+    known = list(parent.model_fields) if parent else []
+    close = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)
+    if close:
+        return f"unknown key; did you mean `{close[0]}`?"
+    return f"unknown key; known here: {', '.join(known)}" if known else "unknown key"
+
+
+def _described(value: Any) -> str:
+    """Return a value as a sentence names it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        shown = value if len(value) <= 60 else value[:57] + "..."
+        return f"the text {shown!r}" if value else "empty text"
+    if isinstance(value, dict):
+        return "keys with values" if value else "an empty mapping"
+    if isinstance(value, list):
+        return "a list" if value else "an empty list"
+    return f"{value}"
+
+
+__all__ = ["ConfigurationError", "load_configuration", "load_yaml_model", "parse_yaml_model", "with_absolute_paths"]
