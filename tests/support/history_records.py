@@ -144,6 +144,7 @@ def estimate(first_s: float, error_um: np.ndarray, **changes: object) -> Thermal
         imputed=(12, 21),
         model_id="made-up",
         reference_id="ref-1",
+        line="spindle",
         trace=trace(first_s, stages=3),
     )
     return replace(record, **changes)

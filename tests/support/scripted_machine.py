@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from config.schema import Configuration
 from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, OpcUaSecurityConfig
+from config.schema.compensation import AxisConfig, CompensationConfig
+from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
+from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
 from drivers.opcua_certificates import create_application_certificate
 from drivers.sim.contract import AxisTruth
 from drivers.sim.opcua_server import ServerSecurity
@@ -114,6 +118,42 @@ GROUPS = (
     ((505, 1.0),),
 )
 """A whole block in the order in which the daemon writes it."""
+
+
+def configuration(directory: Path, endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **line: Any) -> Configuration:
+    """Two lines: `spindle` with sensors 1-4 (3 infrared) and `column` with 11-13; two displacement channels."""
+    infrared = {3}
+    lines = {"spindle": ["1-4"], "column": ["11-13"]}
+    return Configuration(
+        machine="scripted",
+        temperatures=TemperaturesConfig(
+            lines=[
+                LineConfig(name=name, port=str(directory / f"{name}.tty"), chain=list(chain), **line)
+                for name, chain in lines.items()
+            ],
+            sensors=[
+                SensorConfig(id=i, device="MLX90615" if i in infrared else "TMP102", component="test")
+                for i in (1, 2, 3, 4, 11, 12, 13)
+            ],
+        ),
+        displacements=displacements(directory),
+        cnc=cnc_config(endpoint),
+        compensation=CompensationConfig(
+            axes={axis: AxisConfig(absolute_bound_um=50.0, slew_um_per_min=2.0, step_um=2.0) for axis in "XYZ"}
+        ),
+    )
+
+
+def displacements(directory: Path, **file: Any) -> DisplacementsConfig:
+    """Channels x1 and z (in mm, reversed) of a logger's file in a directory."""
+    file = {"path": directory / "displacements.csv", "header": "Time"} | file
+    return DisplacementsConfig(
+        file=DisplacementFileConfig(**file),
+        channels=[
+            DisplacementChannelConfig(name="x1", column="X1"),
+            DisplacementChannelConfig(name="z", column="Z", scale_um=-1000.0),
+        ],
+    )
 
 
 class Keys:

@@ -1,0 +1,106 @@
+"""Fault scripts: what they say, and how their mistakes are told."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from scripted_machine import configuration
+
+from drivers.sim.faults import Fault, FaultKind, FaultScriptError, check_targets, load_faults, of_kind, parse_faults
+
+SCRIPT = """\
+- {kind: noise, at_s: 600, duration_s: 60, target: spindle, amount: 0.02}
+- kind: drifting_sensor   # no end
+  at_s: 900.5
+  target: 17
+  amount: -1
+- {kind: frozen_cnc, at_s: 0, duration_s: 30}
+- {kind: csv_truncated, at_s: 5}
+"""
+
+
+def test_a_script_becomes_frozen_records(tmp_path: Path) -> None:
+    path = tmp_path / "faults.yaml"
+    path.write_text(SCRIPT)
+    assert load_faults(path) == (
+        Fault(kind=FaultKind.NOISE, at_s=600.0, duration_s=60.0, target="spindle", amount=0.02),
+        Fault(kind=FaultKind.DRIFTING_SENSOR, at_s=900.5, target=17, amount=-1.0),
+        Fault(kind=FaultKind.FROZEN_CNC, at_s=0.0, duration_s=30.0),
+        Fault(kind=FaultKind.CSV_TRUNCATED, at_s=5.0, amount=0.0),
+    )
+    assert parse_faults("") == ()
+
+
+def test_a_fault_is_active_from_its_beginning_until_before_its_end() -> None:
+    fault = Fault(kind=FaultKind.NOISE, at_s=10.0, duration_s=5.0)
+    assert [fault.active(t) for t in (9.999, 10.0, 14.999, 15.0)] == [False, True, True, False]
+    assert Fault(kind=FaultKind.NOISE, at_s=10.0).active(1e9)
+
+
+def test_faults_are_selected_by_kind_in_the_order_of_time() -> None:
+    late, early, other = (
+        Fault(kind=kind, at_s=at_s)
+        for kind, at_s in ((FaultKind.NOISE, 9.0), (FaultKind.NOISE, 1.0), (FaultKind.UNPLUGGED, 0.0))
+    )
+    assert of_kind([late, other, early], FaultKind.NOISE) == (early, late)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- {kind: nois, at_s: 1, target: a}", r"f:1:4: kind is 'nois', not one of noise, lost_bytes"),
+        ("- {at_s: 1}", r"f:1:3: kind is None"),
+        ("- {kind: unplugged, target: a}", r"f:1:3: at_s must be a number, not None"),
+        ("- {kind: unplugged, target: a, at_s: soon}", r"f:1:32: at_s must be a number, not 'soon'"),
+        ("- {kind: unplugged, target: a, at_s: -1}", r"at_s is -1, outside 0\.\.inf"),
+        ("- {kind: unplugged, target: a, at_s: .nan}", r"at_s must be a number, not nan"),
+        ("- {kind: unplugged, target: a, at_s: true}", r"at_s must be a number, not True"),
+        ("- {kind: unplugged, at_s: 1}", r"target of unplugged must name a line, got None"),
+        ("- {kind: unplugged, at_s: 1, target: 4}", r"target of unplugged must name a line, got 4"),
+        ("- {kind: stuck_sensor, at_s: 1, target: four}", r"must be the ID of a sensor, got 'four'"),
+        ("- {kind: reset_burst, at_s: 1}", r"must name a line or be the ID of a sensor"),
+        ("- {kind: killed_cnc, at_s: 1, target: a}", r"f:1:31: target of killed_cnc must not be given"),
+        ("- {kind: noise, at_s: 1, target: a, amount: 2}", r"amount \(share of bytes\) is 2, outside"),
+        ("- {kind: drifting_sensor, at_s: 1, target: 1}", r"needs an amount: drift \[degC/h\]"),
+        ("- {kind: dead_line, at_s: 1, target: a, amount: 1.5}", r"must be a whole number, not 1\.5"),
+        ("- {kind: unplugged, at_s: 1, target: a, amount: 1}", r"unplugged has no amount"),
+        ("- {kind: unplugged, at_s: 1, target: a, duration_s: 0}", r"duration_s must be positive"),
+        ("- {kind: csv_rotated, at_s: 1, duration_s: 5}", r"happens at one moment and has no duration_s"),
+        ("- {kind: csv_half_row, at_s: 1}", r"csv_half_row needs duration_s"),
+        ("- kind: noise\n  at: 1", r"f:2:3: unknown key 'at'; known are amount, at_s, duration_s, kind, target"),
+        ("- {kind: noise, kind: noise}", r"kind is given twice"),
+        ("- noise", r"f:1:3: a fault is a mapping"),
+        ("kind: noise", r"f:1:1: a fault script is a list"),
+        ("- [", r"f: not YAML"),
+    ],
+)
+def test_mistakes_are_told_with_their_place(text: str, message: str) -> None:
+    with pytest.raises(FaultScriptError, match=message):
+        parse_faults(text, "f")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FaultScriptError, match=r"nowhere\.yaml: cannot be read"):
+        load_faults(tmp_path / "nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (Fault(kind=FaultKind.UNPLUGGED, at_s=1, target="saddle"), "no line is called 'saddle'; there are spindle"),
+        (Fault(kind=FaultKind.STUCK_SENSOR, at_s=1, target=99), "there is no sensor 99"),
+        (Fault(kind=FaultKind.RENUMBERED, at_s=1, target="column", amount=4), "line column has 3 chain positions only"),
+    ],
+)
+def test_targets_must_exist(tmp_path: Path, fault: Fault, message: str) -> None:
+    with pytest.raises(FaultScriptError, match=message):
+        check_targets([fault], configuration(tmp_path))
+
+
+def test_csv_faults_need_a_csv(tmp_path: Path) -> None:
+    without = configuration(tmp_path).model_copy(update={"displacements": None})
+    with pytest.raises(FaultScriptError, match="no displacement file"):
+        check_targets([Fault(kind=FaultKind.CSV_ROTATED, at_s=1)], without)
+    check_targets([Fault(kind=FaultKind.CSV_ROTATED, at_s=1)], configuration(tmp_path))
