@@ -1,0 +1,140 @@
+"""The simulated logger's CSV: its layout, its growth and what can happen to it."""
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from scripted_machine import displacements
+
+from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
+from drivers.sim.displacement_wire import DisplacementCsv
+from drivers.sim.faults import Fault, FaultKind
+
+START_UTC_S = datetime(2024, 3, 1, 8, 0, 0, tzinfo=UTC).timestamp()
+HEAD = b"\xef\xbb\xbfTime,X1,Z\r\n"
+ROWS = [b"2024-03-01T08:00:00,0.500,0.002\r\n", b"2024-03-01T08:01:00,0.500,0.002\r\n"]
+
+
+def csv(config: DisplacementsConfig, *faults: Fault) -> DisplacementCsv:
+    return DisplacementCsv(
+        config, lambda: {"x1": 0.5, "z": -1.5, "y": 9.0}, lambda time_s: START_UTC_S + time_s, faults=faults
+    )
+
+
+def fault(kind: FaultKind, at_s: float, **more: Any) -> Fault:
+    return Fault(kind=kind, at_s=at_s, **more)
+
+
+def test_one_row_a_minute_after_a_header(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path))
+    for tenth in range(0, 1199):
+        logger.step(tenth / 10)
+    assert logger.path.read_bytes() == HEAD + b"".join(ROWS)
+    assert logger.rows == 2
+
+
+def test_rows_that_became_due_in_one_step_are_all_written(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path))
+    logger.step(86399.9)
+    lines = logger.path.read_bytes().splitlines()
+    assert len(lines) == 1 + 1440
+    assert lines[-1].startswith(b"2024-03-02T07:59:00,")
+
+
+def test_layout_follows_the_configuration(tmp_path: Path) -> None:
+    config = DisplacementsConfig(
+        file=DisplacementFileConfig(
+            path=tmp_path / "log*.csv",
+            encoding="cp932",
+            delimiter=";",
+            decimal=",",
+            header="日時",
+            unit_row=True,
+            time_columns=[1, 2],
+            time_format="%Y/%m/%d %H:%M:%S",
+            time_zone="Asia/Tokyo",
+        ),
+        channels=[
+            DisplacementChannelConfig(name="z", column=5),
+            DisplacementChannelConfig(name="x1", column="変位X"),
+        ],
+    )
+    logger = csv(config)
+    logger.step(0.0)
+    assert logger.path == tmp_path / "log0001.csv"
+    expected = "日時;Time1;変位X;-;z\r\n;;um;;um\r\n2024/03/01;17:00:00;0,500;;-1,500\r\n"
+    assert logger.path.read_bytes() == expected.encode("cp932")
+
+
+def test_without_header_and_time_columns(tmp_path: Path) -> None:
+    config = DisplacementsConfig(
+        file=DisplacementFileConfig(
+            path=tmp_path / "a.csv", encoding="utf-8", start="2024-03-01T08:00:00+00:00", interval_s=30.0
+        ),
+        channels=[DisplacementChannelConfig(name="x1", column=1)],
+    )
+    logger = csv(config)
+    logger.step(59.0)
+    assert logger.path.read_bytes() == b"0.500\r\n0.500\r\n"
+
+
+def test_seconds_since_1970(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path, time_format="%s"))
+    logger.step(0.0)
+    assert logger.path.read_bytes().splitlines()[1] == f"{START_UTC_S:.0f},0.500,0.002".encode()
+
+
+def test_layouts_that_the_reader_could_not_read_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must be given by number"):
+        csv(displacements(tmp_path, header=None))
+    with pytest.raises(ValueError, match="does not start with 'Date'"):
+        csv(displacements(tmp_path, header="Date", time_columns=["Zeit"]))
+
+
+def test_truncated_file_begins_again(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_TRUNCATED, 30.0))
+    logger.step(29.0)
+    assert logger.path.read_bytes() == HEAD + ROWS[0]
+    logger.step(30.0)
+    assert logger.path.read_bytes() == b""
+    logger.step(60.0)
+    assert logger.path.read_bytes() == HEAD + ROWS[1]
+
+
+def test_file_truncated_to_some_bytes_goes_on_behind_them(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_TRUNCATED, 30.0, amount=float(len(HEAD) + 4)))
+    logger.step(60.0)
+    assert logger.path.read_bytes() == HEAD + b"2024" + ROWS[1]
+
+
+def test_rotated_file_is_moved_away(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_ROTATED, 30.0))
+    logger.step(60.0)
+    assert (tmp_path / "displacements.csv.1").read_bytes() == HEAD + ROWS[0]
+    assert (tmp_path / "displacements.csv").read_bytes() == HEAD + ROWS[1]
+
+
+def test_rotation_of_a_pattern_begins_a_new_name(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path, path=tmp_path / "log-*.csv"), fault(FaultKind.CSV_ROTATED, 30.0))
+    logger.step(60.0)
+    assert (tmp_path / "log-0001.csv").read_bytes() == HEAD + ROWS[0]
+    assert (tmp_path / "log-0002.csv").read_bytes() == HEAD + ROWS[1]
+
+
+def test_half_a_row_is_completed_later(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_HALF_ROW, 10.0, duration_s=20.0))
+    half = len(ROWS[1]) // 2
+    logger.step(79.9)
+    assert logger.path.read_bytes() == HEAD + ROWS[0] + ROWS[1][:half]
+    logger.step(80.0)
+    assert logger.path.read_bytes() == HEAD + b"".join(ROWS)
+
+
+def test_half_a_row_is_completed_before_the_next_row(tmp_path: Path) -> None:
+    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_HALF_ROW, 0.0, duration_s=1000.0))
+    logger.step(60.0)
+    assert logger.path.read_bytes() == HEAD + b"".join(ROWS)

@@ -1,0 +1,221 @@
+"""The whole simulated machine with its three faces, in simulated time."""
+
+import asyncio
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from scripted_machine import ScriptedMachine, cnc_config, configuration
+
+from drivers.clock import ScaledClock, SystemClock
+from drivers.cnc_opcua import OpcUaCnc
+from drivers.contract import LinkError
+from drivers.sim.faults import Fault, FaultKind, FaultScriptError
+from drivers.sim.runner import LARGEST_STEP_S, Ready, run_simulated_machine
+from models.records import Instant
+
+pytestmark = pytest.mark.wires
+
+
+class HandClock(ScaledClock):
+    """A clock that a test moves by hand."""
+
+    def __init__(self) -> None:
+        super().__init__(epoch_real_s=0.0, epoch_utc_s=1.7e9, speed=1.0)
+        self.elapsed_s = 0.0
+
+    def now(self) -> Instant:
+        return Instant(monotonic_s=self.elapsed_s, utc_s=self.epoch_utc_s + self.elapsed_s, real_s=time.monotonic())
+
+
+class Running:
+    """A running simulated machine and what it has reported."""
+
+    def __init__(self, directory: Path, clock: ScaledClock, *faults: Fault, report_period_s: float = 1.0) -> None:
+        self.machine = ScriptedMachine()
+        self.reports: list[dict[str, Any]] = []
+        self.ready: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
+        self._news = asyncio.Event()
+        self.clock = clock
+        self.task = asyncio.create_task(
+            run_simulated_machine(
+                self.machine,
+                configuration(directory),
+                clock,
+                directory=directory,
+                faults=faults,
+                report_period_s=report_period_s,
+                report=self._take,
+                ready=self._is_ready,
+            )
+        )
+        self.on_ready: Callable[[Ready], None] = lambda _: None
+
+    def _is_ready(self, ready: Ready) -> None:
+        self.on_ready(ready)
+        self.ready.set_result(ready)
+
+    def _take(self, report: dict[str, Any]) -> None:
+        self.reports.append(json.loads(json.dumps(report)))
+        self._news.set()
+
+    async def until(self, happened: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Wait for a report that fits."""
+        async with asyncio.timeout(30):
+            while not self.reports or not happened(self.reports[-1]):
+                self._news.clear()
+                await self._news.wait()
+        return self.reports[-1]
+
+    async def move(self, to_s: float) -> dict[str, Any]:
+        """Move a hand clock on, and wait for the report of that time."""
+        assert isinstance(self.clock, HandClock)
+        self.clock.elapsed_s = to_s
+        return await self.until(lambda report: report["time_s"] >= to_s)
+
+    async def stop(self) -> dict[str, Any]:
+        """Cancel, and return the last report."""
+        self.task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await self.task
+        return self.reports[-1]
+
+
+@pytest.mark.parametrize("speed", [60.0, 600.0])
+async def test_lines_keep_pace_with_simulated_time(tmp_path: Path, speed: float) -> None:
+    running = Running(tmp_path, ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=1.7e9, speed=speed))
+    received, loop = bytearray(), asyncio.get_running_loop()
+    descriptors: list[int] = []
+
+    def open_port(ready: Ready) -> None:
+        """Before the first byte is sent."""
+        descriptors.append(os.open(ready.ports["spindle"], os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK))
+        loop.add_reader(descriptors[0], lambda: received.extend(os.read(descriptors[0], 1 << 16)))
+
+    running.on_ready = open_port
+    report = await running.until(lambda report: report["time_s"] > speed)
+    cycles = report["cycles_sent"]["spindle"]
+    assert cycles == int((report["time_s"] - 30 * 10 / 9600) // 10.0) + 1
+    async with asyncio.timeout(30):
+        while received.count(b"01191\r\n") < cycles:
+            await asyncio.sleep(0.01)
+    assert bytes(received).startswith(b"04194\r\n030193\r\n02192\r\n01191\r\n" * cycles)
+    loop.remove_reader(descriptors[0])
+    await running.stop()
+    os.close(descriptors[0])
+    assert max(running.machine.steps) <= LARGEST_STEP_S + 1e-9
+
+
+async def test_faces_show_one_machine(tmp_path: Path) -> None:
+    running = Running(tmp_path, HandClock())
+    ready = await asyncio.wait_for(running.ready, 30)
+    cnc = OpcUaCnc(cnc_config(ready.endpoint), SystemClock())
+    await cnc.connect()
+    await cnc.write_macros([[(503, 0.25)]])
+    assert running.machine.nc.macros.written == [(503, 0.25)]
+    report = await running.move(130.0)
+    assert report["nc"]["program"] == 1000
+    assert report["nc"]["macros"]["503"] == 0.25
+    assert report["nc"]["macros"]["510"] is None
+    assert ready.displacements is not None
+    rows = ready.displacements.read_text(encoding="utf-8-sig").splitlines()
+    assert rows[0] == "Time,X1,Z"
+    assert float(rows[2].split(",")[1]) >= 1.0
+    await cnc.close()
+    await running.stop()
+
+
+async def test_peaks_between_reports_are_reported_and_only_those_of_cuts(tmp_path: Path) -> None:
+    running = Running(tmp_path, HandClock(), report_period_s=40.0)
+    running.machine.truth_table = [
+        (0.0, -3.0, 1.0, True),
+        (20.0, -40.0, 12.0, True),
+        (22.0, 90.0, 95.0, False),
+        (24.0, 2.0, 2.0, True),
+    ]
+    await asyncio.wait_for(running.ready, 30)
+    last = await running.move(40.0)
+    assert last["truth"]["Z"] == {
+        "uncompensated_um": 2.0,
+        "compensated_um": 2.0,
+        "cutting": True,
+        "uncompensated_max_um": 40.0,
+        "compensated_max_um": 12.0,
+    }
+    assert [report["time_s"] for report in running.reports] == [0.0, 40.0]
+    await running.stop()
+
+
+async def test_reports_come_once_per_period(tmp_path: Path) -> None:
+    running = Running(tmp_path, HandClock(), report_period_s=5.0)
+    await asyncio.wait_for(running.ready, 30)
+    for time_s in (4.0, 6.0, 9.9, 21.0, 24.9, 25.0):
+        running.clock.elapsed_s = time_s  # type: ignore[attr-defined]
+        async with asyncio.timeout(30):
+            while running.machine.time_s < time_s:
+                await asyncio.sleep(0.005)
+            await asyncio.sleep(0.03)
+    assert [report["time_s"] for report in running.reports] == [0.0, 6.0, 21.0, 25.0]
+    await running.stop()
+
+
+async def test_frozen_and_killed_cnc(tmp_path: Path) -> None:
+    running = Running(
+        tmp_path,
+        HandClock(),
+        Fault(kind=FaultKind.FROZEN_CNC, at_s=60.0, duration_s=120.0),
+        Fault(kind=FaultKind.KILLED_CNC, at_s=240.0, duration_s=60.0),
+    )
+    ready = await asyncio.wait_for(running.ready, 30)
+    config = cnc_config(ready.endpoint, timeout_s=0.3)
+    cnc = OpcUaCnc(cnc_config(ready.endpoint), SystemClock())
+    await cnc.connect()
+    assert (await cnc.read([])).program == 1000
+    assert (await running.move(60.0))["faults"] == ["frozen_cnc"]
+    with pytest.raises(LinkError, match="did not answer"):
+        await OpcUaCnc(config, SystemClock()).connect()
+    await running.move(180.0)
+    assert (await cnc.read([])).program == 1000
+    assert (await running.move(240.0))["faults"] == ["killed_cnc"]
+    with pytest.raises(LinkError):
+        await cnc.read([])
+    await cnc.close()
+    with pytest.raises(LinkError, match="was lost while connecting"):
+        await OpcUaCnc(config, SystemClock()).connect()
+    await running.move(300.0)
+    cnc = OpcUaCnc(cnc_config(ready.endpoint), SystemClock())
+    await cnc.connect()
+    await cnc.close()
+    await running.stop()
+
+
+async def test_cancel_leaves_nothing_behind(tmp_path: Path) -> None:
+    """The first start leaves an idle thread of asyncio's own pool, which the loop ends."""
+    running = Running(tmp_path / "first", HandClock())
+    await asyncio.wait_for(running.ready, 30)
+    await running.stop()
+    tasks, threads = asyncio.all_tasks(), threading.active_count()
+    descriptors = {path.name for path in Path("/proc/self/fd").iterdir()}
+    running = Running(tmp_path / "second", HandClock(), Fault(kind=FaultKind.FROZEN_CNC, at_s=0.0))
+    await asyncio.wait_for(running.ready, 30)
+    await running.move(1.0)
+    await running.stop()
+    assert asyncio.all_tasks() == tasks
+    assert threading.active_count() <= threads
+    assert {path.name for path in Path("/proc/self/fd").iterdir()} == descriptors
+    assert [path.name for path in (tmp_path / "second").iterdir()] == ["displacements.csv"]
+
+
+async def test_an_impossible_fault_is_told_before_anything_starts(tmp_path: Path) -> None:
+    running = Running(tmp_path, HandClock(), Fault(kind=FaultKind.UNPLUGGED, at_s=0.0, target="nowhere"))
+    with pytest.raises(FaultScriptError, match="no line is called 'nowhere'"):
+        await running.task
+    assert list(tmp_path.iterdir()) == []

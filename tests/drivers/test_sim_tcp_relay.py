@@ -1,0 +1,99 @@
+"""The relay before the simulated CNC: forwards, freezes, dies and comes back."""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from drivers.sim.tcp_relay import TcpRelay
+
+pytestmark = pytest.mark.wires
+
+
+@pytest.fixture
+async def relay() -> AsyncIterator[TcpRelay]:
+    async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while data := await reader.read(65536):
+            writer.write(data)
+        writer.close()
+
+    server = await asyncio.start_server(echo, "127.0.0.1", 0)
+    relay = TcpRelay(port=0, target_port=server.sockets[0].getsockname()[1])
+    await relay.start()
+    yield relay
+    await relay.stop()
+    server.close()
+    await server.wait_closed()
+
+
+async def connect(relay: TcpRelay) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    return await asyncio.open_connection("127.0.0.1", relay.port)
+
+
+async def test_forwards_both_ways_and_closes(relay: TcpRelay) -> None:
+    reader, writer = await connect(relay)
+    data = bytes(range(256)) * 2000
+    writer.write(data)
+    assert await reader.readexactly(len(data)) == data
+    writer.write_eof()
+    assert await reader.read() == b""
+    writer.close()
+
+
+async def test_frozen_relay_keeps_connections_open_and_silent_until_it_thaws(relay: TcpRelay) -> None:
+    old = await connect(relay)
+    old[1].write(b"before")
+    assert await old[0].readexactly(6) == b"before"
+    relay.freeze()
+    new = await connect(relay)
+    for _, writer in (old, new):
+        writer.write(b"during")
+    for reader, _ in (old, new):
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(reader.read(1), 0.1)
+    relay.thaw()
+    for reader, writer in (old, new):
+        assert await asyncio.wait_for(reader.readexactly(6), 10) == b"during"
+        writer.close()
+
+
+async def test_dead_relay_resets_connections_and_refuses_until_it_starts_again(relay: TcpRelay) -> None:
+    port = relay.port
+    reader, writer = await connect(relay)
+    writer.write(b"x")
+    await reader.readexactly(1)
+    await relay.stop()
+    with pytest.raises(ConnectionResetError):
+        while await reader.read(1):
+            pass
+        raise ConnectionResetError
+    with pytest.raises(ConnectionRefusedError):
+        await connect(relay)
+    writer.close()
+    await relay.start()
+    assert relay.port == port
+    reader, writer = await connect(relay)
+    writer.write(b"again")
+    assert await reader.readexactly(5) == b"again"
+    writer.close()
+
+
+async def test_without_anybody_behind_connections_are_closed() -> None:
+    nobody = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
+    relay = TcpRelay(port=0, target_port=nobody.sockets[0].getsockname()[1])
+    nobody.close()
+    await nobody.wait_closed()
+    await relay.start()
+    reader, writer = await connect(relay)
+    with pytest.raises(ConnectionResetError):
+        await reader.read()
+        raise ConnectionResetError
+    writer.close()
+    await relay.stop()
+
+
+async def test_stop_leaves_no_task(relay: TcpRelay) -> None:
+    _, writer = await connect(relay)
+    await relay.stop()
+    assert not [task for task in asyncio.all_tasks() if "sim/tcp_relay" in repr(task)]
+    writer.close()
