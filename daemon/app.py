@@ -17,6 +17,7 @@ from daemon.cnc_session import CncSession
 from daemon.commands import CommandDesk
 from daemon.control import ControlTask
 from daemon.control_socket import ControlSocket
+from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.jobs import housekeeping_scheduler
 from daemon.limits import commissioned_factors
@@ -31,7 +32,8 @@ from daemon.web import serve_metrics
 from drivers.clock import Clock
 from drivers.contract import Cnc
 from models.records import Reference, TemperatureCycle
-from models.thermal.artifact import ModelError, ThermalModel, model_from_json
+from models.thermal.artifact import model_from_json
+from models.thermal.model import ModelError, ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -78,6 +80,7 @@ class Daemon:
         self._history = HistoryWriter(
             configuration.history.path,
             clock=clock,
+            machine=MachineLayout.from_configuration(configuration),
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
         )

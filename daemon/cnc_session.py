@@ -12,7 +12,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.macro_block import LAST_SEQUENCE, Echo, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
-from drivers.contract import Cnc, DriverError
+from drivers.contract import Cnc, DriverError, FatalDriverError
 from models.records import (
     CncSample,
     CompensationCommand,
@@ -103,7 +103,9 @@ class CncSession:
             found = await self.cnc.read_macros(self._block.polled)
             trace = replace(trace, read_back=self._clock.now())
         except DriverError as error:
-            self._conclude(intent, macros, WriteOutcome.FAILED, str(error), {}, trace)
+            refused = isinstance(error, FatalDriverError)
+            outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
+            self._conclude(intent, macros, outcome, str(error), {}, trace)
             raise
         self._acceptable = {number: (value,) for number, value in macros}
         problems = self._block.differences(self._acceptable, found)

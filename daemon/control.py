@@ -22,7 +22,7 @@ from daemon.resume import ResumePoint, reference_to_state
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
-from drivers.contract import SIMULATED_CNC_IDENTITY, DriverError, LinkError
+from drivers.contract import SIMULATED_CNC_IDENTITY, DriverError, FatalDriverError, LinkError
 from models.axis_map import axis_errors_um
 from models.compensation import (
     NO_REQUEST,
@@ -115,7 +115,6 @@ class ControlTask:
         refusal = self._why_refused(request)
         if refusal:
             self._event("refused", f"{_in_words(request)}: {refusal}", person)
-            self.writes["refused"] += 1
             return refusal
         self._requests.append((request, person))
         self._wake.set()
@@ -196,6 +195,9 @@ class ControlTask:
         """Run one piece of work; a lost link ends the session, an unknown exception is a FAULT."""
         try:
             await work
+        except FatalDriverError as error:
+            self.writes["refused"] += 1
+            self._raise_fault(f"a write was refused: {error}")
         except DriverError as error:
             self._link.lost(error if isinstance(error, LinkError) else LinkError(str(error)))
         except Exception as error:

@@ -19,6 +19,9 @@ def switch_on(running: Rehearsal, patience_s: float = 20.0) -> None:
     deadline = time.monotonic() + patience_s
     while True:
         try:
+            while running.client.ask("status")["output"]["since_s"] is None and time.monotonic() < deadline:
+                running.check_alive()
+                time.sleep(0.05)
             running.client.ask("enable")
             return
         except RequestError as error:
@@ -51,9 +54,9 @@ def settle(running: Rehearsal) -> tuple[dict[str, Any], dict[str, Any]]:
 def result(final: dict[str, Any], status: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return the demonstration's numbers and every check of its own that failed."""
     errors = {}
-    for axis, extremes in final["extremes_um"].items():
+    for axis, truth in final["truth"].items():
         modelled = status["axes"][axis]["estimate_from"] is not None
-        without, compensated = extremes["uncompensated_max"], extremes["compensated_max"]
+        without, compensated = truth["uncompensated_max_um"], truth["compensated_max_um"]
         if not modelled or without <= JUDGED_FROM_UM:
             verdict = "not_judged"
         else:
@@ -81,7 +84,7 @@ def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, 
     cycles, writes = numbers["cycles"], numbers["writes"]
     if cycles["received"] != cycles["expected"]:
         failures.append(f"{cycles['expected']} cycles were sent, {cycles['received']} arrived")
-    if cycles["incomplete"] > final.get("cycles_disturbed", 0):
+    if cycles["incomplete"] > sum(final["cycles_disturbed"].values()):
         failures.append(f"{cycles['incomplete']} cycles are incomplete without a fault that explains them")
     if writes["sent"] == 0:
         failures.append("nothing was written")

@@ -8,6 +8,7 @@ import json
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -38,8 +39,14 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def write_rehearsal_configuration(base: dict[str, Any], directory: Path, *, http: bool) -> tuple[Path, Configuration]:
-    """Write a configuration for wires, sockets and store inside `directory`; return it loaded."""
+def write_rehearsal_configuration(
+    base: dict[str, Any], directory: Path, *, speed: float, http: bool
+) -> tuple[Path, Configuration]:
+    """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
+
+    Waiting times that stand for the speed of the wires grow with the speed of the simulation,
+    because a pause of this computer is then a long time for the machine.
+    """
     for line in base["temperatures"]["lines"]:
         line["port"] = str(directory / f"{line['name']}.tty")
     if base.get("displacements"):
@@ -49,6 +56,11 @@ def write_rehearsal_configuration(base: dict[str, Any], directory: Path, *, http
         "namespace_uri": "urn:toolpoint:cnc",
         "allow_insecure_writes": True,
     }
+    base["cnc"]["stale_after_s"] = max(3.0, speed)
+    output = base["compensation"].setdefault("output", {})
+    output["validity_s"] = min(max(30.0, speed), 100.0)
+    output["stale_after_s"] = min(max(60.0, speed), 300.0)
+    output["alarm_after_s"] = 300.0
     base["history"] = {"path": str(directory / "history.sqlite")}
     base["service"] = {
         "socket": str(directory / "control.sock"),
@@ -58,6 +70,19 @@ def write_rehearsal_configuration(base: dict[str, Any], directory: Path, *, http
     path = directory / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
     return path, load_configuration(path)
+
+
+@contextlib.contextmanager
+def folder_for(directory: Path | None) -> Iterator[Path]:
+    """Yield a new or empty folder that stays, or a temporary one that does not."""
+    if directory is None:
+        with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+        return
+    if directory.exists() and any(directory.iterdir()):
+        raise RehearsalError(f"{directory} is not empty; name an empty or a new folder")
+    directory.mkdir(parents=True, exist_ok=True)
+    yield directory.resolve()
 
 
 @dataclass(slots=True)

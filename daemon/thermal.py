@@ -25,8 +25,8 @@ from models.records import (
     TemperatureCycle,
     ThermalErrorEstimate,
 )
-from models.thermal.artifact import ThermalModel
-from models.thermal.estimate import estimate
+from models.thermal.estimate import Estimator, linear_estimator
+from models.thermal.model import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -83,6 +83,7 @@ class ThermalTask:
         self.estimates = 0
         self._model = model
         self._order = self._model_order(model, position)
+        self._estimator = self._make_estimator(model)
 
     @property
     def usable(self) -> int:
@@ -106,6 +107,11 @@ class ThermalTask:
         if unknown := [i for i in model.sensor_ids if i not in position]:
             raise ValueError(f"model {model.model_id} needs sensors that this machine does not have: {unknown[:10]}")
         return np.array([position[i] for i in model.sensor_ids])
+
+    def _make_estimator(self, model: ThermalModel | None) -> Estimator | None:
+        if model is None or self._order is None:
+            return None
+        return linear_estimator(model, tuple(self._components[i] for i in self._order))
 
     def _on_cycle(self, cycle: TemperatureCycle) -> None:
         temperatures = self._cleanse(cycle)
@@ -149,18 +155,11 @@ class ThermalTask:
 
     def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
         reference, model = self._reference, self._model
-        if reference is None or model is None:
+        if reference is None or model is None or self._estimator is None or self._order is None:
             return None
         degc = self._mean.mean()
         elapsed_min = (temperatures.trace.first_byte.monotonic_s - reference.time.monotonic_s) / 60.0
-        assert self._order is not None
-        outcome = estimate(
-            model,
-            degc[self._order],
-            reference.degc[self._order],
-            elapsed_min,
-            tuple(self._components[i] for i in self._order),
-        )
+        outcome = self._estimator.renew(degc[self._order], reference.degc[self._order], max(elapsed_min, 0.0))
         if outcome is None:
             return None
         now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)

@@ -34,7 +34,8 @@ class SystemClock:
 class ScaledClock:
     """A clock for simulated machines that runs `speed` times as fast as the computer's.
 
-    Two processes that are given the same epoch agree on the time, because CLOCK_MONOTONIC is
+    Before its epoch it runs at the computer's own pace, so that what waits for the beginning
+    waits as on a real machine. Two processes that are given the same epoch agree on the time, because CLOCK_MONOTONIC is
     one clock for the whole computer.
     """
 
@@ -47,7 +48,9 @@ class ScaledClock:
 
     def now(self) -> Instant:
         real_s = time.monotonic()
-        elapsed_s = (real_s - self.epoch_real_s) * self.speed
+        elapsed_s = real_s - self.epoch_real_s
+        if elapsed_s > 0:
+            elapsed_s *= self.speed
         return Instant(monotonic_s=elapsed_s, utc_s=self.epoch_utc_s + elapsed_s, real_s=real_s)
 
     async def sleep(self, duration_s: float) -> None:

@@ -3,18 +3,16 @@
 import contextlib
 import math
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 import yaml
 
-from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.common import json_option, write_json
 from daemon.demonstration import Trail, result, settle, switch_on, watch
-from daemon.rehearsal import Rehearsal, RehearsalError, rehearse, write_rehearsal_configuration
+from daemon.rehearsal import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
 
 LIVE_PERIOD_S = 0.25
 
@@ -58,8 +56,8 @@ def demo(
     Exit status 0 when the run met its own checks, 1 when it did not, 2 for bad usage.
     """
     duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
-    with _folder(directory) as folder:
-        path, _ = write_rehearsal_configuration(_machine(), folder, http=not headless)
+    with folder_for(directory) as folder:
+        path, _ = write_rehearsal_configuration(_machine(), folder, speed=speed, http=not headless)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
@@ -90,21 +88,11 @@ def _machine() -> dict[str, Any]:
     content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
     assert isinstance(content, dict)
     content["machine"] = "simulated CFRP machine tool"
+    content["compensation"]["reference"] = {"sequence_numbers": [100]}
+    content["compensation"].setdefault("output", {})["safe_sequence_numbers"] = [900]
     content["compensation"]["model_file"] = str(shipped_file("simulated_machine_model.json"))
     content["compensation"]["commissioning_file"] = str(shipped_file("simulated_machine_commissioning.json"))
     return content
-
-
-@contextlib.contextmanager
-def _folder(directory: Path | None) -> Iterator[Path]:
-    if directory is not None:
-        if directory.exists() and any(directory.iterdir()):
-            refuse(f"{directory}: is not empty; name an empty or new folder")
-        directory.mkdir(parents=True, exist_ok=True)
-        yield directory.resolve()
-        return
-    with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
-        yield Path(name)
 
 
 def _show(running: Rehearsal, until_s: float) -> None:

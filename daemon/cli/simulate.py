@@ -11,6 +11,7 @@ import click
 from daemon.cli.common import config_option, read_configuration, refuse
 from daemon.cli.run import parse_simulated_clock
 from daemon.logs import configure_logging
+from daemon.replaying import map_of, parse_hours
 from daemon.simulation import SimulationError, recorded_simulation, simulated_day
 
 
@@ -36,6 +37,14 @@ from daemon.simulation import SimulationError, recorded_simulation, simulated_da
     help="Play this recording instead of the simulated machine (prepared by `toolpoint replay`).",
 )
 @click.option(
+    "--map",
+    "map_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Map of the recording's columns (YAML).",
+)
+@click.option("--hours", default=None, metavar="A-B", help="Play these hours of the recording only.")
+@click.option(
     "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
 )
 @click.option("--until-s", type=float, default=None, help="Send no cycle that would begin after this time [s].")
@@ -46,6 +55,8 @@ def simulate(
     simulated_clock: str,
     day: int | None,
     recording: Path | None,
+    map_path: Path | None,
+    hours: str | None,
     faults_path: Path | None,
     until_s: float | None,
     report_s: float,
@@ -61,7 +72,13 @@ def simulate(
 
     try:
         work = (
-            recorded_simulation(configuration, clock, recording)
+            recorded_simulation(
+                configuration,
+                clock,
+                recording,
+                recording_map=map_of(recording, map_path),
+                hours=parse_hours(hours) if hours else None,
+            )
             if recording is not None
             else simulated_day(configuration, clock, day)
         )

@@ -1,0 +1,106 @@
+"""Builds the simulated machine that a command asks for and runs its faces."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from config.recording_map import RecordingMap
+from config.schema import Configuration
+from drivers.clock import ScaledClock
+from drivers.contract import DriverError
+from drivers.recording_csv import read_recording
+from drivers.sim.contract import SimulatedMachine
+from drivers.sim.day import Day
+from drivers.sim.faults import load_faults
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.program import demo_program
+from drivers.sim.recorded import RecordedMachine
+from drivers.sim.runner import run_simulated_machine
+
+DEMO_SEED = 1000
+"""The demo's day; the shipped model was fitted on other days (`daemon.simulated_model`)."""
+
+Report = Callable[[dict[str, Any]], None]
+
+
+class SimulationError(Exception):
+    """The simulated machine cannot be built; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """A machine and what it runs on."""
+
+    machine: SimulatedMachine
+    configuration: Configuration
+    clock: ScaledClock
+
+    async def run(
+        self, directory: Path, *, faults_path: Path | None, until_s: float | None, report_s: float, report: Report
+    ) -> None:
+        """Run the machine's faces until cancelled; lines speak from simulated time 0 on."""
+        try:
+            faults = load_faults(faults_path) if faults_path is not None else ()
+            await run_simulated_machine(
+                self.machine,
+                self.configuration,
+                self.clock,
+                directory=directory,
+                faults=faults,
+                report_period_s=report_s,
+                report=self._with_channels(report),
+                own_process=True,
+                first_pass_s=0.0,
+                until_s=math.inf if until_s is None else until_s,
+            )
+        except (ValueError, OSError) as error:
+            raise SimulationError(str(error)) from error
+
+    def _with_channels(self, report: Report) -> Report:
+        machine = self.machine
+        if not isinstance(machine, RecordedMachine):
+            return report
+
+        def extended(content: dict[str, Any]) -> None:
+            report(content | {"channels": machine.channels()} if content.get("final") else content)
+
+        return extended
+
+
+def simulated_day(configuration: Configuration, clock: ScaledClock, seed: int | None) -> Simulation:
+    """Return the simulated CFRP machine on one of its days."""
+    machine = CfrpMachine(
+        Day.draw(DEMO_SEED if seed is None else seed, start="cold"),
+        demo_program(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+    )
+    return Simulation(machine=machine, configuration=configuration, clock=clock)
+
+
+def recorded_simulation(
+    configuration: Configuration,
+    clock: ScaledClock,
+    path: Path,
+    *,
+    recording_map: RecordingMap,
+    hours: tuple[float, float] | None,
+) -> Simulation:
+    """Return a machine that plays a part of a recording."""
+    try:
+        recording = read_recording(path, recording_map)
+        if hours is not None:
+            recording = recording.between_hours(*hours)
+        machine = RecordedMachine(
+            recording,
+            configuration.temperatures.sensors,
+            configuration.cnc.macros,
+            configuration.compensation.axes,
+            block_s=recording_map.sample_s,
+        )
+    except (DriverError, ValueError) as error:
+        raise SimulationError(str(error)) from error
+    return Simulation(machine=machine, configuration=configuration, clock=clock)
