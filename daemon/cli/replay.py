@@ -64,7 +64,7 @@ def replay(
 ) -> None:
     """Play RECORDING: temperatures as LATSIS frames, displacements as a growing CSV, speed from the CNC.
 
-    The reference is the first row played. Reports the error per channel without and with compensation.
+    The reference is the mean of the first block played. Reports the error per channel without and with compensation.
     """
     if speed > FASTEST:
         click.echo(f"--speed {speed:g} is taken as {FASTEST:g}: the wires keep no more", err=True)
@@ -108,7 +108,7 @@ def report(recording: Path, final: dict[str, Any], status: dict[str, Any], json_
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{recording.name}: error since the first row [um]")
+    table = Table(title=f"{recording.name}: error since the first block [um]")
     for column in ("channel", "RMSE without", "RMSE with", "max without", "max with"):
         table.add_column(column, justify="right")
     for name, channel in final["channels"].items():

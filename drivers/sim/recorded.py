@@ -1,6 +1,6 @@
 """A machine that plays a recording: its temperatures, displacements and spindle speed, on a simulated NC.
 
-The recording's first row stands still for `LEAD_IN_S`; then work is positioned, and from there on
+The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, and from there on
 the tool is always at a safe point, so that the NC applies what it is given once a second.
 """
 
@@ -18,7 +18,7 @@ from models.dataset import Recording
 from models.records import FloatArray
 
 LEAD_IN_S = 120.0
-"""The reference is the mean of a minute, so the first row is shown for longer than that [s]."""
+"""The reference is the mean of a minute, so the first block is shown for longer than that [s]."""
 POSITIONING_S = 20.0
 PROGRAM, POSITIONING, SAFE = 3000, 100, 900
 GUARD_PERIOD_S = 1.0
@@ -43,6 +43,9 @@ class RecordedMachine:
             )
         self._recording = recording
         self._time_s = recording.time_s - recording.time_s[0]
+        first = self._time_s < block_s
+        self._first_degc: FloatArray = recording.temperatures_degc[first].mean(axis=0)
+        self._zero_um: FloatArray = recording.displacements_um[first].mean(axis=0)
         self._position = {sensor.id: index for index, sensor in enumerate(sensors)}
         self._axes = tuple(axes)
         self.time_s = 0.0
@@ -77,7 +80,8 @@ class RecordedMachine:
 
     def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
         """Return the TMP102 codes of the recording's row now; NaN in the recording reads 0."""
-        row = self._recording.temperatures_degc[self._row()]
+        playing = self.time_s >= LEAD_IN_S
+        row = self._recording.temperatures_degc[self._row()] if playing else self._first_degc
         codes = []
         for sensor_id in sensor_ids:
             degc = row[self._position[sensor_id]]
@@ -91,7 +95,7 @@ class RecordedMachine:
         return dict(zip(self._recording.displacement_names, row.tolist(), strict=True))
 
     def truth(self) -> dict[str, AxisTruth]:
-        """Return what was measured since the first row, without and with what the NC has applied."""
+        """Return what was measured since the first block, without and with what the NC has applied."""
         if self.time_s < LEAD_IN_S:
             return {}
         error, applied = self._error_um(), self._applied_um()
@@ -113,8 +117,7 @@ class RecordedMachine:
         return max(int(np.searchsorted(self._time_s, played_s, side="right")) - 1, 0)
 
     def _error_um(self) -> FloatArray:
-        table = self._recording.displacements_um
-        error: FloatArray = table[self._row()] - table[0]
+        error: FloatArray = self._recording.displacements_um[self._row()] - self._zero_um
         return error
 
     def _applied_um(self) -> FloatArray:
