@@ -66,6 +66,7 @@ ESTIMATES = Kind(
     columns=(
         *_integers("utc_ms"),
         _relative("monotonic_ms"),
+        *_texts("line"),
         _relative("cycle_utc_ms"),
         *_numbers("delay_us"),
         *_mappings("thermal_error_um band_um label_degc label_increment_degc"),

@@ -161,6 +161,7 @@ class HistoryReader:
         frame = self.frame(ESTIMATES, from_utc_s, to_utc_s)
         return EstimateHistory(
             time_s=time_s_of(frame),
+            line=texts_of(frame, "line"),
             cycle_time_s=frame.integers("cycle_utc_ms") / 1e3,
             thermal_error_um=frame.mapping("thermal_error_um").values,
             band_um=frame.mapping("band_um").values,

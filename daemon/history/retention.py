@@ -90,9 +90,11 @@ def _vacuum(connection: sqlite3.Connection, report: HousekeepingReport) -> bool:
     surplus = min(free - SPARE_PAGES, SLICE_PAGES)
     if surplus <= 0:
         return False
-    connection.execute(f"PRAGMA incremental_vacuum({surplus})").fetchall()
-    report.freed_pages += surplus
-    return bool(free - surplus > SPARE_PAGES)
+    # One step frees one page, and only executescript steps on when a statement has no columns.
+    connection.executescript(f"PRAGMA incremental_vacuum({surplus});")
+    (left,) = connection.execute("PRAGMA freelist_count").fetchone()
+    report.freed_pages += free - left
+    return bool(SPARE_PAGES < left < free)
 
 
 def housekeeping(path: Path, config: HistoryConfig, now_utc_s: float) -> HousekeepingReport:

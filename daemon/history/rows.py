@@ -45,7 +45,7 @@ INSERT_CNC = _insert(
 INSERT_DISPLACEMENT = _insert("displacements", "utc_ms um reasons source")
 INSERT_ESTIMATE = _insert(
     "estimates",
-    "utc_ms monotonic_ms cycle_utc_ms delay_us thermal_error_um band_um label_degc label_increment_degc "
+    "utc_ms monotonic_ms line cycle_utc_ms delay_us thermal_error_um band_um label_degc label_increment_degc "
     "in_domain confidence imputed model_id reference_id",
 )
 INSERT_INTENT = _insert(
@@ -157,6 +157,7 @@ def estimate_row(estimate: ThermalErrorEstimate) -> Parameters:
     ready = trace.estimated or trace.last_byte
     return (
         *_times(ready),
+        estimate.line,
         utc_ms(trace.first_byte),
         _delay_us(trace.estimated, trace),
         _mapping(estimate.channels, estimate.thermal_error_um, 3),

@@ -82,6 +82,8 @@ class EstimateHistory:
     """Thermal errors as estimated."""
 
     time_s: FloatArray
+    line: tuple[str, ...]
+    """The line whose cycle renewed each estimate."""
     cycle_time_s: FloatArray
     """First byte of the cycle behind each estimate."""
     thermal_error_um: dict[str, FloatArray]

@@ -59,7 +59,8 @@ CREATE TABLE estimates (
     id INTEGER PRIMARY KEY,
     utc_ms INTEGER NOT NULL,         -- when the estimate was ready
     monotonic_ms INTEGER NOT NULL,
-    cycle_utc_ms INTEGER NOT NULL,   -- first byte of the cycle that it rests on
+    line TEXT NOT NULL,              -- whose cycle renewed it
+    cycle_utc_ms INTEGER NOT NULL,   -- first byte of that cycle
     delay_us REAL,                   -- last byte to estimate, on the computer's clock
     thermal_error_um TEXT NOT NULL,  -- JSON objects: channel -> um, to 0.001 um
     band_um TEXT NOT NULL,

@@ -1,0 +1,324 @@
+"""The reader: every kind of record comes back as it went in, raw or packed, while the daemon writes."""
+
+import os
+import sqlite3
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+import history_records as make
+from history_records import EPOCH_S, FULL, SMALL, StillClock
+
+from config.schema.service import HistoryConfig
+from daemon.history import HistoryError, HistoryReader, HistoryWriter, housekeeping
+from daemon.history.database import connect_reader
+from daemon.history.series import NOT_IN_CYCLE
+from models.quality import Quality, Reason
+from models.records import CncMode, CncRun, OutputState, WriteOutcome
+
+NOW_S = EPOCH_S + 1800.0
+Fill = Callable[[HistoryWriter], None]
+
+
+@pytest.fixture(params=["raw", "packed"])
+def stored(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[[Fill], HistoryReader]]:
+    """Store records, as rows or as a packed hour, and read them."""
+    readers = []
+
+    def store(fill: Fill) -> HistoryReader:
+        path = tmp_path / "history.sqlite"
+        writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
+        writer.start()
+        fill(writer)
+        writer.close()
+        assert writer.dropped == {}
+        if request.param == "packed":
+            assert housekeeping(path, HistoryConfig(), EPOCH_S + 86_400).packed_hours > 0
+        readers.append(HistoryReader(path))
+        return readers[-1]
+
+    yield store
+    for reader in readers:
+        reader.close()
+
+
+def hour(reader_method: Callable[..., object]) -> object:
+    return reader_method(EPOCH_S, EPOCH_S + 3600)
+
+
+def test_temperatures_with_quality_and_reason(stored: Callable[[Fill], HistoryReader]) -> None:
+    def fill(writer: HistoryWriter) -> None:
+        first = make.cycle("spindle", 1, EPOCH_S, [23.0, 21.0, 22.0625])
+        writer.temperatures(make.cleansed(SMALL, first, make.codes(3), make.codes(3)), first)
+        bed = make.cycle("bed", 9, EPOCH_S + 4, [19.5, np.nan])
+        quality, reason = np.array([0, 2], dtype=np.uint8), np.array([0, Reason.NOT_RECEIVED], dtype=np.uint8)
+        writer.temperatures(make.cleansed(SMALL, bed, quality, reason), bed)
+        second = make.cycle("spindle", 2, EPOCH_S + 10, [23.0, 35.0, 22.125])
+        quality, reason = np.array([0, 1, 0], dtype=np.uint8), np.array([0, Reason.RATE, 0], dtype=np.uint8)
+        writer.temperatures(make.cleansed(SMALL, second, quality, reason), second)
+
+    found = stored(fill).temperatures([22, 11, 21], EPOCH_S, EPOCH_S + 60)
+    assert found.sensor_ids == (22, 11, 21)
+    assert found.line == ("spindle", "bed", "spindle")
+    assert found.number.tolist() == [1, 9, 2]
+    assert (found.time_s - EPOCH_S).tolist() == [0.0, 4.0, 10.0]
+    nan, other = np.nan, NOT_IN_CYCLE
+    np.testing.assert_array_equal(found.degc, [[nan, 21.0, nan], [nan, nan, 19.5], [nan, 35.0, nan]])
+    np.testing.assert_array_equal(
+        found.quality, [[other, 0, other], [Quality.MISSING, other, 0], [other, Quality.HELD, other]]
+    )
+    np.testing.assert_array_equal(
+        found.reason, [[other, 0, other], [Reason.NOT_RECEIVED, other, 0], [other, Reason.RATE, other]]
+    )
+    np.testing.assert_array_equal(found.cleansed()[:, 1], [21.0, nan, 21.0])
+    np.testing.assert_array_equal(found.cleansed()[:, 0], [nan, nan, nan])
+    times_s, degc, quality = found.series(11)
+    assert ((times_s - EPOCH_S).tolist(), degc.tolist(), quality.tolist()) == ([0, 10], [21, 35], [0, 1])
+
+
+def test_cycle_without_cleansing_keeps_its_own_quality(stored: Callable[[Fill], HistoryReader]) -> None:
+    quality, reason = np.array([2, 0, 0], dtype=np.uint8), np.array([Reason.DEVICE_ERROR, 0, 0], dtype=np.uint8)
+    cycle = make.cycle("spindle", 1, EPOCH_S, [np.nan, 21.0, 22.0], quality=quality, reason=reason)
+    found = stored(lambda writer: writer.temperatures(None, cycle)).temperatures([13], EPOCH_S, EPOCH_S + 1)
+    assert (found.quality.tolist(), found.reason.tolist()) == ([[Quality.MISSING]], [[Reason.DEVICE_ERROR]])
+
+
+def test_whole_interval_is_half_open(stored: Callable[[Fill], HistoryReader]) -> None:
+    def fill(writer: HistoryWriter) -> None:
+        for k in range(6):
+            writer.temperatures(None, make.cycle("bed", k, EPOCH_S + 10 * k, [20.0 + k, 20.0]))
+            writer.cnc_sample(make.cnc_sample(EPOCH_S + 10 * k))
+
+    reader = stored(fill)
+    assert reader.temperatures([21], EPOCH_S + 10, EPOCH_S + 30).degc[:, 0].tolist() == [21.0, 22.0]
+    assert (reader.cnc(EPOCH_S + 10, EPOCH_S + 30).time_s - EPOCH_S).tolist() == [10.0, 20.0]
+    assert reader.temperatures([21], EPOCH_S + 900, EPOCH_S + 999).degc.shape == (0, 1)
+    assert reader.cnc(EPOCH_S + 900, EPOCH_S + 999).time_s.size == 0
+
+
+def test_cnc_samples(stored: Callable[[Fill], HistoryReader]) -> None:
+    second = make.cnc_sample(
+        EPOCH_S + 0.5,
+        mode=CncMode.JOG,
+        run=CncRun.HOLD,
+        alarm=True,
+        spindle_speed_rpm=np.nan,
+        motor_temperature_degc=41.07,
+        clock_s=77.5,
+        sequence_number=110,
+        macros={500: 3.0, 600: None, 601: 1 / 3},
+    )
+
+    def fill(writer: HistoryWriter) -> None:
+        writer.cnc_sample(make.cnc_sample(EPOCH_S))
+        writer.cnc_sample(second)
+
+    found = hour(stored(fill).cnc)
+    assert (found.mode, found.run) == (("memory", "jog"), ("start", "hold"))
+    assert found.alarm.tolist() == [False, True]
+    np.testing.assert_array_equal(found.spindle_speed_rpm, [6000.0, np.nan])
+    assert found.motor_temperature_degc.tolist() == [41.0, 41.07]
+    assert found.clock_s.tolist() == [77.0, 77.5]
+    assert found.sequence_number.tolist() == [100, 110]
+    assert (found.program[0], found.work_offset[0], found.tool_number[0], found.power_on_count[0]) == (1234, 54, 7, 3)
+    assert set(found.macros) == {600, 601}, "what we write stands in the audit"
+    np.testing.assert_array_equal(found.macros[600], [0.012, np.nan])
+    np.testing.assert_array_equal(found.macros[601], [np.nan, 1 / 3])
+
+
+def test_estimates(stored: Callable[[Fill], HistoryReader]) -> None:
+    def fill(writer: HistoryWriter) -> None:
+        writer.estimate(make.estimate(EPOCH_S, [1.0004, -2.5, np.nan]))
+        writer.estimate(make.estimate(EPOCH_S + 10, [3.0, 4.0, 5.0], imputed=(), reference_id=None, in_domain=False))
+
+    found = hour(stored(fill).estimates)
+    np.testing.assert_array_equal(found.thermal_error_um["dx"], [1.0, 3.0])
+    np.testing.assert_array_equal(found.thermal_error_um["dz"], [np.nan, 5.0])
+    assert (found.cycle_time_s - EPOCH_S).tolist() == [0.0, 10.0]
+    assert found.line == ("spindle", "spindle")
+    assert found.label_degc["Room"].tolist() == [21.5, 21.5]
+    assert found.label_increment_degc["A"].tolist() == [3.25, 3.25]
+    assert found.imputed == ((12, 21), ())
+    assert found.reference_id == ("ref-1", None)
+    assert found.in_domain.tolist() == [True, False]
+    assert found.confidence.tolist() == [0.987, 0.987]
+
+
+def test_displacements(stored: Callable[[Fill], HistoryReader]) -> None:
+    reasons = np.array([0, Reason.OVERFLOW, 0], dtype=np.uint8)
+
+    def fill(writer: HistoryWriter) -> None:
+        writer.displacement(make.displacement(EPOCH_S, [1.25, 2.5, 1 / 3]))
+        writer.displacement(make.displacement(EPOCH_S + 60, [1.5, np.nan, 3.0], reason=reasons))
+
+    reader = stored(fill)
+    found = hour(reader.displacements)
+    np.testing.assert_array_equal(found.um["dy"], [2.5, np.nan])
+    assert found.um["dz"].tolist() == [1 / 3, 3.0]
+    assert found.reason["dy"].tolist() == [0, Reason.OVERFLOW]
+    assert found.source == ("/srv/logger/today.csv:2", "/srv/logger/today.csv:3")
+    assert reader.last_displacement_utc_s() == EPOCH_S + 60
+
+
+def test_writes_with_every_outcome(stored: Callable[[Fill], HistoryReader]) -> None:
+    um = np.array([0.0, 1 / 3, -2.0])
+    written = make.macros(8, um)
+    differing = (None, 7.0, *[value for _, value in written][2:])
+    outcomes = {
+        WriteOutcome.VERIFIED: {},
+        WriteOutcome.DIFFERS: {"read_back": differing, "detail": "macro #501 holds 7"},
+        WriteOutcome.FAILED: {"read_back": (), "applied_um": np.array([]), "detail": "time-out"},
+    }
+
+    def fill(writer: HistoryWriter) -> None:
+        for outcome, changes in outcomes.items():
+            write_id = writer.write_intent(
+                make.command(um, state=OutputState.RETREAT), written, "heartbeat", "somebody"
+            )
+            writer.write_outcome(write_id, make.receipt(EPOCH_S, written, outcome=outcome, **changes))
+        write_id = writer.write_intent(None, ((500, 1.0), (500, 2.0)), "commission")
+        writer.write_outcome(write_id, make.receipt(EPOCH_S, ((500, 1.0), (500, 2.0)), outcome=WriteOutcome.REFUSED))
+
+    verified, differs, failed, twice = hour(stored(fill).writes)
+    assert [r.outcome for r in (verified, differs, failed, twice)] == [*outcomes, WriteOutcome.REFUSED]
+    assert verified.macros == written, "exactly as sent"
+    assert verified.read_back == tuple(value for _, value in written)
+    assert (verified.cause, verified.person, verified.state) == ("heartbeat", "somebody", "RETREAT")
+    assert verified.compensation_um == {"X": 0.0, "Y": 0.333, "Z": -2.0}
+    assert (differs.read_back, differs.detail) == (differing, "macro #501 holds 7")
+    assert (failed.read_back, failed.applied_um, failed.detail) == ((), {}, "time-out")
+    assert twice.macros == ((500, 1.0), (500, 2.0))
+    assert (twice.state, twice.requested_um, twice.enable) == (None, {}, ())
+
+
+def test_events_and_references(tmp_path: Path) -> None:
+    clock = StillClock()
+    writer = HistoryWriter(tmp_path / "h.sqlite", clock=clock, machine=SMALL)
+    writer.start()
+    writer.event("state", "OFF -> ARMED", "somebody")
+    clock.utc_s += 60
+    writer.event("alarm", "line bed is silent")
+    reference = make.reference(EPOCH_S + 5, 5)
+    writer.reference(reference)
+    writer.close()
+    with HistoryReader(tmp_path / "h.sqlite") as reader:
+        events = reader.events(EPOCH_S, EPOCH_S + 61)
+        (found,) = reader.references(EPOCH_S, EPOCH_S + 61)
+        assert reader.events(EPOCH_S + 60, EPOCH_S + 61) == events[1:]
+    assert [(e.kind, e.text, e.person) for e in events] == [
+        ("state", "OFF -> ARMED", "somebody"),
+        ("alarm", "line bed is silent", None),
+    ]
+    np.testing.assert_array_equal(found.degc, reference.degc)
+    assert replace(found, degc=reference.degc) == reference
+
+
+def test_sensors_are_found_after_the_chain_was_changed(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    for layout, value, first_s in (
+        (SMALL, [20.0, 21.0], EPOCH_S),
+        (replace(SMALL, lines={"spindle": (13, 11, 12), "bed": (22, 21)}), [30.0, 31.0], EPOCH_S + 10),
+    ):
+        writer = HistoryWriter(path, clock=StillClock(), machine=layout)
+        writer.start()
+        writer.temperatures(None, make.cycle("bed", 1, first_s, value))
+        writer.close()
+    with HistoryReader(path) as reader:
+        assert reader.temperatures([22], EPOCH_S, EPOCH_S + 60).degc[:, 0].tolist() == [21.0, 30.0]
+
+
+def test_all_sensors_of_a_machine(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    random = np.random.default_rng(0)
+    values = {line: np.round(random.uniform(15, 45, len(ids)) * 16) / 16 for line, ids in FULL.lines.items()}
+    writer = HistoryWriter(path, clock=StillClock(), machine=FULL)
+    writer.start()
+    for line, degc in values.items():
+        writer.temperatures(None, make.cycle(line, 1, EPOCH_S, degc))
+    writer.close()
+    for _ in ("raw", "packed"):
+        with HistoryReader(path) as reader:
+            found = reader.temperatures(None, EPOCH_S, EPOCH_S + 1)
+        assert found.sensor_ids == FULL.sensor_ids
+        np.testing.assert_array_equal(np.nanmax(found.degc, axis=0), np.concatenate(list(values.values())))
+        housekeeping(path, HistoryConfig(), EPOCH_S + 86_400)
+
+
+def test_clock_that_was_set_back_loses_nothing(stored: Callable[[Fill], HistoryReader]) -> None:
+    def fill(writer: HistoryWriter) -> None:
+        for number, offset_s in enumerate((0, 10, 20, 5, 15, 25)):
+            writer.temperatures(None, make.cycle("bed", number, EPOCH_S + offset_s, [20.0 + number, 20.0]))
+
+    found = stored(fill).temperatures([21], EPOCH_S, EPOCH_S + 60)
+    assert found.number.tolist() == [0, 3, 1, 4, 2, 5], "in order of time"
+
+
+def test_reading_beside_a_writer_and_it_is_read_only(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    writer.event("note", "one")
+    writer.submit(lambda _: None).result(30)
+    with HistoryReader(path) as reader, closing(connect_reader(path)) as connection:
+        assert len(reader.events(0, EPOCH_S + 1)) == 1
+        with pytest.raises(sqlite3.OperationalError, match="readonly"):
+            connection.execute("DELETE FROM events")
+        writer.event("note", "two")
+        writer.submit(lambda _: None).result(30)
+        assert len(reader.events(0, EPOCH_S + 1)) == 2
+    writer.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can turn into a user who may not write the store")
+def test_store_at_rest_is_read_by_a_user_who_may_not_write() -> None:
+    nobody = 65534
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "h.sqlite"
+        writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+        writer.start()
+        writer.event("note", "one")
+        writer.close()
+        Path(folder).chmod(0o755)
+        receive, send = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                os.setgroups([])
+                os.setresgid(nobody, nobody, nobody)
+                os.setresuid(nobody, nobody, nobody)
+                os.write(send, HistoryReader(path).events(0, EPOCH_S + 1)[0].text.encode())
+            except BaseException as error:
+                os.write(send, repr(error).encode())
+            finally:
+                os._exit(0)
+        os.close(send)
+        os.waitpid(child, 0)
+        assert os.read(receive, 1000) == b"one"
+        os.close(receive)
+
+
+def test_missing_extents_are_none(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    writer.close()
+    with HistoryReader(path) as reader:
+        assert reader.extent("cnc") is None
+        assert reader.get_state("nothing") is None
+        assert reader.last_written_macros() is None
+        assert reader.temperatures(None, 0, EPOCH_S).degc.shape == (0, 5)
+
+
+def test_damaged_store_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    path.write_bytes(b"SQLite format 3\x00" + bytes(4000))
+    with pytest.raises(HistoryError, match=r"h\.sqlite"):
+        HistoryReader(path)
