@@ -64,7 +64,7 @@ class OpcUaCnc:
         self._lost: str | None = None
         self._renew_at_s = math.inf
         self._clock_value_s = math.nan
-        self._clock_moved_real_s = 0.0
+        self._clock_moved_s = 0.0
         self.identity = ""
         self.secure = config.opcua.security is not None
 
@@ -194,7 +194,7 @@ class OpcUaCnc:
         block = self._config.macros.block
         answers = await client.uaclient.read(variables.read_request(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
-        self._clock_value_s, self._clock_moved_real_s = sample.clock_s, sample.time.real_s
+        self._clock_value_s, self._clock_moved_s = sample.clock_s, sample.time.monotonic_s
         return variables
 
     async def _write(
@@ -224,13 +224,13 @@ class OpcUaCnc:
                     raise FatalDriverError(f"{value} must not be written to macro variable #{number}; nothing was sent")
 
     def _watch_clock(self, sample: CncSample) -> None:
-        now_s = sample.time.real_s
+        now_s = sample.time.monotonic_s
         if sample.clock_s != self._clock_value_s:
-            self._clock_value_s, self._clock_moved_real_s = sample.clock_s, now_s
-        elif now_s - self._clock_moved_real_s > self._config.stale_after_s:
+            self._clock_value_s, self._clock_moved_s = sample.clock_s, now_s
+        elif now_s - self._clock_moved_s > self._config.stale_after_s:
             self._lose(
                 f"{self._endpoint} answers but its clock stands still at {sample.clock_s:g} s "
-                f"for {now_s - self._clock_moved_real_s:.1f} s"
+                f"for {now_s - self._clock_moved_s:.1f} s"
             )
 
     def _schedule_renewal(self, client: Client) -> None:

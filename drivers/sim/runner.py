@@ -56,11 +56,15 @@ async def run_simulated_machine(
 ) -> None:
     """Run until cancelled; the machine's time 0 is the moment when all faces are there.
 
-    `report` is called each `report_period_s` of simulated time, and once more at the end, with
-    what `MachineReport` describes. With `own_process` the garbage collector is told that all that
-    exists after the start stays, which saves pauses of a tenth of a second. Lines are silent
-    before `first_pass_s` and begin no pass from `until_s` on (both on the clock); when the last
-    pass has gone out a report with `final: true` is made.
+    `report` is called each `report_period_s` of simulated time and once more when cancelled, with
+    `{time_s, nc: {state, macros: {number: value}}, truth: {axis: {uncompensated_um, compensated_um,
+    cutting, uncompensated_max_um, compensated_max_um}}, cycles_sent: {line: n}, cycles_disturbed,
+    bytes_dropped, faults: [kinds that are on]}`; the maxima are of the amount during cuts so far.
+
+    With `own_process` the garbage collector is told that all that exists after the start stays,
+    which saves pauses of a tenth of a second. Lines are silent before `first_pass_s` and begin no
+    pass from `until_s` on (both on the clock); when the last pass has gone out a report with
+    `final: true` is made.
     """
     check_targets(faults, configuration)
     async with _cnc_face(machine, configuration, faults, security) as (endpoint, relay):

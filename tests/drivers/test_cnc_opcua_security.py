@@ -15,7 +15,7 @@ from scripted_machine import GROUPS, PASSWORD, SERVER_URI, Keys, ScriptedNc, cnc
 
 from drivers.clock import SystemClock
 from drivers.cnc_opcua import OpcUaCnc
-from drivers.contract import FatalDriverError, LinkError  # noqa: E402
+from drivers.contract import FatalDriverError, LinkError
 from drivers.opcua_certificates import create_application_certificate
 from drivers.sim.opcua_server import SimulatedCncServer
 

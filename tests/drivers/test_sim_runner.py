@@ -19,6 +19,7 @@ from drivers.clock import ScaledClock, SystemClock
 from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import LinkError
 from drivers.sim.faults import Fault, FaultKind, FaultScriptError
+from drivers.sim.latsis_wire import PHASE_STEP
 from drivers.sim.runner import LARGEST_STEP_S, Ready, run_simulated_machine
 from models.records import Instant
 
@@ -39,7 +40,9 @@ class HandClock(ScaledClock):
 class Running:
     """A running simulated machine and what it has reported."""
 
-    def __init__(self, directory: Path, clock: ScaledClock, *faults: Fault, report_period_s: float = 1.0) -> None:
+    def __init__(
+        self, directory: Path, clock: ScaledClock, *faults: Fault, report_period_s: float = 1.0, **more: Any
+    ) -> None:
         self.machine = ScriptedMachine()
         self.reports: list[dict[str, Any]] = []
         self.ready: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
@@ -55,6 +58,7 @@ class Running:
                 report_period_s=report_period_s,
                 report=self._take,
                 ready=self._is_ready,
+                **more,
             )
         )
         self.on_ready: Callable[[Ready], None] = lambda _: None
@@ -164,6 +168,26 @@ async def test_reports_come_once_per_period(tmp_path: Path) -> None:
                 await asyncio.sleep(0.005)
             await asyncio.sleep(0.03)
     assert [report["time_s"] for report in running.reports] == [0.0, 6.0, 21.0, 25.0]
+    await running.stop()
+
+
+async def test_lines_begin_and_end_on_the_clock_and_the_last_pass_is_told(tmp_path: Path) -> None:
+    clock = HandClock()
+    clock.elapsed_s = -5.0
+    last_begins_s = PHASE_STEP * 10.0 + 50.0
+    running = Running(tmp_path, clock, report_period_s=0.001, first_pass_s=0.0, until_s=last_begins_s + 0.001)
+    await asyncio.wait_for(running.ready, 30)
+    clock.elapsed_s = -0.1
+    quiet = await running.until(lambda report: report["time_s"] >= 4.9)
+    assert quiet["cycles_sent"] == {"spindle": 0, "column": 0}
+    clock.elapsed_s = last_begins_s + 0.01
+    under_way = await running.until(lambda report: report["time_s"] > 5.0 + last_begins_s)
+    assert under_way["cycles_sent"] == {"spindle": 6, "column": 5}
+    assert all("final" not in report for report in running.reports)
+    clock.elapsed_s = 200.0
+    final = await running.until(lambda report: "final" in report)
+    assert final["cycles_sent"] == {"spindle": 6, "column": 6}
+    assert sum("final" in report for report in running.reports) == 1
     await running.stop()
 
 
