@@ -1,0 +1,134 @@
+"""Part programs of the simulated NC, as data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from drivers.sim.heat import RATED_SPEED_RPM
+
+BlockKind = Literal["positioning", "cut", "safe", "idle", "spindle"]
+
+MINUTE_S = 60.0
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """One stretch of a part program."""
+
+    sequence_number: int
+    kind: BlockKind
+    """positioning: the part zero is set here; cut: the tool is in the work; safe: it is away from
+    it; idle: the program is stopped; spindle: the spindle turns and nothing else happens."""
+    duration_s: float
+    spindle_speed_rpm: float = 0.0
+    chiller: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.duration_s > 0:
+            raise ValueError(f"block N{self.sequence_number}: duration_s must be positive, got {self.duration_s}")
+        if not 0 <= self.spindle_speed_rpm <= RATED_SPEED_RPM:
+            raise ValueError(
+                f"block N{self.sequence_number}: {self.spindle_speed_rpm} 1/min is outside 0..{RATED_SPEED_RPM:.0f}"
+            )
+
+    @property
+    def feeding(self) -> bool:
+        """The axes move in this block."""
+        return self.kind in ("positioning", "cut", "safe")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartProgram:
+    """Blocks that run one after the other; after the last it goes on at `repeat_from`."""
+
+    number: int
+    """O number."""
+    blocks: tuple[Block, ...]
+    repeat_from: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.repeat_from < len(self.blocks):
+            raise ValueError(f"program O{self.number}: repeat_from {self.repeat_from} is not one of its blocks")
+
+    def following(self, index: int) -> int:
+        """Return the index of the block after block `index`."""
+        return index + 1 if index + 1 < len(self.blocks) else self.repeat_from
+
+
+POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION = 100, 200, 900, 10, 300
+"""Sequence numbers of the shipped programs."""
+
+
+def demo_program() -> PartProgram:
+    """Return O1000: standstill, then for ever work positioning (N100), 48 min of cuts (N200 ..), a short stop.
+
+    A minute is a cut of 55 s and a safe point (N900) of 5 s; the spindle goes on turning there.
+    """
+    blocks = [
+        Block(sequence_number=STANDSTILL, kind="idle", duration_s=150.0),
+        Block(sequence_number=POSITIONING, kind="positioning", duration_s=20.0),
+    ]
+    speeds = [12000.0] * 20 + [10000.0] * 10 + [8000.0] * 8 + [12000.0] * 10
+    for number, speed_rpm in enumerate(speeds):
+        sequence_number = FIRST_CUT + 10 * number
+        blocks.append(Block(sequence_number=sequence_number, kind="cut", duration_s=55.0, spindle_speed_rpm=speed_rpm))
+        blocks.append(Block(sequence_number=SAFE, kind="safe", duration_s=5.0, spindle_speed_rpm=speed_rpm))
+    blocks.append(Block(sequence_number=STANDSTILL + 10, kind="idle", duration_s=100.0))
+    return PartProgram(number=1000, blocks=tuple(blocks), repeat_from=1)
+
+
+def rotation_program(
+    *, speed_rpm: float = 12000.0, hours: float = 2.0, idle_hours: float = 3.0, idle_reduction: bool = False
+) -> PartProgram:
+    """Return O2000: constant rotation, then idle with (standby) or without (idle reduction) the chiller."""
+    return PartProgram(number=2000, blocks=tuple(_rotation(speed_rpm, hours, idle_hours, idle_reduction)))
+
+
+def stepwise_program(
+    speeds_rpm: Sequence[float], *, minutes_each: float = 20.0, idle_hours: float = 3.0, idle_reduction: bool = False
+) -> PartProgram:
+    """Return O2100: the speeds one after the other, then idle."""
+    blocks = [
+        Block(sequence_number=ROTATION, kind="spindle", duration_s=minutes_each * MINUTE_S, spindle_speed_rpm=speed)
+        for speed in speeds_rpm
+    ]
+    blocks.append(_idle(idle_hours * HOUR_S, idle_reduction))
+    return PartProgram(number=2100, blocks=tuple(blocks))
+
+
+def alternating_program(
+    speeds_rpm: Sequence[float],
+    *,
+    hours: float = 2.0,
+    idle_hours: float = 3.0,
+    idle_reduction: Sequence[bool] = (False,),
+) -> PartProgram:
+    """Return O2200: rotation and idle for each speed; `idle_reduction` is used in turn."""
+    blocks: list[Block] = []
+    for number, speed_rpm in enumerate(speeds_rpm):
+        blocks.extend(_rotation(speed_rpm, hours, idle_hours, idle_reduction[number % len(idle_reduction)]))
+    return PartProgram(number=2200, blocks=tuple(blocks))
+
+
+def switching_program(
+    *,
+    speed_rpm: float = 12000.0,
+    rotation_min: Sequence[float] = (5, 10, 15, 20),
+    idle_min: Sequence[float] = (5, 10, 15),
+) -> PartProgram:
+    """Return O2300: short rotations and stops without the chiller in turn, each pair of durations once."""
+    blocks: list[Block] = []
+    for rotating in rotation_min:
+        for resting in idle_min:
+            blocks.extend(_rotation(speed_rpm, rotating / 60.0, resting / 60.0, True))
+    return PartProgram(number=2300, blocks=tuple(blocks))
+
+
+def _rotation(speed_rpm: float, hours: float, idle_hours: float, idle_reduction: bool) -> list[Block]:
+    turning = Block(sequence_number=ROTATION, kind="spindle", duration_s=hours * HOUR_S, spindle_speed_rpm=speed_rpm)
+    return [turning, _idle(idle_hours * HOUR_S, idle_reduction)]
+
+
+def _idle(duration_s: float, idle_reduction: bool) -> Block:
+    return Block(sequence_number=STANDSTILL, kind="idle", duration_s=duration_s, chiller=not idle_reduction)

@@ -1,0 +1,154 @@
+"""The simulated machine's sensors: places, offsets, lag, quantisation, and the displacement readings."""
+
+import csv
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.schema.temperatures import SensorConfig
+from drivers.sim.day import Day
+from drivers.sim.heat import INDEX
+from drivers.sim.parameters import NODES
+from drivers.sim.plant import Plant
+from drivers.sim.sensor_places import sensor_shares
+from drivers.sim.sensors import CONTACT_LAG_S, OFFSET_LIMIT_K, RotationJump, SensorArray, displacement_reading_um
+
+SENSORS = [
+    *(SensorConfig(id=i, component="Ambient", label="Room") for i in (1, 2, 3, 4)),
+    SensorConfig(id=56, component="Spindle unit", part="Housing", label="A"),
+    SensorConfig(id=93, component="Spindle unit", part="Front cover of the spindle", label="F"),
+    *(SensorConfig(id=i, component="Spindle unit", part="Cast metal") for i in range(75, 87)),
+    SensorConfig(id=278, component="Cooling circuit of chiller", part="Joint for oil going out from chiller"),
+    SensorConfig(id=301, device="MLX90615", component="Spindle unit", part="Spindle nose", label="IR"),
+]
+CONTACT = [row for row, sensor in enumerate(SENSORS) if sensor.device == "TMP102"]
+
+
+def array(machine_seed: int = 1, noise_seed: int = 2) -> SensorArray:
+    return SensorArray(SENSORS, machine_seed=machine_seed, noise_seed=noise_seed)
+
+
+def uniform(degc: float) -> np.ndarray:
+    return np.full(len(NODES), degc)
+
+
+def test_offsets_belong_to_the_machine_and_stay_within_the_data_sheet() -> None:
+    first, same, other = array(1, 2), array(1, 3), array(2, 2)
+    assert np.abs(first.offset_k).max() <= OFFSET_LIMIT_K
+    assert np.ptp(first.offset_k) > 0.3
+    assert (first.offset_k == same.offset_k).all()
+    assert (first.offset_k != other.offset_k).all()
+
+
+@pytest.mark.parametrize("degc", [25.0, 0.0, -25.0])
+def test_codes_are_those_of_the_devices(degc: float) -> None:
+    sensors = array()
+    codes = sensors.codes(sensors.settled(uniform(degc)), 0.0)
+    assert ((codes[CONTACT] >= 0) & (codes[CONTACT] <= 0xFFF)).all()
+    assert (codes[CONTACT] >= 0x800).all() == (degc < 0)
+    assert codes[-1] * 0.02 - 273.15 == pytest.approx(degc, abs=0.7)
+    understood = sensors.degc(codes)
+    assert understood == pytest.approx(degc + sensors.offset_k, abs=0.15)
+    assert (understood[CONTACT] / 0.0625 == np.rint(understood[CONTACT] / 0.0625)).all()
+
+
+def test_data_sheet_examples_of_the_tmp102() -> None:
+    sensors = array()
+    sensors.offset_k[:] = 0.0
+    contact = np.array(CONTACT)
+    for degc, code in ((25.0, 0x190), (-25.0, 0xE70)):
+        codes = sensors.codes(uniform(degc)[: len(SENSORS)], 0.0)
+        assert abs(np.median(codes[contact]) - code) <= 1
+
+
+def test_noise_stays_within_a_conversion_and_changes_between_them() -> None:
+    sensors = array()
+    degc = sensors.settled(uniform(25.0))
+    assert (sensors.codes(degc, 20.0) == sensors.codes(degc, 29.9)).all()
+    assert any((sensors.codes(degc, 20.0) != sensors.codes(degc, 20.0 + 10.0 * k)).any() for k in range(1, 6))
+    again = array()
+    assert (again.codes(degc, 20.0) == sensors.codes(degc, 20.0)).all()
+
+
+def test_contact_sensors_lag_and_the_infrared_hardly() -> None:
+    sensors = array()
+    degc = sensors.settled(uniform(20.0))
+    for _ in range(3):
+        degc = sensors.advance(degc, uniform(30.0), 10.0)
+    reached = (degc - 20.0) / 10.0
+    slowest, fastest = (1 - np.exp(-30.0 / lag_s) for lag_s in reversed(CONTACT_LAG_S))
+    assert ((reached[CONTACT] >= slowest - 1e-9) & (reached[CONTACT] <= fastest + 1e-9)).all()
+    assert reached[-1] > 0.99
+    at_once = sensors.advance(sensors.settled(uniform(20.0)), uniform(30.0), 30.0)
+    assert at_once == pytest.approx(degc)
+
+
+def test_neighbours_differ_and_sensors_read_their_own_component() -> None:
+    shares = sensor_shares(SENSORS)
+    assert shares.sum(axis=1) == pytest.approx(1.0)
+    cast = shares[[row for row, sensor in enumerate(SENSORS) if sensor.part == "Cast metal"]]
+    assert len({tuple(row) for row in cast}) == len(cast)
+    assert shares[0, INDEX["air_low"]] > 0 and shares[0, INDEX["shaft_front"]] == 0
+
+
+def test_no_sensor_sits_inside_shaft_bearings_or_test_bar() -> None:
+    shares = sensor_shares(SENSORS)
+    inside = ["shaft_front", "shaft_rotor", "shaft_rear", "bearing_front", "bearing_rear", "test_bar", "tool"]
+    assert (shares[:, [INDEX[name] for name in inside]] == 0).all()
+
+
+def test_unknown_component_is_named() -> None:
+    with pytest.raises(ValueError, match=r"sensor 7: .* 'Gearbox'"):
+        sensor_shares([SensorConfig(id=7, component="Gearbox")])
+
+
+def test_unknown_sensor_is_refused() -> None:
+    sensors = array()
+    codes = sensors.codes(sensors.settled(uniform(25.0)), 0.0)
+    assert sensors.pick(codes, [301, 1]) == [int(codes[-1]), int(codes[0])]
+    with pytest.raises(KeyError):
+        sensors.pick(codes, [999])
+
+
+def test_displacement_readings_are_quantised_and_repeatable() -> None:
+    true_um = np.linspace(-20.0, 20.0, 6)
+    reading = displacement_reading_um(true_um, 120.0, 5)
+    assert reading == pytest.approx(np.rint(reading * 10) / 10)
+    assert reading == pytest.approx(true_um, abs=0.6)
+    assert (reading == displacement_reading_um(true_um, 120.0, 5)).all()
+
+
+def test_rotation_jump_comes_and_goes_with_rotation() -> None:
+    jump = RotationJump(um={"Z2": 4.0})
+    assert jump.at("Z2", 0.0) == 0.0
+    assert jump.at("Z2", 12000.0) == pytest.approx(4.0, abs=0.01)
+    assert jump.at("Y1", 12000.0) == 0.0
+
+
+def test_published_sensor_list_finds_its_places() -> None:
+    shared = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
+    listing = shared / "reference" / "latsis_sensors.csv"
+    if not listing.exists():
+        pytest.skip(f"no list of the published sensors at {listing}")
+    with listing.open(encoding="utf-8") as file:
+        sensors = [
+            SensorConfig(
+                id=int(row["sensor_id"]),
+                device="MLX90615" if row["device"] == "MLX90615" else "TMP102",
+                component=row["component"],
+                part=row["part"],
+                label=row["label"] or None,
+            )
+            for row in csv.DictReader(file)
+        ]
+    shares = sensor_shares(sensors)
+    assert shares.shape == (302, len(NODES))
+    assert shares.sum(axis=1) == pytest.approx(1.0)
+    covered = Counter(name for name in NODES if shares[:, INDEX[name]].max() > 0.5)
+    assert len(covered) > 30
+    plant = Plant(Day.nominal())
+    sensed = SensorArray(sensors, machine_seed=1, noise_seed=1).settled(plant.cold())
+    assert sensed == pytest.approx(20.0)
