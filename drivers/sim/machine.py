@@ -1,0 +1,154 @@
+"""The simulated machine as its faces see it: body, NC, and the truth about the tool point.
+
+Signs: everything is the tool point relative to the work along the axis. An applied compensation of
++10 um moves the tool point by +10 um, so it cancels an error of -10 um. At work positioning (the
+start of a positioning block) the NC's part zero is set with the machine as it then is, so both
+series of the truth are 0 there: compensated = uncompensated + applied - applied at positioning.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from config.schema.cnc import MacroMapConfig
+from config.schema.compensation import AxisConfig
+from config.schema.temperatures import SensorConfig
+from drivers.sim.body import MachineBody
+from drivers.sim.contract import AxisTruth
+from drivers.sim.day import Day
+from drivers.sim.nc import NumericalControl, RunCode
+from drivers.sim.program import PartProgram
+from drivers.sim.safe_point import SafePointApplication
+from drivers.sim.sensors import RotationJump
+from drivers.sim.structure import Structure
+from models.records import FloatArray
+
+AXES = ("x", "y", "z")
+"""Linear axes of the machine."""
+GUARD_PERIOD_S = 1.0
+"""In a safe point the block of macro variables is read on entry and then once in this time [s]."""
+TOOL_LENGTH_MM = 150.0
+TOOL_EXPANSION_UM_PER_M_K = 11.0
+"""Tool and holder of the shipped programs: steel, from the spindle nose to the tip."""
+
+
+class CfrpMachine:
+    """The machine of the published work, simulated; implements `drivers.sim.contract.SimulatedMachine`."""
+
+    def __init__(
+        self,
+        day: Day,
+        program: PartProgram,
+        sensors: Sequence[SensorConfig],
+        macro_map: MacroMapConfig,
+        axes: Mapping[str, AxisConfig],
+        *,
+        machine_seed: int = 1,
+        tool_length_mm: float = TOOL_LENGTH_MM,
+        tool_expansion_um_per_m_k: float = TOOL_EXPANSION_UM_PER_M_K,
+        structure: Structure | None = None,
+        rotation_jump: RotationJump | None = None,
+    ) -> None:
+        if unknown := sorted(set(axes) - set(AXES)):
+            raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
+        self.body = MachineBody(
+            day,
+            program,
+            sensors,
+            structure=structure,
+            machine_seed=machine_seed,
+            rotation_jump=rotation_jump,
+        )
+        self.time_s = 0.0
+        rng = np.random.default_rng([machine_seed, 31])
+        self._nc = NumericalControl(
+            program=program.number,
+            clock_s=float(rng.uniform(2000.0, 50000.0)),
+            clock_ppm=float(rng.uniform(-30.0, 30.0)),
+            power_on_count=int(rng.integers(100, 1000)),
+            tool_number=1,
+        )
+        self.guard = SafePointApplication(macro_map, axes)
+        self._tool_m = tool_length_mm * 1e-3
+        self._tool_um_per_m_k = tool_expansion_um_per_m_k
+        self._zero: tuple[FloatArray, dict[str, float]] | None = None
+        self._next_guard_s = np.inf
+        self.initialise_macros()
+        self._entered()
+        self._show()
+
+    @property
+    def nc(self) -> NumericalControl:
+        """The NC's state."""
+        return self._nc
+
+    def initialise_macros(self) -> None:
+        """Set block and echo as the commissioning of this machine left them."""
+        self.guard.initialise(self._nc.macros, self._nc.clock_at(self.time_s))
+
+    def advance(self, to_s: float) -> None:
+        """Move physics and NC on to the simulated time `to_s` [s]; a past time is ignored."""
+        if to_s <= self.time_s:
+            return
+        self.body.advance(to_s, leaving=self._run_guard_until, entered=self._entered)
+        self._show()
+
+    def power_cycle(self) -> None:
+        """Switch the NC off and on; the program begins again with its first block, started by a person."""
+        self._nc.power_cycle(self.time_s)
+        self.body.restart_program()
+        self._next_guard_s = np.inf
+        self._entered()
+        self._show()
+
+    def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
+        """Return the register contents of these sensors now; raises KeyError for an unknown sensor."""
+        return self.body.sensors.pick(self.body.register_codes(), sensor_ids)
+
+    def displacement_um(self) -> dict[str, float]:
+        """Return the displacement sensors' readings by channel [um]."""
+        return self.body.displacement_um()
+
+    def truth(self) -> dict[str, AxisTruth]:
+        """Return the tool point's true error per axis; empty before the first work positioning."""
+        if self._zero is None:
+            return {}
+        zero_um, applied_then_um = self._zero
+        error_um = self._tool_point_um() - zero_um
+        cutting = self.body.block.kind == "cut"
+        truth: dict[str, AxisTruth] = {}
+        for axis, uncompensated_um in zip(AXES, error_um.tolist(), strict=True):
+            change_um = self.guard.applied_um.get(axis, 0.0) - applied_then_um.get(axis, 0.0)
+            truth[axis] = AxisTruth(
+                uncompensated_um=uncompensated_um, compensated_um=uncompensated_um + change_um, cutting=cutting
+            )
+        return truth
+
+    def _tool_point_um(self) -> FloatArray:
+        return self.body.structure.tool_point_um(self.body.thermal_nodes(), self._tool_m, self._tool_um_per_m_k)
+
+    def _entered(self) -> None:
+        block = self.body.block
+        self._nc.sequence_number = block.sequence_number
+        if block.kind != "idle":
+            self._nc.run = RunCode.START
+        elif self._nc.run != RunCode.RESET:
+            self._nc.run = RunCode.STOP
+        if block.kind == "positioning":
+            self._zero = (self._tool_point_um(), dict(self.guard.applied_um))
+        self._next_guard_s = np.inf
+        if block.kind == "safe":
+            self._next_guard_s = self.body.time_s
+            self._run_guard_until(np.nextafter(self._next_guard_s, np.inf))
+
+    def _run_guard_until(self, end_s: float) -> None:
+        """Read the block of macro variables at every guard time before `end_s` [s]."""
+        while self._next_guard_s < end_s:
+            self.guard.run(self._nc.macros, self._nc.clock_at(self._next_guard_s))
+            self._next_guard_s += GUARD_PERIOD_S
+
+    def _show(self) -> None:
+        self.time_s = self.body.time_s
+        self._nc.clock_s = self._nc.clock_at(self.time_s)
+        self._nc.spindle_speed_rpm = self.body.spindle_speed_rpm
+        self._nc.motor_temperature_degc = float(round(self.body.motor_degc))
