@@ -14,7 +14,6 @@ from drivers.latsis_frames import Frame, FrameError, FrameFault, FrameParser, fr
 from drivers.latsis_numbering import Numbering, NumberingWatch
 from drivers.latsis_pass import Arrival, LinePass
 from drivers.latsis_values import ChainDecoder, ChainValues
-from models.quality import Reason
 from models.records import Instant, TemperatureCycle, Trace
 
 SILENCE_PERIODS = 0.25
@@ -69,6 +68,7 @@ class CycleAssembler:
         self._synchronised = False
         self._number = 0
         self._last_end = 0
+        self.last_error: FrameError | None = None
         self._missed: Counter[int] = Counter()
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[FrameFault] = Counter()
@@ -110,6 +110,16 @@ class CycleAssembler:
             quarantined=self._watch.quarantined,
             alarm=self._watch.alarm,
         )
+
+    @property
+    def frames(self) -> int:
+        """Count of the frames so far."""
+        return self._counts["frames"]
+
+    @property
+    def quiet_since(self) -> Instant | None:
+        """When the last frame or rejected piece of the pass under way arrived; None between passes."""
+        return None if self._pass is None else self._last_record
 
     @property
     def earliest_end(self) -> int:
@@ -156,12 +166,16 @@ class CycleAssembler:
         return now.monotonic_s - since.monotonic_s > limit_s and now.real_s - since.real_s > MIN_SILENCE_REAL_S
 
     def _arrival(self, frame: Frame) -> Arrival:
+        if len(self._arrivals) == 1:
+            instant = self._arrivals[0][1]
+            return Arrival(frame, instant, instant)
         first = next(instant for end, instant in self._arrivals if end > frame.offset)
         last = next(instant for end, instant in self._arrivals if end >= frame.end)
         return Arrival(frame, first, last)
 
     def _on_error(self, error: FrameError) -> None:
         self._rejected[error.kind] += 1
+        self.last_error = error
         self._reject_count += 1
         if self._reject_count <= NAMED_REJECTS:
             self._rejects.append(error)
@@ -245,14 +259,10 @@ class CycleAssembler:
         unexpected = numbering.below or numbering.displaced_kinds or not assigned
         faults = [self._watch.alarm or self._watch.describe(numbering)] if unexpected else []
         faults += self._faults(line_pass, values)
-        complete = assigned and not any(
-            values.reason[wire_id - self._chain.lowest] in {Reason.NOT_RECEIVED, Reason.DUPLICATE_ID}
-            for wire_id in self._bytes
-            if wire_id not in self._silent
-        )
+        complete = assigned and (values.missing | values.duplicate) <= self._silent
         self._number += 1
         self._counts["complete" if complete else "incomplete"] += 1
-        self._counts["resets"] += int((values.reason == Reason.RESET).sum())
+        self._counts["resets"] += values.resets
         return TemperatureCycle(
             line=self._line.name,
             number=self._number,
@@ -275,27 +285,23 @@ class CycleAssembler:
 
     def _count_missing(self, line_pass: LinePass, values: ChainValues) -> None:
         """Count who is missing; a disturbed pass says nothing about who is silent."""
-        disturbed = bool(self._reject_count or line_pass.displaced)
-        silent = set(self._silent)
-        for wire_id, reason in zip(self._bytes, values.reason, strict=True):
-            if reason != Reason.NOT_RECEIVED:
-                self._missed.pop(wire_id, None)
-            elif not disturbed:
-                self._missed[wire_id] += 1
-                if self._missed[wire_id] >= SILENT_AFTER_CYCLES:
-                    silent.add(wire_id)
+        for wire_id in self._missed.keys() - values.missing:
+            del self._missed[wire_id]
+        if self._reject_count or line_pass.displaced:
+            return
+        self._missed.update(values.missing)
+        silent = frozenset(i for i, cycles in self._missed.items() if cycles >= SILENT_AFTER_CYCLES)
         if silent != self._silent:
-            self._await_all_but(frozenset(silent))
+            self._await_all_but(silent)
 
     def _faults(self, line_pass: LinePass, values: ChainValues) -> list[str]:
         faults = list(values.faults)
         for wire_id, offsets in sorted(line_pass.displaced.items(), reverse=True):
             at = " and ".join(str(offset) for offset in offsets)
             faults.append(f"{self._chain.name(wire_id)} came out of order at byte {at}: its values are dropped")
-        missing = {i for i, reason in zip(self._bytes, values.reason, strict=True) if reason == Reason.NOT_RECEIVED}
-        if lost := missing - self._silent:
+        if lost := values.missing - self._silent:
             faults.append(f"not received: {self._chain.names(lost)}")
-        if silent := missing & self._silent:
+        if silent := values.missing & self._silent:
             faults.append(f"silent and not waited for any more: {self._chain.names(silent)}")
         faults += [str(error) for error in self._rejects]
         if self._reject_count > NAMED_REJECTS:

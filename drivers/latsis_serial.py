@@ -1,0 +1,205 @@
+"""One LATSIS line on a serial port: a reader thread and the assembler of its cycles."""
+
+import asyncio
+import contextlib
+import threading
+from collections import deque
+from collections.abc import AsyncIterator, Sequence
+
+from config.schema.temperatures import LineConfig, SensorConfig
+from drivers.clock import Clock
+from drivers.contract import LinkError
+from drivers.latsis_cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler, LineStatistics
+from drivers.latsis_pacing import ReadPacer
+from drivers.serial_port import SerialPort, StopSignal
+from models.records import Instant, TemperatureCycle
+
+DEAD_LINE_PERIODS = 3.0
+"""Without a frame for so many cycle periods the line is given up, to be opened anew."""
+MIN_DEAD_LINE_REAL_S = 2.0
+"""But never sooner than this, even on a fast simulated clock."""
+CHECK_MARGIN_REAL_S = 0.001
+"""A check for silence comes this much after the silence is long enough."""
+MIN_CHECK_REAL_S = 0.02
+"""Checks never follow each other faster than this."""
+MAX_BACKLOG_READS = 20_000
+"""Reads that may wait for the consumer; over a minute of single bytes at 115200 baud is a stuck consumer."""
+
+
+class LatsisSerialSource:
+    """A LATSIS line (`drivers.contract.TemperatureSource`), to be used once.
+
+    Time-outs of the protocol are seconds of the given clock. The reader thread alone touches the port:
+    it opens it, stamps the bytes as soon as they are read, and closes it.
+    """
+
+    def __init__(
+        self,
+        line: LineConfig,
+        sensors: Sequence[SensorConfig],
+        clock: Clock,
+        *,
+        dead_line_periods: float = DEAD_LINE_PERIODS,
+    ) -> None:
+        self.name = line.name
+        self._line = line
+        self._clock = clock
+        self._dead_line_s = dead_line_periods * line.cycle_period_s
+        self._assembler = CycleAssembler(line, sensors)
+        self._inbox: deque[tuple[bytes, Instant] | Exception] = deque()
+        self._earliest_end = 0
+        self._last_frame = self._last_bytes = clock.now()
+        self._wake = asyncio.Event()
+        self._ended = asyncio.Event()
+        self._check_due = False
+        self._pass_check: asyncio.TimerHandle | None = None
+        self._line_check: asyncio.TimerHandle | None = None
+        self._stop: StopSignal | None = None
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    @property
+    def statistics(self) -> LineStatistics:
+        """A snapshot of what the line has delivered since it was opened."""
+        return self._assembler.statistics
+
+    async def cycles(self) -> AsyncIterator[TemperatureCycle]:
+        """Open the line and yield each cycle as it completes; raises LinkError when the line is lost."""
+        self._start()
+        try:
+            while not self._closed:
+                while self._inbox:
+                    for cycle in self._take(self._inbox.popleft()):
+                        yield cycle
+                for cycle in self._check():
+                    yield cycle
+                self._watch_pass()
+                await self._wake.wait()
+                self._wake.clear()
+        finally:
+            await self.close()
+
+    async def close(self) -> None:
+        """Release the port and end the reader thread. May be called in any state, more than once."""
+        self._closed = True
+        self._wake.set()
+        for timer in (self._pass_check, self._line_check):
+            if timer is not None:
+                timer.cancel()
+        if self._thread is None or self._stop is None:
+            return
+        self._stop.set()
+        await self._ended.wait()
+        self._thread.join()
+
+    def _start(self) -> None:
+        if self._closed or self._thread is not None:
+            raise RuntimeError(f"line {self.name}: a source is used once; build a new one to open the line again")
+        loop = asyncio.get_running_loop()
+        self._last_frame = self._last_bytes = self._clock.now()
+        self._stop = StopSignal()
+        self._thread = threading.Thread(
+            target=self._read_port, args=(loop, self._stop), name=f"latsis-{self.name}", daemon=True
+        )
+        self._thread.start()
+        self._on_line_timer(loop)
+
+    def _on_line_timer(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Have the line checked, and again after a cycle period."""
+        self._check_due = True
+        self._wake.set()
+        delay_s = max(self._line.cycle_period_s / self._clock.speed, MIN_CHECK_REAL_S)
+        self._line_check = loop.call_later(delay_s, self._on_line_timer, loop)
+
+    def _on_pass_timer(self) -> None:
+        """Have the pass under way checked."""
+        self._pass_check = None
+        self._check_due = True
+        self._wake.set()
+
+    def _watch_pass(self) -> None:
+        """See to it that a pass is checked once the line has been silent for long enough."""
+        quiet_since = self._assembler.quiet_since
+        if quiet_since is None or self._pass_check is not None or self._closed:
+            return
+        now = self._clock.now()
+        left_s = SILENCE_PERIODS * self._line.cycle_period_s - (now.monotonic_s - quiet_since.monotonic_s)
+        left_real_s = max(left_s / self._clock.speed, MIN_SILENCE_REAL_S - (now.real_s - quiet_since.real_s))
+        delay_s = max(left_real_s + CHECK_MARGIN_REAL_S, MIN_CHECK_REAL_S)
+        self._pass_check = asyncio.get_running_loop().call_later(delay_s, self._on_pass_timer)
+
+    def _take(self, item: tuple[bytes, Instant] | Exception) -> list[TemperatureCycle]:
+        if isinstance(item, Exception):
+            # What had arrived is delivered first; the error follows when the consumer comes back.
+            if cycles := self._assembler.finish():
+                self._inbox.appendleft(item)
+                return cycles
+            raise item
+        data, arrived = item
+        frames = self._assembler.frames
+        cycles = self._assembler.feed(data, arrived)
+        self._earliest_end = self._assembler.earliest_end
+        self._last_bytes = arrived
+        if self._assembler.frames > frames:
+            self._last_frame = arrived
+        return cycles
+
+    def _check(self) -> list[TemperatureCycle]:
+        """Look for silence: the end of a pass, or of the line."""
+        if not self._check_due:
+            return []
+        self._check_due = False
+        now = self._clock.now()
+        quiet_s = now.monotonic_s - self._last_frame.monotonic_s
+        if quiet_s > self._dead_line_s and now.real_s - self._last_frame.real_s > MIN_DEAD_LINE_REAL_S:
+            self._inbox.append(LinkError(self._why_dead(now, quiet_s)))
+            self._wake.set()
+        return self._assembler.poll(now)
+
+    def _why_dead(self, now: Instant, quiet_s: float) -> str:
+        where = f"line {self.name}: port {self._line.port}"
+        if now.monotonic_s - self._last_bytes.monotonic_s > self._dead_line_s:
+            return (
+                f"{where} has been silent for {quiet_s:.0f} s: check the cable and the power of the nodes "
+                f"(a pass is expected every {self._line.cycle_period_s:g} s)"
+            )
+        return (
+            f"{where} has delivered bytes but no frame for {quiet_s:.0f} s "
+            f"({self._assembler.last_error or 'no line end'}): check `baud` ({self._line.baud}) "
+            f"and the frame grammar (profile {self._line.profile})"
+        )
+
+    def _read_port(self, loop: asyncio.AbstractEventLoop, stop: StopSignal) -> None:
+        """Body of the reader thread."""
+        port: SerialPort | None = None
+        try:
+            port = SerialPort(self._line.port, self._line.baud, f"line {self.name}", stop)
+            self._read_until(loop, port, stop)
+        except Exception as error:
+            # Whatever it is, the consumer gets it: it is raised again in `cycles`.
+            self._inbox.append(error)
+        finally:
+            if port is not None:
+                port.close()
+            stop.release()
+            with contextlib.suppress(RuntimeError):  # the loop has been closed meanwhile
+                loop.call_soon_threadsafe(self._on_thread_end)
+
+    def _read_until(self, loop: asyncio.AbstractEventLoop, port: SerialPort, stop: StopSignal) -> None:
+        pacer = ReadPacer(self._line.baud, self._clock.speed)
+        while not stop.is_set():
+            data = port.read()
+            arrived = self._clock.now()
+            if not data:
+                continue
+            if len(self._inbox) > MAX_BACKLOG_READS:
+                raise LinkError(f"line {self.name}: nobody has taken its bytes for {MAX_BACKLOG_READS} reads")
+            self._inbox.append((data, arrived))
+            loop.call_soon_threadsafe(self._wake.set)
+            pause_s = pacer.pause_real_s(len(data), arrived, self._earliest_end)
+            if pause_s > 0:
+                stop.wait(pause_s)
+
+    def _on_thread_end(self) -> None:
+        self._ended.set()
+        self._wake.set()
