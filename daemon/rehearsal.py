@@ -158,13 +158,16 @@ def _start(
             stderr=log,
             text=True,
         )
+    reports: list[dict[str, Any]] = []
+    threading.Thread(target=_collect, args=(simulator, reports), daemon=True).start()
+    while not reports and simulator.poll() is None and time.monotonic() < epoch_real_s:
+        time.sleep(0.02)
     with (directory / "daemon.log").open("ab") as log:
         daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
     configuration = load_configuration(config_path)
     try:
         client = _connect(configuration.service.socket, daemon, epoch_real_s)
-        running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed)
-        threading.Thread(target=_collect, args=(running,), daemon=True).start()
+        running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
         while time.monotonic() < epoch_real_s - 0.1:
             running.check_alive()
             links = client.ask("status")["links"]
@@ -191,10 +194,10 @@ def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> C
     raise DaemonUnreachableError(f"{path}: no daemon in time")
 
 
-def _collect(running: Rehearsal) -> None:
-    assert running.simulator.stdout is not None
-    for line in running.simulator.stdout:
-        running.reports.append(json.loads(line))
+def _collect(simulator: "subprocess.Popen[str]", reports: list[dict[str, Any]]) -> None:
+    assert simulator.stdout is not None
+    for line in simulator.stdout:
+        reports.append(json.loads(line))
 
 
 def _stop(running: Rehearsal) -> None:

@@ -51,6 +51,7 @@ class Simulation:
                 faults=faults,
                 report_period_s=report_s,
                 report=self._with_channels(report),
+                ready=lambda _: report({"ready": True}),
                 own_process=True,
                 first_pass_s=0.0,
                 until_s=math.inf if until_s is None else until_s,
