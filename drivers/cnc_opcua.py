@@ -259,7 +259,10 @@ class OpcUaCnc:
         except DriverError:
             raise
         except TimeoutError as error:
-            self._lose(f"{self._endpoint} did not answer within {self._config.timeout_s:g} s while {what}", error)
+            self._lose(
+                f"{self._endpoint} did not answer within {self._config.timeout_s:g} s while {what}{self._suspicion()}",
+                error,
+            )
         except InvalidSignature as error:
             raise FatalDriverError(f"{self._endpoint} signs with another key than its certificate's") from error
         except UaStatusCodeError as error:
@@ -268,7 +271,15 @@ class OpcUaCnc:
                 raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
             self._lose(f"{self._endpoint} reported {ua.StatusCode(error.code).name} while {what}", error)
         except (OSError, UaError) as error:
-            self._lose(f"{self._endpoint} was lost while {what}: {error or type(error).__name__}", error)
+            self._lose(
+                f"{self._endpoint} was lost while {what}: {error or type(error).__name__}{self._suspicion()}", error
+            )
+
+    def _suspicion(self) -> str:
+        """Say what a server that breaks off the secure handshake without a word usually means."""
+        if not (self.secure and self._client is not None and not self.identity):
+            return ""
+        return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
 
 
 def _security_of(credentials: OpcUaCredentials | None) -> tuple[ua.MessageSecurityMode, str]:

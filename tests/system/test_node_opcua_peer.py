@@ -1,0 +1,207 @@
+"""OPC UA against a stack that shares no line with ours: node-opcua as client and as server.
+
+Both ways with Basic256Sha256, sign and encrypt, and a user name. The package is installed once into
+a cache (environment variable TOOLPOINT_NODE_CACHE, default ~/.cache/toolpoint-tests).
+"""
+
+import asyncio
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from scripted_machine import (
+    CLIENT_URI,
+    GROUPS,
+    NAMESPACE,
+    PASSWORD,
+    SERVER_URI,
+    USER,
+    Keys,
+    ScriptedNc,
+    cnc_config,
+)
+
+from drivers.clock import SystemClock
+from drivers.cnc_opcua import OpcUaCnc
+from drivers.contract import FatalDriverError, LinkError
+from drivers.sim.opcua_server import SimulatedCncServer
+from models.records import CncMode, CncRun
+
+PEER = Path(__file__).resolve().parent / "node_peer"
+START_TIMEOUT_S = 120.0
+INSTALL_TIMEOUT_S = 600.0
+
+pytestmark = [
+    pytest.mark.wires,
+    pytest.mark.skipif(
+        shutil.which("node") is None or shutil.which("npm") is None, reason="node and npm are not on this computer"
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def node_environment() -> dict[str, str]:
+    """Install the peer once, and return the environment in which node finds it."""
+    package = (PEER / "package.json").read_bytes()
+    default = Path.home() / ".cache" / "toolpoint-tests"
+    cache = Path(os.environ.get("TOOLPOINT_NODE_CACHE", default)) / hashlib.sha256(package).hexdigest()[:16]
+    cache.mkdir(parents=True, exist_ok=True)
+    with (cache / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (cache / "installed").exists():
+            (cache / "package.json").write_bytes(package)
+            command = ["npm", "install", "--no-package-lock", "--ignore-scripts", "--no-audit", "--no-fund"]
+            done = subprocess.run(
+                command, cwd=cache, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
+            )
+            assert done.returncode == 0, f"npm install failed:\n{done.stdout}\n{done.stderr}"
+            (cache / "installed").touch()
+    return os.environ | {"NODE_PATH": str(cache / "node_modules"), "HOME": str(cache), "XDG_CONFIG_HOME": str(cache)}
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
+    return Keys(tmp_path_factory.mktemp("keys"))
+
+
+async def start(script: str, options: dict[str, Any], environment: dict[str, str]) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        "node",
+        str(PEER / script),
+        json.dumps(options),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=None,
+        env=environment,
+    )
+
+
+async def test_node_opcua_as_client_of_the_simulated_cnc(
+    node_environment: dict[str, str], keys: Keys, tmp_path: Path
+) -> None:
+    nc = ScriptedNc()
+    server = SimulatedCncServer(nc, cnc_config(), port=0, security=keys.server_security())
+    await server.start()
+    options = {
+        "endpoint": server.endpoint,
+        "certificate": str(keys.client),
+        "privateKey": str(keys.client_key),
+        "applicationUri": CLIENT_URI,
+        "pki": str(tmp_path / "pki"),
+        "user": USER,
+        "password": PASSWORD,
+        "namespace": NAMESPACE,
+    }
+    client = await start("client.js", options, node_environment)
+    output, _ = await asyncio.wait_for(client.communicate(), START_TIMEOUT_S)
+    await server.stop()
+    assert client.returncode == 0
+    result = json.loads(output.splitlines()[-1])
+    assert "BadUserAccessDenied" in result.pop("wrong_password")
+    assert result == {
+        "application_uri": SERVER_URI,
+        "program": 1000,
+        "speed": 5000.0,
+        "vacant": ["BadNoData", None],
+        "write": "Good",
+        "read_back": 0.0125,
+        "write_echo": "BadUserAccessDenied",
+        "write_state": "BadUserAccessDenied",
+        "write_nan": "BadOutOfRange",
+    }
+    assert nc.macros.written == [(501, 0.0125)]
+
+
+class NodeServer:
+    """node-opcua serving a CNC."""
+
+    def __init__(self, process: asyncio.subprocess.Process, endpoint: str) -> None:
+        self.process = process
+        self.endpoint = endpoint
+
+    async def line(self) -> str:
+        assert self.process.stdout is not None
+        return (await asyncio.wait_for(self.process.stdout.readline(), START_TIMEOUT_S)).decode().strip()
+
+
+@pytest.fixture
+async def node_server(node_environment: dict[str, str], keys: Keys, tmp_path: Path) -> AsyncIterator[NodeServer]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    macros = cnc_config().macros
+    echo = sorted(set(macros.block) - {number for group in GROUPS for number, _ in group})
+    options = {
+        "port": port,
+        "certificate": str(keys.server),
+        "privateKey": str(keys.server_key),
+        "applicationUri": SERVER_URI,
+        "pki": str(tmp_path / "pki"),
+        "trusted": str(keys.client),
+        "user": USER,
+        "password": PASSWORD,
+        "namespace": NAMESPACE,
+        "macros": [number for group in GROUPS for number, _ in group],
+        "echo": echo,
+    }
+    server = NodeServer(await start("server.js", options, node_environment), "")
+    while not server.endpoint.startswith("opc.tcp://"):
+        server.endpoint = await server.line()
+        assert server.process.returncode is None
+    yield server
+    if server.process.returncode is None:
+        server.process.kill()
+    await server.process.communicate()
+
+
+async def test_driver_against_node_opcua_as_server(node_server: NodeServer, keys: Keys, tmp_path: Path) -> None:
+    cnc = OpcUaCnc(cnc_config(node_server.endpoint, security=keys.client_config()), SystemClock())
+    await cnc.connect()
+    assert cnc.identity == SERVER_URI
+    sample = await cnc.read([500, 510])
+    assert (sample.mode, sample.run, sample.alarm) == (CncMode.MEMORY, CncRun.START, False)
+    assert (sample.program, sample.spindle_speed_rpm, sample.motor_temperature_degc) == (1000, 5000.0, 31.5)
+    assert sample.macros == {500: None, 510: None}
+    await cnc.write_macros(GROUPS)
+    assert await cnc.read_macros([500, 503, 505]) == {500: 1.0, 503: 0.0105, 505: 1.0}
+    written = [json.loads(await node_server.line()) for group in GROUPS for _ in group]
+    assert written == [[number, value] for group in GROUPS for number, value in group]
+    with pytest.raises(LinkError, match=r"refused macro variable #510 = 1\.0: Bad"):
+        await cnc.write_macros([[(510, 1.0)]])
+    await asyncio.sleep(0.01)
+    assert (await cnc.read([])).clock_s > sample.clock_s
+    await cnc.close()
+
+    wrong = tmp_path / "wrong"
+    wrong.write_text("wrong")
+    wrong.chmod(0o600)
+    security = keys.client_config(password_file=wrong)
+    with pytest.raises(FatalDriverError, match="refuses the user name or password"):
+        await OpcUaCnc(cnc_config(node_server.endpoint, security=security), SystemClock()).connect()
+
+    strangers = Keys(tmp_path / "strangers")
+    security = keys.client_config(certificate=strangers.client, private_key=strangers.client_key)
+    with pytest.raises((FatalDriverError, LinkError), match="trust"):
+        await OpcUaCnc(cnc_config(node_server.endpoint, security=security, timeout_s=5.0), SystemClock()).connect()
+
+    with pytest.raises(FatalDriverError, match=r"offers .*Basic256Sha256 SignAndEncrypt|accepts no anonymous sessions"):
+        await OpcUaCnc(cnc_config(node_server.endpoint), SystemClock()).connect()
+
+    lost = OpcUaCnc(cnc_config(node_server.endpoint, security=keys.client_config()), SystemClock())
+    await lost.connect()
+    node_server.process.kill()
+    await node_server.process.wait()
+    with pytest.raises(LinkError):
+        await lost.read([])
+    await lost.close()
