@@ -1,0 +1,320 @@
+"""`toolpoint history` and `toolpoint export`: what people and other programs get of the store."""
+
+import csv
+import io
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+import history_records as make
+from history_records import EPOCH_S, SMALL, StillClock
+
+from config.schema.service import HistoryConfig
+from daemon.cli import main
+from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history.export import write_parquet
+from daemon.history.tables import Table
+from models.quality import Reason
+from models.records import WriteOutcome
+
+FROM, TO = "2025-10-09T09:00", "2025-10-09T13:00:00+00:00"
+assert EPOCH_S == 1_760_000_400.0, "2025-10-09T09:00:00Z"
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def fill(path: Path, start_s: float) -> None:
+    """Two hours with something of everything, the first of them packed."""
+    clock = StillClock(start_s)
+    writer = HistoryWriter(path, clock=clock, machine=SMALL)
+    writer.start()
+    for k in range(12):
+        first_s = start_s + 600.0 * k
+        clock.utc_s = first_s + 2
+        spindle = make.cycle("spindle", k + 1, first_s, [23.0 + k / 16, 21.0, np.nan if k == 2 else 22.0])
+        quality, reason = make.codes(3), make.codes(3)
+        if k == 2:
+            quality[2], reason[2] = 2, Reason.NOT_RECEIVED
+        if k == 3:
+            quality[1], reason[1] = 1, Reason.RATE
+        writer.temperatures(make.cleansed(SMALL, spindle, quality, reason), spindle)
+        writer.temperatures(None, make.cycle("bed", k + 1, first_s + 1, [19.0, 18.0625]))
+        writer.cnc_sample(make.cnc_sample(first_s + 1, macros={600: 0.5} if k < 8 else {600: None, 601: 7.0}))
+        writer.estimate(make.estimate(first_s, [1.0 + k, np.nan, -1 / 3]))
+        writer.displacement(
+            make.displacement(first_s, [1 / 3, np.nan, 3.0], reason=np.array([0, 9, 0], dtype=np.uint8))
+        )
+        written = make.macros(k + 1, np.array([0.0, 1 / 3, -2.0]))
+        write_id = writer.write_intent(make.command([0.0, 1 / 3, -2.0]), written, "cycle", None)
+        differs = {"outcome": WriteOutcome.DIFFERS, "read_back": (None, *[value for _, value in written][1:])}
+        if k != 11:
+            writer.write_outcome(write_id, make.receipt(first_s, written, **(differs if k == 4 else {})))
+        writer.event("state", f"[bold] {k}", "somebody")
+    writer.close()
+    assert writer.dropped == {}
+    housekeeping(path, HistoryConfig(pack_after_s=3600.0), start_s + 7200.0)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "history.sqlite"
+    fill(path, EPOCH_S)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recent") / "history.sqlite"
+    fill(path, time.time() - 7000.0)
+    return path
+
+
+def exported(store: Path, what: str, *more: str) -> list[dict[str, str]]:
+    result = run("export", "--store", store, "--what", what, "--from", FROM, "--to", TO, "-o", "-", *more)
+    assert result.exit_code == 0, result.output
+    return list(csv.DictReader(io.StringIO(result.stdout)))
+
+
+class TestExport:
+    def test_temperatures(self, store: Path) -> None:
+        rows = exported(store, "temperatures", "--sensors", "11-12,21")
+        assert list(rows[0]) == ["time_utc", "utc_s", "line", "cycle", "t11_degc", "t12_degc", "t21_degc"]
+        assert len(rows) == 24
+        assert list(rows[0].values()) == [
+            "2025-10-09T09:00:00.000Z",
+            "1760000400.0",
+            "spindle",
+            "1",
+            "21.0",
+            "22.0",
+            "",
+        ]
+        assert list(rows[1].values())[2:] == ["bed", "1", "", "", "19.0"]
+        assert rows[4]["t12_degc"] == "", "nothing was measured there"
+
+    def test_all_sensors_without_a_choice(self, store: Path) -> None:
+        rows = exported(store, "temperatures")
+        assert [name for name in rows[0] if name.endswith("_degc")] == [f"t{i}_degc" for i in (11, 12, 13, 21, 22)]
+        assert rows[2]["t13_degc"] == "23.0625"
+
+    def test_quality_in_words(self, store: Path) -> None:
+        rows = exported(store, "temperatures", "--sensors", "11,12,21", "--quality")
+        assert (rows[4]["t12_quality"], rows[4]["t12_reason"]) == ("missing", "not received")
+        assert (rows[6]["t11_quality"], rows[6]["t11_reason"]) == ("held", "rate")
+        assert (rows[0]["t11_quality"], rows[0]["t11_reason"]) == ("good", "none")
+        assert (rows[1]["t11_quality"], rows[1]["t11_reason"]) == ("", ""), "the bed's cycle"
+
+    def test_cnc_with_macros_that_appear_later(self, store: Path) -> None:
+        rows = exported(store, "cnc")
+        assert [name for name in rows[0] if name.startswith("macro_")] == ["macro_600", "macro_601"]
+        assert [rows[0]["macro_601"], rows[11]["macro_601"], rows[11]["macro_600"]] == ["", "7.0", ""]
+        assert (rows[0]["spindle_speed_rpm"], rows[0]["alarm"], rows[0]["mode"]) == ("6000.0", "0", "memory")
+        assert rows[0]["clock_s"] == "78.0"
+
+    def test_estimates(self, store: Path) -> None:
+        rows = exported(store, "estimates")
+        assert [row["dx_thermal_error_um"] for row in rows] == [f"{1.0 + k}" for k in range(12)]
+        assert (rows[0]["dy_thermal_error_um"], rows[0]["dz_thermal_error_um"]) == ("", "-0.333")
+        assert (rows[0]["Room_degc"], rows[0]["Room_increment_degc"]) == ("21.5", "0.5")
+        assert rows[0]["cycle_time_utc"] == "2025-10-09T09:00:00.000Z"
+        assert float(rows[0]["delay_s"]) == pytest.approx(0.0008)
+
+    def test_displacements(self, store: Path) -> None:
+        rows = exported(store, "displacements")
+        assert (rows[0]["dx_um"], rows[0]["dy_um"]) == ("0.3333333333333333", ""), "exactly as the file had it"
+        assert (rows[0]["dx_reason"], rows[0]["dy_reason"]) == ("none", "overflow")
+        assert rows[0]["source"] == "/srv/logger/today.csv:2"
+
+    def test_writes(self, store: Path) -> None:
+        rows = exported(store, "writes")
+        assert [row["outcome"] for row in rows] == ["verified"] * 4 + ["differs"] + ["verified"] * 6 + ["intended"]
+        assert rows[0]["macro_502"] == rows[0]["macro_502_read_back"] == str(1 / 3 / 1000)
+        assert (rows[4]["macro_500"], rows[4]["macro_500_read_back"]) == ("5.0", "")
+        assert rows[11]["macro_502_read_back"] == "", "nobody knows yet"
+        assert (rows[0]["Y_requested_um"], rows[0]["Y_compensation_um"], rows[0]["Y_applied_um"]) == (
+            "0.417",
+            "0.333",
+            "1.5",
+        )
+        assert float(rows[0]["read_back_delay_s"]) == pytest.approx(0.0016)
+
+    def test_part_of_the_time(self, store: Path) -> None:
+        result = run(
+            *("export", "--store", store, "--what", "cnc", "--from", "2025-10-09T10:00+01:00"),
+            *("--to", "2025-10-09T09:30:00Z", "-o", "-"),
+        )
+        assert len(result.stdout.splitlines()) == 1 + 3
+
+    def test_file_is_complete_or_absent(self, store: Path, tmp_path: Path) -> None:
+        output = tmp_path / "t.csv"
+        result = run("export", "--store", store, "--what", "cnc", "--from", FROM, "--to", TO, "-o", output)
+        assert result.exit_code == 0
+        assert "12 rows of cnc written" in result.stderr
+        assert result.stdout == ""
+        assert len(output.read_text().splitlines()) == 13
+        absent = run(
+            "export", "--store", store, "--what", "cnc", "--from", FROM, "--to", TO, "-o", tmp_path / "no" / "t.csv"
+        )
+        assert absent.exit_code == 2
+        assert "cannot be written (No such file or directory)" in absent.stderr
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["t.csv"]
+
+    def test_relative_time(self, recent: Path, tmp_path: Path) -> None:
+        output = tmp_path / "c.csv"
+        result = run("export", "--store", recent, "--what", "cnc", "--from", "-3h", "-o", output)
+        assert result.exit_code == 0, result.output
+        assert len(output.read_text().splitlines()) == 13
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["--what", "cnc", "--from", "yesterday"], "'yesterday' is no time; write 2026-03-01T08:00"),
+            (["--what", "cnc", "--from", TO, "--to", FROM], "--to (2025-10-09T09:00:00Z) must be later than --from"),
+            (["--what", "cnc", "--from", "-1h"], "no cnc from"),
+            (["--what", "cnc", "--from", FROM, "--sensors", "1"], "go with --what temperatures, not with cnc"),
+            (["--what", "temperatures", "--from", FROM, "--sensors", "11,99"], "the store knows no sensors [99]"),
+            (["--what", "temperatures", "--from", FROM, "--sensors", "1-"], "'1-' is no list of sensors"),
+            (["--what", "temperatures", "--from", FROM, "--sensors", "5-1"], "range 5-1 runs backwards"),
+            (["--what", "weather", "--from", FROM], "'weather' is not one of"),
+            (["--what", "cnc", "--from", FROM, "--format", "parquet"], "cannot go to standard output"),
+        ],
+    )
+    def test_bad_usage(self, store: Path, arguments: list[str], words: str) -> None:
+        result = run("export", "--store", store, "-o", "-", *arguments)
+        assert result.exit_code == 2
+        assert words in result.stderr
+        assert result.stdout == ""
+
+    def test_absent_store(self, tmp_path: Path) -> None:
+        store = tmp_path / "absent.sqlite"
+        result = run("export", "--store", store, "--what", "cnc", "--from", FROM, "-o", "-")
+        assert (result.exit_code, "there is no history store" in result.stderr) == (2, True)
+
+
+class TestParquet:
+    def test_absent_extra_is_named(self, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+        output = tmp_path / "c.parquet"
+        arguments = ("--what", "cnc", "--from", FROM, "--to", TO, "--format", "parquet", "-o", output)
+        result = run("export", "--store", store, *arguments)
+        assert result.exit_code == 2
+        assert "install toolpoint[parquet], or choose --format csv" in result.stderr
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("what", ["temperatures", "displacements", "cnc", "estimates", "writes"])
+    def test_same_content_as_csv(self, store: Path, tmp_path: Path, what: str) -> None:
+        parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+        path = tmp_path / "t.parquet"
+        with HistoryReader(store) as reader:
+            rows = write_parquet(Table(reader, what, EPOCH_S, EPOCH_S + 1e5, quality=True), path)
+        found = parquet.read_table(path)
+        csv_rows = exported(store, what, *(["--quality"] if what == "temperatures" else []))
+        assert found.num_rows == rows == len(csv_rows)
+        assert found.column_names == list(csv_rows[0])
+        assert str(found.schema.field("time_utc").type) == "timestamp[ms, tz=UTC]"
+        for name in found.column_names:
+            for value, text in zip(found.column(name).to_pylist(), (row[name] for row in csv_rows), strict=True):
+                assert (value in (None, "")) == (text == ""), name
+                if isinstance(value, float):
+                    assert value == float(text), name
+
+
+class TestHistory:
+    def test_summary(self, store: Path) -> None:
+        result = run("history", "--store", store, "--json", "-")
+        assert result.exit_code == 0, result.output
+        content = json.loads(result.stdout)
+        assert content["kinds"]["temperatures"] == {
+            "rows": 24,
+            "first_utc": "2025-10-09T09:00:00Z",
+            "last_utc": "2025-10-09T10:50:01Z",
+        }
+        assert {kind: found["rows"] for kind, found in content["kinds"].items()} == {
+            "temperatures": 24,
+            "cnc": 12,
+            "displacements": 12,
+            "estimates": 12,
+            "writes": 12,
+            "events": 12,
+        }
+        assert content["acknowledged_cycle"] == {"spindle": 12, "bed": 12}
+        assert content["writes_without_outcome"] == [12]
+        assert content["sensors"] == 5
+
+    def test_summary_for_people(self, store: Path) -> None:
+        result = run("history", "--store", store)
+        assert result.exit_code == 0
+        assert "writes without a known outcome: [12]" in result.stdout
+        assert "2025-10-09T10:50:01Z" in result.stdout
+
+    @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
+    def test_rows_as_json(self, recent: Path, what: str) -> None:
+        rows = json.loads(run("history", "--store", recent, what, "--last", "3h", "--json", "-").stdout)
+        assert len(rows) == 12
+        expected = {
+            "writes": ("outcome", "verified"),
+            "estimates": ("dy_thermal_error_um", None),
+            "cnc": ("spindle_speed_rpm", 6000.0),
+            "events": ("text", "[bold] 0"),
+        }
+        name, value = expected[what]
+        assert rows[0][name] == value
+        assert rows[0]["time_utc"] < rows[-1]["time_utc"]
+
+    def test_last_limits_the_rows(self, recent: Path) -> None:
+        rows = json.loads(run("history", "--store", recent, "cnc", "--last", "30m", "--json", "-").stdout)
+        assert 1 <= len(rows) <= 4
+
+    @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
+    def test_rows_for_people(self, recent: Path, what: str) -> None:
+        result = run("history", "--store", recent, what, "--last", "3h", "--limit", "5")
+        assert result.exit_code == 0, result.output
+        assert f"{what}: 5 of 12 rows" in result.stdout
+        if what == "events":
+            assert "[bold] 11" in result.stdout, "text is shown as it is, not as markup"
+
+    def test_nothing_in_this_time_says_when_there_was_something(self, store: Path) -> None:
+        result = run("history", "--store", store, "events", "--last", "5m")
+        assert (result.exit_code, result.stdout) == (
+            0,
+            "No events in this time; the newest is of 2025-10-09T10:50:02Z.\n",
+        )
+        assert json.loads(run("history", "--store", store, "events", "--json", "-").stdout) == []
+
+    def test_bad_duration(self, store: Path) -> None:
+        result = run("history", "--store", store, "cnc", "--last", "soon")
+        assert result.exit_code == 2
+        assert "'soon' is no length of time; write 90s, 5m, 1h, 2d or 1w" in result.stderr
+
+    def test_store_of_the_configuration(self, store: Path, tmp_path: Path) -> None:
+        shipped = Path(__file__).resolve().parents[2] / "config" / "cfrpmt.yaml"
+        configured = tmp_path / "machine.yaml"
+        text = shipped.read_text(encoding="utf-8")
+        lines = [line for line in text.splitlines() if "/history.sqlite" not in line]
+        at = next((i for i, line in enumerate(lines) if line.startswith("history:")), None)
+        lines[at : at + 1 if at is not None else None] = [f"history: {{path: {store}}}"] if at is not None else []
+        if at is None:
+            lines.append(f"history: {{path: {store}}}")
+        configured.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        result = run("history", "--config", configured, "--json", "-")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["store"] == str(store)
+
+    def test_store_that_is_being_written(self, tmp_path: Path) -> None:
+        path = tmp_path / "history.sqlite"
+        writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+        writer.start()
+        writer.event("note", "one")
+        writer.submit(lambda _: None).result(30)
+        content = json.loads(run("history", "--store", path, "--json", "-").stdout)
+        writer.close()
+        assert content["kinds"]["events"]["rows"] == 1
