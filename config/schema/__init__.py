@@ -2,7 +2,7 @@
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Section
+from config.schema.base import KeyPath, KeyProblems, Section
 from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
@@ -13,7 +13,7 @@ from config.schema.temperatures import TemperaturesConfig
 class Configuration(Section):
     """Configuration of the daemon for one machine tool."""
 
-    machine: str = Field(min_length=1, description="name of the machine, for people")
+    machine: str = Field(min_length=1, description="name of the machine, for people", examples=["my machining centre"])
     temperatures: TemperaturesConfig = Field(description="LATSIS lines and sensors")
     displacements: DisplacementsConfig | None = Field(
         None, description="displacement sensors; none: the machine has none"
@@ -25,16 +25,20 @@ class Configuration(Section):
 
     @model_validator(mode="after")
     def _cross_check(self) -> "Configuration":
-        axes = set(self.compensation.axes)
-        if axes != set(self.cnc.macros.values):
-            raise ValueError(
-                f"compensation.axes {sorted(axes)} and cnc.macros.values "
-                f"{sorted(self.cnc.macros.values)} must name the same axes"
+        problems: list[tuple[KeyPath, str]] = []
+        axes, valued = set(self.compensation.axes), set(self.cnc.macros.values)
+        if axes != valued:
+            sentence = (
+                f"compensation.axes {sorted(axes)} and cnc.macros.values {sorted(valued)} must name the same axes"
             )
+            problems.append((("cnc", "macros", "values"), sentence))
         labels = set(self.temperatures.labels)
         for name, axis in self.compensation.axes.items():
             if axis.tool_term and (unknown := sorted(set(axis.tool_term.temperatures) - labels)):
-                raise ValueError(f"compensation.axes.{name}.tool_term: no sensor carries the label {unknown}")
+                at: KeyPath = ("compensation", "axes", name, "tool_term", "temperatures")
+                problems.append((at, f"no sensor carries the label {unknown}; there are {sorted(labels)}"))
+        if problems:
+            raise KeyProblems(problems)
         return self
 
 

@@ -6,20 +6,36 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import MacroNumber, Name, Seconds, Section
+from config.schema.base import (
+    ENDPOINT_PATTERN,
+    NUMBER_OR_RANGE_PATTERN,
+    KeyPath,
+    KeyProblems,
+    MacroNumber,
+    Name,
+    Seconds,
+    Section,
+)
 from config.schema.temperatures import expand_ranges
 
-MacroRange = Annotated[str, Field(pattern=r"^\d+(-\d+)?$")]
+MacroRange = Annotated[str, Field(pattern=NUMBER_OR_RANGE_PATTERN)]
 
 
 class OpcUaSecurityConfig(Section):
     """User name and encryption of the OPC UA session."""
 
-    user_name: str = Field(description="user name at the CNC's server")
-    password_file: Path = Field(description="file that holds the password, readable by the daemon only")
-    certificate: Path = Field(description="the daemon's certificate (DER or PEM)")
-    private_key: Path = Field(description="its private key (PEM)")
-    server_certificate: Path = Field(description="the CNC's certificate; no other server is accepted")
+    user_name: str = Field(min_length=1, description="user name at the CNC's server", examples=["toolpoint"])
+    password_file: Path = Field(
+        description="file that holds the password, readable by the daemon only",
+        examples=["/run/credentials/toolpoint.service/cnc-password"],
+    )
+    certificate: Path = Field(
+        description="the daemon's certificate (DER or PEM)", examples=["/etc/toolpoint/pki/toolpoint.der"]
+    )
+    private_key: Path = Field(description="its private key (PEM)", examples=["/etc/toolpoint/pki/toolpoint.pem"])
+    server_certificate: Path = Field(
+        description="the CNC's certificate; no other server is accepted", examples=["/etc/toolpoint/pki/cnc.der"]
+    )
 
 
 class OpcUaNodesConfig(Section):
@@ -38,12 +54,24 @@ class OpcUaNodesConfig(Section):
     tool_number: str = Field("s=ToolNumber", description="tool in the spindle")
     macro: str = Field("s=Macro.{number}", description="macro variable; {number} is replaced")
 
+    @model_validator(mode="after")
+    def _macro_has_number(self) -> "OpcUaNodesConfig":
+        if "{number}" not in self.macro:
+            raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
+        return self
+
 
 class OpcUaConfig(Section):
     """OPC UA connection to the CNC."""
 
-    endpoint: str = Field(pattern=r"^opc\.tcp://", description="opc.tcp://host:port/path")
-    namespace_uri: str = Field(description="namespace that holds the variables")
+    endpoint: str = Field(
+        pattern=ENDPOINT_PATTERN,
+        description="address of the CNC's server: opc.tcp://host:port/path",
+        examples=["opc.tcp://192.168.10.20:4840/cnc"],
+    )
+    namespace_uri: str = Field(
+        min_length=1, description="namespace that holds the variables", examples=["urn:toolpoint:cnc"]
+    )
     nodes: OpcUaNodesConfig = Field(default_factory=OpcUaNodesConfig, description="identifiers of the variables")
     security: OpcUaSecurityConfig | None = Field(
         None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
@@ -57,19 +85,25 @@ class MacroMapConfig(Section):
     """The block of macro variables that carries compensation to the CNC, and its echo."""
 
     writable: list[MacroRange] = Field(
-        description="the only macro variables that may ever be written, as numbers or ranges"
+        description="the only macro variables that may ever be written, as numbers or ranges",
+        examples=[["120", "500-549"]],
     )
-    sequence_a: MacroNumber = Field(description="written first; equal to sequence_b when the block is whole")
-    sequence_b: MacroNumber = Field(description="written last")
+    sequence_a: MacroNumber = Field(
+        description="written first; equal to sequence_b when the block is whole", examples=[500]
+    )
+    sequence_b: MacroNumber = Field(description="written last", examples=[505])
     valid_until: MacroNumber = Field(
-        description="CNC clock until which the block is valid [s]; must lie where power-off clears it (100-199)"
+        description="CNC clock until which the block is valid [s]; must lie where power-off clears it (100-199)",
+        examples=[120],
     )
-    enable: MacroNumber = Field(description="one bit per axis, in the order of compensation.axes")
-    values: dict[Name, MacroNumber] = Field(description="compensation per axis")
-    echo_applied: dict[Name, MacroNumber] = Field(description="what the guard has applied, per axis")
-    echo_time: MacroNumber = Field(description="CNC clock when the guard last ran [s]")
-    echo_status: MacroNumber = Field(description="what the guard did: 0 applied, else its refusal")
-    echo_guard_version: MacroNumber = Field(description="version of the guard macro")
+    enable: MacroNumber = Field(description="one bit per axis, in the order of compensation.axes", examples=[504])
+    values: dict[Name, MacroNumber] = Field(description="compensation per axis", examples=[{"z": 503}])
+    echo_applied: dict[Name, MacroNumber] = Field(
+        description="what the guard has applied, per axis", examples=[{"z": 513}]
+    )
+    echo_time: MacroNumber = Field(description="CNC clock when the guard last ran [s]", examples=[514])
+    echo_status: MacroNumber = Field(description="what the guard did: 0 applied, else its refusal", examples=[515])
+    echo_guard_version: MacroNumber = Field(description="version of the guard macro", examples=[516])
     unit_um: float = Field(1000.0, gt=0, description="micrometres per unit of the value macros (1000: mm)")
     tolerance: float = Field(
         1e-6, ge=1e-8, description="largest difference between written and read back, in the macros' unit"
@@ -77,19 +111,35 @@ class MacroMapConfig(Section):
 
     @model_validator(mode="after")
     def _allowed(self) -> "MacroMapConfig":
-        allowed = self.allowed
-        written = [self.sequence_a, self.sequence_b, self.valid_until, self.enable, *self.values.values()]
-        echoed = [*self.echo_applied.values(), self.echo_time, self.echo_status, self.echo_guard_version]
-        if outside := [number for number in written if number not in allowed]:
-            raise ValueError(f"macro variables outside `writable`: {outside}")
-        numbers = written + echoed
-        if twice := sorted({n for n in numbers if numbers.count(n) > 1}):
-            raise ValueError(f"macro variables used twice: {twice}")
+        problems: list[tuple[KeyPath, str]] = []
+        seen: dict[int, str] = {}
+        for key, number in self._numbers():
+            if number in seen:
+                problems.append((key, f"#{number} is used twice: it is {seen[number]} already"))
+            seen.setdefault(number, ".".join(str(step) for step in key))
+            if not str(key[0]).startswith("echo") and number not in self.allowed:
+                problems.append((key, f"#{number} lies outside `writable` ({', '.join(self.writable)})"))
         if set(self.values) != set(self.echo_applied):
-            raise ValueError("values and echo_applied must name the same axes")
+            problems.append((("echo_applied",), f"must name the same axes as `values`: {sorted(self.values)}"))
         if not 100 <= self.valid_until <= 199:
-            raise ValueError("valid_until must be one of #100-#199, which power-off clears")
+            problems.append((("valid_until",), "must be one of #100-#199, which power-off clears"))
+        if problems:
+            raise KeyProblems(problems)
         return self
+
+    def _numbers(self) -> list[tuple[KeyPath, int]]:
+        """Return every macro with the key that names it: ours first, then the echo."""
+        return [
+            (("sequence_a",), self.sequence_a),
+            (("sequence_b",), self.sequence_b),
+            (("valid_until",), self.valid_until),
+            (("enable",), self.enable),
+            *((("values", axis), number) for axis, number in self.values.items()),
+            *((("echo_applied", axis), number) for axis, number in self.echo_applied.items()),
+            (("echo_time",), self.echo_time),
+            (("echo_status",), self.echo_status),
+            (("echo_guard_version",), self.echo_guard_version),
+        ]
 
     @cached_property
     def allowed(self) -> frozenset[int]:
@@ -123,3 +173,11 @@ class CncConfig(Section):
         3.0, description="without an answer, or with its clock standing still, for this long the link is dead"
     )
     macros: MacroMapConfig = Field(description="macro variables")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "CncConfig":
+        if self.stale_after_s <= self.poll_period_s:
+            raise KeyProblems(
+                [(("stale_after_s",), "must be longer than poll_period_s, or the link always looks dead")]
+            )
+        return self

@@ -1,28 +1,33 @@
 """What may move the machine, how far and how fast."""
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Name, Seconds, Section
+from config.schema.base import KeyProblems, Name, Seconds, Section
+
+SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
 
 
 class ToolTermConfig(Section):
     """Thermal expansion of the tool between the spindle nose and the tool point."""
 
-    length_mm: float = Field(gt=0, description="length from the spindle nose to the tool point [mm]")
+    length_mm: float = Field(gt=0, description="length from the spindle nose to the tool point [mm]", examples=[150.0])
     expansion_um_per_m_k: float = Field(11.0, gt=0, description="expansion coefficient [um/(m K)]")
     temperatures: dict[str, float] = Field(
-        description="sensor labels and their weights; the weighted mean stands for the tool's temperature"
+        description="sensor labels and their weights; the weighted mean stands for the tool's temperature",
+        examples=[{"Nose": 0.5, "Room": 0.5}],
     )
     direction: int = Field(-1, description="+1 or -1: the axis direction in which a longer tool moves its point")
 
     @model_validator(mode="after")
     def _sensible(self) -> "ToolTermConfig":
         if self.direction not in (-1, 1):
-            raise ValueError("direction is +1 or -1")
+            raise KeyProblems([(("direction",), "direction is +1 or -1")])
         if abs(sum(self.temperatures.values()) - 1.0) > 1e-6:
-            raise ValueError("the weights of the tool's temperatures must sum to 1")
+            total = sum(self.temperatures.values())
+            raise KeyProblems([(("temperatures",), f"the weights must sum to 1; they sum to {total:g}")])
         return self
 
 
@@ -30,20 +35,38 @@ class AxisConfig(Section):
     """One axis of the machine. Bound, slew rate and step have no defaults: somebody must choose them."""
 
     estimate: Name | None = Field(
-        None, description="model channel that is this axis' thermal error; none: the axis stays disabled"
+        None,
+        description="model channel that is this axis' thermal error; none: the axis stays disabled",
+        examples=["Z1"],
     )
     tool_term: ToolTermConfig | None = Field(None, description="added for a cutting tool")
-    absolute_bound_um: float = Field(gt=0, le=1000, description="the compensation never exceeds this [um]")
-    slew_um_per_min: float = Field(gt=0, le=100, description="it never moves faster than this [um/min]")
-    step_um: float = Field(gt=0, le=100, description="the guard macro never applies a larger change at once [um]")
+    absolute_bound_um: float = Field(
+        gt=0, le=1000, description="the compensation never exceeds this [um]", examples=[50.0]
+    )
+    slew_um_per_min: float = Field(
+        gt=0, le=100, description="the compensation never moves faster than this [um/min]", examples=[2.0]
+    )
+    step_um: float = Field(
+        gt=0, le=100, description="the guard macro never applies a larger change at once [um]", examples=[5.0]
+    )
     deadband_um: float = Field(0.1, ge=0, description="a smaller change of the request is not written [um]")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "AxisConfig":
+        if self.deadband_um >= self.absolute_bound_um:
+            raise KeyProblems([(("deadband_um",), "must be below absolute_bound_um, or nothing is ever written")])
+        if self.tool_term is not None and self.estimate is None:
+            raise KeyProblems([(("tool_term",), "an axis without `estimate` stays disabled and takes no tool term")])
+        return self
 
 
 class ReferenceConfig(Section):
     """When the thermal error is zero by definition: after work positioning."""
 
-    program: int | None = Field(None, description="O number whose sequence numbers count; none: any program")
-    sequence_numbers: list[int] = Field(
+    program: int | None = Field(
+        None, ge=1, description="O number whose sequence numbers count; none: any program", examples=[1000]
+    )
+    sequence_numbers: list[SequenceNumber] = Field(
         default_factory=list, description="passing one of these N numbers sets the reference"
     )
     mean_s: Seconds = Field(60.0, description="the reference is the mean of this long; so is the model's input")
@@ -63,24 +86,38 @@ class OutputConfig(Section):
     min_confidence: float = Field(
         0.7, ge=0, le=1, description="share of the model's weight that must rest on usable sensors"
     )
-    safe_sequence_numbers: list[int] = Field(
+    safe_sequence_numbers: list[SequenceNumber] = Field(
         default_factory=list, description="N numbers at which the tool is away from the work (safe points)"
     )
 
     @model_validator(mode="after")
     def _ordered(self) -> "OutputConfig":
         if not self.stale_after_s <= self.alarm_after_s <= self.hold_limit_s:
-            raise ValueError("stale_after_s <= alarm_after_s <= hold_limit_s must hold")
+            sentence = "stale_after_s <= alarm_after_s <= hold_limit_s must hold"
+            raise KeyProblems([(("alarm_after_s",), sentence)])
+        if self.validity_s <= self.tick_s:
+            raise KeyProblems([(("validity_s",), "must be longer than tick_s, or the block expires between two ticks")])
         return self
 
 
 class CompensationConfig(Section):
     """From estimate to command."""
 
-    model_file: Path | None = Field(None, description="thermal model (JSON); without it nothing is estimated")
-    commissioning_file: Path | None = Field(
-        None, description="record of the commissioning of this machine; without it nothing is enabled"
+    model_file: Path | None = Field(
+        None,
+        description="thermal model (JSON); without it nothing is estimated",
+        examples=["/etc/toolpoint/model.json"],
     )
-    axes: dict[Name, AxisConfig] = Field(min_length=1, description="the axes, in the order of the enable bits")
+    commissioning_file: Path | None = Field(
+        None,
+        description="record of the commissioning of this machine; without it nothing is enabled",
+        examples=["/etc/toolpoint/commissioning.json"],
+    )
+    axes: dict[Name, AxisConfig] = Field(
+        min_length=1,
+        max_length=9,
+        description="the axes, in the order of the enable bits",
+        examples=[{"z": {"estimate": "Z1", "absolute_bound_um": 50.0, "slew_um_per_min": 2.0, "step_um": 5.0}}],
+    )
     reference: ReferenceConfig = Field(default_factory=ReferenceConfig, description="work positioning")
     output: OutputConfig = Field(default_factory=OutputConfig, description="timing and states")

@@ -1,11 +1,15 @@
 """History, local socket, telemetry and log."""
 
+import os
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from config.schema.base import Days, Seconds, Section
+from config.schema.base import Days, KeyProblems, Seconds, Section
+
+LONGEST_SOCKET_PATH = 107
+"""Bytes that Linux takes for the path of a local socket."""
 
 
 class HistoryConfig(Section):
@@ -24,9 +28,19 @@ class ServiceConfig(Section):
     """The daemon as a service."""
 
     socket: Path = Field(Path("/run/toolpoint/control.sock"), description="local socket for commands")
-    socket_group: str | None = Field(None, description="group that may use the socket; none: the daemon's own")
+    socket_group: str | None = Field(
+        None, description="group that may use the socket; none: the daemon's own", examples=["operators"]
+    )
     http_host: str = Field("127.0.0.1", description="address of /metrics")
     http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; none: no web server")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     retry_min_s: Seconds = Field(0.5, description="first wait before a lost link is tried again")
     retry_max_s: Seconds = Field(30.0, description="longest wait before a lost link is tried again")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "ServiceConfig":
+        if len(os.fsencode(self.socket)) > LONGEST_SOCKET_PATH:
+            raise KeyProblems([(("socket",), f"a local socket's path has at most {LONGEST_SOCKET_PATH} bytes")])
+        if self.retry_min_s > self.retry_max_s:
+            raise KeyProblems([(("retry_min_s",), "must not be longer than retry_max_s")])
+        return self

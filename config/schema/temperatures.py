@@ -5,9 +5,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from config.schema.base import Name, Seconds, Section
+from config.schema.base import RANGE_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
 
-ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=r"^\d+-\d+$")]
+ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]
+
+LONGEST_RANGE = 100_000
+LONGEST_CHAIN = 200
+"""Sensors that one LATSIS line can carry."""
 
 
 class GrammarConfig(Section):
@@ -30,8 +34,12 @@ CHECKED = GrammarConfig(start=":", separator=",", status=True, checksum="sum8", 
 class LineConfig(Section):
     """One LATSIS line on one serial port."""
 
-    name: Name = Field(description="name of the line in logs, history and commands")
-    port: str = Field(description="serial port; prefer /dev/serial/by-id/... or by-path")
+    name: Name = Field(description="name of the line in logs, history and commands", examples=["spindle"])
+    port: str = Field(
+        min_length=1,
+        description="serial port; prefer /dev/serial/by-id/... or by-path",
+        examples=["/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"],
+    )
     baud: int = Field(9600, gt=0, description="baud rate of the port [1/s]")
     profile: Literal["bare", "checked", "custom"] = Field(
         "bare", description="frame grammar: bare (7 byte), checked (16 byte), or custom (give `grammar`)"
@@ -43,25 +51,28 @@ class LineConfig(Section):
     chain: list[ChainEntry] = Field(
         min_length=1,
         description="sensor IDs by position on the chain, position 1 first; '7-12' stands for 7, 8 .. 12",
+        examples=[["1-4"]],
     )
 
     @field_validator("chain")
     @classmethod
     def _limit_chain(cls, chain: list[int | str]) -> list[int | str]:
-        if len(expand_ranges(chain)) > 200:
-            raise ValueError("a LATSIS line carries at most 200 sensors")
+        if (count := len(expand_ranges(chain))) > LONGEST_CHAIN:
+            raise ValueError(f"a LATSIS line carries at most {LONGEST_CHAIN} sensors; this chain names {count}")
         return chain
 
     @model_validator(mode="after")
     def _grammar_matches_profile(self) -> "LineConfig":
         if (self.profile == "custom") != (self.grammar is not None):
-            raise ValueError("give `grammar` with profile custom, and only then")
+            key = "profile" if self.grammar is None else "grammar"
+            raise KeyProblems([((key,), "give `grammar` with profile custom, and only then")])
         highest, limit = self.id_offset + len(self.sensor_ids), 16**self.frame_grammar.id_digits - 1
         if highest > limit:
-            raise ValueError(
+            sentence = (
                 f"the highest ID on the wire would be {highest}, but {self.frame_grammar.id_digits} hexadecimal "
                 f"digits end at {limit}: lower id_offset, shorten the chain, or use a grammar with 3 id_digits"
             )
+            raise KeyProblems([(("chain",), sentence)])
         return self
 
     @cached_property
@@ -84,7 +95,9 @@ def expand_ranges(entries: list[int | str] | list[str] | list[int]) -> list[int]
             continue
         first, last = (int(part) for part in entry.split("-"))
         if last < first:
-            raise ValueError(f"range {entry} runs backwards")
+            raise ValueError(f"the range {entry} runs backwards; write {last}-{first}")
+        if last - first >= LONGEST_RANGE:
+            raise ValueError(f"the range {entry} holds more than {LONGEST_RANGE} numbers")
         numbers.extend(range(first, last + 1))
     return numbers
 
@@ -92,11 +105,13 @@ def expand_ranges(entries: list[int | str] | list[str] | list[int]) -> list[int]
 class SensorConfig(Section):
     """One temperature sensor."""
 
-    id: int = Field(ge=1, description="sensor ID of the machine's documentation")
+    id: int = Field(ge=1, description="sensor ID of the machine's documentation", examples=[1])
     device: Literal["TMP102", "MLX90615"] = Field("TMP102", description="what decodes its value")
-    component: str = Field(description="machine component it sits on")
-    part: str = Field("-", description="part of the component")
-    label: str | None = Field(None, description="sensors with one label are averaged under that name")
+    component: str = Field(min_length=1, description="machine component it sits on", examples=["Spindle unit"])
+    part: str = Field("-", description="part of the component; '-': the whole of it")
+    label: Name | None = Field(
+        None, description="sensors with one label are averaged under that name", examples=["Nose"]
+    )
 
 
 class CleansingConfig(Section):
@@ -121,7 +136,7 @@ class CleansingConfig(Section):
     @model_validator(mode="after")
     def _ordered(self) -> "CleansingConfig":
         if self.min_degc >= self.max_degc:
-            raise ValueError("min_degc must be below max_degc")
+            raise KeyProblems([(("min_degc",), "min_degc must be below max_degc")])
         return self
 
 
@@ -129,27 +144,69 @@ class TemperaturesConfig(Section):
     """Temperature sensors and the lines they hang on."""
 
     lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines")
-    sensors: list[SensorConfig] = Field(min_length=1, description="the sensors, in the machine's order")
+    sensors: list[SensorConfig] = Field(
+        min_length=1,
+        description="the sensors, in the machine's order",
+        examples=[
+            [
+                {"id": 1, "component": "Spindle unit", "label": "Nose"},
+                {"id": 2, "component": "Spindle unit", "part": "Housing", "label": "Nose"},
+                {"id": 3, "component": "Column", "part": "Front"},
+                {"id": 4, "component": "Ambient", "label": "Room"},
+            ]
+        ],
+    )
     cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="what is believed of a temperature")
 
     @model_validator(mode="after")
     def _consistent(self) -> "TemperaturesConfig":
-        known = [sensor.id for sensor in self.sensors]
-        if len(set(known)) != len(known):
-            twice = sorted({i for i in known if known.count(i) > 1})
-            raise ValueError(f"sensor ids listed twice: {twice}")
-        names = [line.name for line in self.lines]
-        if len(set(names)) != len(names):
-            raise ValueError("two lines have the same name")
-        chained = [i for line in self.lines for i in line.sensor_ids]
-        if len(set(chained)) != len(chained):
-            twice = sorted({i for i in chained if chained.count(i) > 1})
-            raise ValueError(f"sensors on two chain positions: {twice}")
-        if missing := sorted(set(chained) - set(known)):
-            raise ValueError(f"chain names sensors that are not listed: {missing}")
-        if unchained := sorted(set(known) - set(chained)):
-            raise ValueError(f"sensors that hang on no chain: {unchained}")
+        problems = [*self._repeated_names(), *self._repeated_sensors(), *self._chain_problems()]
+        for index, line in enumerate(self.lines):
+            if self.cleansing.stale_after_s < line.cycle_period_s:
+                sentence = f"is shorter than the cycle period of line {line.name} ({line.cycle_period_s:g} s)"
+                problems.append(
+                    (("cleansing", "stale_after_s"), f"{sentence}, so that every held value would be stale")
+                )
+            if line.port in {other.port for other in self.lines[:index]}:
+                problems.append((("lines", index, "port"), f"another line uses the port {line.port}"))
+        if problems:
+            raise KeyProblems(problems)
         return self
+
+    def _repeated_names(self) -> list[tuple[KeyPath, str]]:
+        names = [line.name for line in self.lines]
+        return [
+            (("lines", index, "name"), f"two lines have the same name {name!r}")
+            for index, name in enumerate(names)
+            if name in names[:index]
+        ]
+
+    def _repeated_sensors(self) -> list[tuple[KeyPath, str]]:
+        seen: set[int] = set()
+        problems: list[tuple[KeyPath, str]] = []
+        for index, sensor in enumerate(self.sensors):
+            if sensor.id in seen:
+                problems.append((("sensors", index, "id"), f"sensor {sensor.id} is listed twice"))
+            seen.add(sensor.id)
+        return problems
+
+    def _chain_problems(self) -> list[tuple[KeyPath, str]]:
+        known = {sensor.id for sensor in self.sensors}
+        chained: set[int] = set()
+        problems: list[tuple[KeyPath, str]] = []
+        for index, line in enumerate(self.lines):
+            at: KeyPath = ("lines", index, "chain")
+            if twice := sorted({i for i in line.sensor_ids if i in chained or line.sensor_ids.count(i) > 1}):
+                problems.append((at, f"sensors on two chain positions: {twice}"))
+            if missing := sorted(set(line.sensor_ids) - known):
+                problems.append((at, f"the chain names sensors that are not listed: {missing}"))
+            chained |= set(line.sensor_ids)
+        problems += [
+            (("sensors", index, "id"), f"sensor {sensor.id} hangs on no chain")
+            for index, sensor in enumerate(self.sensors)
+            if sensor.id not in chained
+        ]
+        return problems
 
     @cached_property
     def sensor_ids(self) -> tuple[int, ...]:
