@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.columns import Columns
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
@@ -18,6 +17,7 @@ STATE_STYLES = {
     "FAULT": "bold white on red3",
 }
 SPARKS = "▁▂▃▄▅▆▇█"
+SPARK_WIDTH = 36
 
 
 def number(value: float | None, digits: int = 1, unit: str = "") -> str:
@@ -30,11 +30,12 @@ def milliseconds(value: float | None) -> str:
     return "–" if value is None else f"{value * 1e3:.2f} ms"
 
 
-def sparkline(values: Sequence[float], *, low: float, high: float) -> str:
-    """Return the values as a line of block characters between two bounds."""
-    span = (high - low) or 1.0
+def sparkline(values: Sequence[float], *, top: float, width: int = SPARK_WIDTH) -> str:
+    """Return magnitudes as a line of block characters from 0 to `top`, thinned out to `width`."""
+    every = max(1, -(-len(values) // width))
+    shown = values[::-every][::-1]
     steps = len(SPARKS) - 1
-    return "".join(SPARKS[round(min(max((value - low) / span, 0.0), 1.0) * steps)] for value in values)
+    return "".join(SPARKS[round(min(abs(value) / (top or 1.0), 1.0) * steps)] for value in shown)
 
 
 def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "") -> Group:
@@ -43,10 +44,18 @@ def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (
         _header(picture),
         *beside,
         _axes(picture["axes"]),
-        Columns([_temperatures(picture), _cnc(picture), _latency(picture)], expand=True, equal=True),
+        _side_by_side(_temperatures(picture), _cnc(picture), _latency(picture)),
         _links(picture),
         Text(footer, style="dim"),
     )
+
+
+def _side_by_side(*panels: RenderableType) -> Table:
+    table = Table.grid(expand=True)
+    for _ in panels:
+        table.add_column(ratio=1)
+    table.add_row(*panels)
+    return table
 
 
 def _header(picture: Mapping[str, Any]) -> Panel:
@@ -157,18 +166,17 @@ def _links(picture: Mapping[str, Any]) -> Text:
 def truth_panel(report: Mapping[str, Any], trail: Mapping[str, Sequence[tuple[float, float]]]) -> Panel:
     """Return the simulated machine's own account: the tool point with and without compensation."""
     table = Table(expand=True, box=None)
-    for column in ("axis", "without [µm]", "with [µm]", "without, over time", "with, same scale"):
-        table.add_column(column)
+    for column in ("axis", "without [µm]", "with [µm]", "without compensation, over time", "with, same scale"):
+        table.add_column(column, no_wrap=True)
+    top = max((abs(pair[0]) for series in trail.values() for pair in series), default=1.0)
     for axis, truth in report["truth"].items():
-        series = trail.get(axis, ())
-        bounds = [value for pair in series for value in pair] or [0.0]
-        low, high = min(0.0, *bounds), max(0.0, *bounds)
+        series = list(trail.get(axis, ()))
         table.add_row(
             axis,
             number(truth["uncompensated_um"]),
             Text(number(truth["compensated_um"]), style="bold green"),
-            Text(sparkline([pair[0] for pair in series], low=low, high=high), style="red"),
-            Text(sparkline([pair[1] for pair in series], low=low, high=high), style="green"),
+            Text(sparkline([pair[0] for pair in series], top=top), style="red"),
+            Text(sparkline([pair[1] for pair in series], top=top), style="green"),
         )
     minutes = report["time_s"] / 60
     return Panel(
