@@ -1,5 +1,6 @@
 """The schema as a list of knobs, for the sample, the reference page and the loader's sentences."""
 
+import re
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -154,7 +155,8 @@ def _kind(annotation: Any) -> str:
     plain = _plain(annotation)
     origin, arguments = get_origin(plain), get_args(plain)
     if origin is Literal:
-        return "one of " + ", ".join(_quote(choice) for choice in arguments)
+        choices = ", ".join(_quote(choice) for choice in arguments)
+        return f"one of {choices}" if len(arguments) > 1 else f"only {choices}"
     if origin in _UNIONS:
         return " or ".join(_kind(arm) for arm in arguments if arm is not type(None))
     if origin in (list, tuple):
@@ -167,7 +169,8 @@ def _kind(annotation: Any) -> str:
 
 
 def _quote(choice: Any) -> str:
-    return str(choice) if str(choice).isalnum() else f'"{choice}"'.replace("\t", "\\t")
+    text = str(choice).replace("\t", "\\t")
+    return text if re.fullmatch(r"[\w-]+", text) else f'"{text}"'
 
 
 def _bounds(metadata: list[Any]) -> str:

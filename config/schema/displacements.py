@@ -14,7 +14,7 @@ class DisplacementChannelConfig(Section):
     """One displacement channel."""
 
     name: Name = Field(description="name of the channel in history and models", examples=["Z1"])
-    column: str | int = Field(description="header text of its column, or the column's number from 1", examples=["Z1"])
+    column: str | int = Field(description="header text of its column, or the column's number from 1", examples=[2])
     scale_um: float = Field(1.0, description="micrometres per unit of the file, with sign [um]")
 
     @model_validator(mode="after")

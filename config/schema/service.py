@@ -32,7 +32,7 @@ class ServiceConfig(Section):
         None, description="group that may use the socket; none: the daemon's own", examples=["operators"]
     )
     http_host: str = Field("127.0.0.1", description="address of /metrics")
-    http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; none: no web server")
+    http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; null: no web server")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     retry_min_s: Seconds = Field(0.5, description="first wait before a lost link is tried again")
     retry_max_s: Seconds = Field(30.0, description="longest wait before a lost link is tried again")
