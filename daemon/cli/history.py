@@ -12,26 +12,14 @@ import click
 
 from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
 from daemon.cli.history_times import duration, iso, moment, sensor_list
+from daemon.cli.history_view import FAR_FUTURE_S, view
 from daemon.history import HistoryError, HistoryReader
 from daemon.history.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
 from daemon.history.tables import Table
 
-FAR_FUTURE_S = 2.0**40
 KINDS_SHOWN = ("summary", "writes", "events", "estimates", "cnc")
 KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
-HIDDEN = {
-    "utc_s",
-    "cycle_time_utc",
-    "outcome_time_utc",
-    "imputed",
-    "limits_hit",
-    "power_on_count",
-    "clock_s",
-    "work_offset",
-}
-"""Columns that a terminal has no room for; JSON and exports have them."""
-
 store_option = click.option(
     "--store",
     type=click.Path(path_type=Path),
@@ -67,10 +55,11 @@ def history(what: str, config_path: Path, store: Path | None, last_s: float, lim
             if json_path is None:
                 _print_summary(content)
             return
-        rows = rows_of(reader, what, time.time() - last_s)
-        write_json(json_path, rows)
+        from_utc_s = time.time() - last_s
         if json_path is None:
-            _print_rows(reader, what, rows, limit)
+            _print_view(reader, what, from_utc_s, limit)
+        else:
+            write_json(json_path, rows_of(reader, what, from_utc_s))
 
 
 def summary(reader: HistoryReader) -> dict[str, Any]:
@@ -138,32 +127,23 @@ def _print_summary(content: dict[str, Any]) -> None:
         console.print(f"writes without a known outcome: {open_writes}", style="yellow")
 
 
-def _print_rows(reader: HistoryReader, what: str, rows: list[dict[str, Any]], limit: int) -> None:
+def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int) -> None:
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table as RichTable
+    from rich.text import Text
 
+    headings, rows = view(reader, what, from_utc_s)
     if not rows:
         extent = reader.extent(what)
         newest = f"the newest is of {iso(extent[1])}" if extent else "the store has none at all"
         click.echo(f"No {what} in this time; {newest}.")
         return
     shown = rows[-limit:]
-    names = [name for name in shown[0] if name not in HIDDEN and any(row[name] not in (None, "") for row in shown)]
     title = f"{what}: {len(shown)} of {len(rows)} rows" if len(shown) < len(rows) else f"{what}: {len(rows)} rows"
-    table = RichTable(title=title)
-    for name in names:
-        numbers = isinstance(shown[-1][name], int | float)
-        table.add_column(name.replace("_", " "), justify="right" if numbers else "left", overflow="fold")
+    table = RichTable(*headings, title=title)
     for row in shown:
-        table.add_row(*(escape(_short(row[name])) for name in names))
+        table.add_row(*(Text(cell) if isinstance(cell, str) else Text(*cell) for cell in row))
     Console().print(table)
-
-
-def _short(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 @click.command()

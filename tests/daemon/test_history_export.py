@@ -276,11 +276,18 @@ class TestHistory:
 
     @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
     def test_rows_for_people(self, recent: Path, what: str) -> None:
-        result = run("history", "--store", recent, what, "--last", "3h", "--limit", "5")
+        arguments = ["history", "--store", str(recent), what, "--last", "3h", "--limit", "5"]
+        result = CliRunner(env={"COLUMNS": "200"}).invoke(main, arguments)
         assert result.exit_code == 0, result.output
         assert f"{what}: 5 of 12 rows" in result.stdout
-        if what == "events":
-            assert "[bold] 11" in result.stdout, "text is shown as it is, not as markup"
+        shown = {
+            "writes": ("intended", "verified", "X +0.00  Y +0.33  Z -2.00", "X -  Y +1.50  Z -2.25", "1.6"),
+            "estimates": ("dx +12.00  dy -  dz -0.33", "2.50", "inside", "99%", "ref-1"),
+            "cnc": ("O1234 N100", "6000", "41.0", "G54", "#600=vacant  #601=7"),
+            "events": ("[bold] 11", "somebody"),
+        }
+        for text in shown[what]:
+            assert text in result.stdout, "as it is, not as markup"
 
     def test_nothing_in_this_time_says_when_there_was_something(self, store: Path) -> None:
         result = run("history", "--store", store, "events", "--last", "5m")
