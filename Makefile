@@ -1,0 +1,59 @@
+# Two commands matter to a newcomer: `make run` and `make test`.
+# Everything is installed into .venv; a fresh machine needs python3 (3.11 or newer) with venv, and make.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+UV := $(shell command -v uv 2>/dev/null)
+
+ifdef UV
+CREATE = $(UV) venv --quiet --allow-existing --python $(PYTHON) $(VENV)
+INSTALL = $(UV) pip install --quiet --python $(BIN)/python --constraint constraints.txt
+else
+CREATE = $(PYTHON) -m venv $(VENV)
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+endif
+
+.PHONY: run test install lint types layers bundle simulated-model clean
+
+run: $(VENV)/.installed
+	$(BIN)/toolpoint demo
+
+install: $(VENV)/.installed
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-dev
+	$(BIN)/mypy
+
+layers: $(VENV)/.installed-dev
+	$(BIN)/lint-imports
+
+# Fit the model of the simulated machine anew, on simulated days that are not the demo's.
+simulated-model: $(VENV)/.installed
+	$(BIN)/python -P -m daemon.simulated_model
+
+# Everything that an installation without a network needs, in dist/bundle.
+bundle: $(VENV)/.installed
+	$(BIN)/python -m pip wheel --quiet --constraint constraints.txt --wheel-dir dist/bundle .
+	cp -r systemd constraints.txt README.md LICENSE dist/bundle/
+
+$(VENV)/.created:
+	$(CREATE)
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
+	$(INSTALL) --editable .
+	touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
+	$(INSTALL) --editable '.[dev,parquet]'
+	touch $@ $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
