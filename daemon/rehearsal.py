@@ -5,6 +5,7 @@
 
 import contextlib
 import json
+import secrets
 import socket
 import subprocess
 import sys
@@ -21,6 +22,8 @@ import yaml
 from config.loader import load_configuration
 from config.schema import Configuration
 from daemon.control_socket import ControlClient, DaemonUnreachableError
+from drivers.contract import SIMULATED_CNC_IDENTITY
+from drivers.opcua_certificates import create_application_certificate
 
 FIRST_LEAD_S = 4.0
 """The simulated time starts this long after the processes [s]; doubled when they were not ready."""
@@ -40,7 +43,7 @@ def free_port() -> int:
 
 
 def write_rehearsal_configuration(
-    base: dict[str, Any], directory: Path, *, speed: float, http: bool
+    base: dict[str, Any], directory: Path, *, speed: float, http: bool, secure: bool = False
 ) -> tuple[Path, Configuration]:
     """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
 
@@ -54,7 +57,8 @@ def write_rehearsal_configuration(
     base["cnc"]["opcua"] = {
         "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
         "namespace_uri": "urn:toolpoint:cnc",
-        "allow_insecure_writes": True,
+        "allow_insecure_writes": not secure,
+        "security": _keys(directory) if secure else None,
     }
     base["cnc"]["stale_after_s"] = max(3.0, speed)
     output = base["compensation"].setdefault("output", {})
@@ -70,6 +74,28 @@ def write_rehearsal_configuration(
     path = directory / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
     return path, load_configuration(path)
+
+
+def _keys(directory: Path) -> dict[str, str]:
+    """Make certificates, keys and a password for both sides; return the daemon's security section."""
+    for name, uri in (("daemon", "urn:toolpoint:daemon"), ("cnc", SIMULATED_CNC_IDENTITY)):
+        create_application_certificate(
+            directory / f"{name}.der",
+            directory / f"{name}.pem",
+            application_uri=uri,
+            host_name="localhost",
+            server=name == "cnc",
+        )
+    password = directory / "password"
+    password.touch(mode=0o600)
+    password.write_text(secrets.token_urlsafe(24) + "\n", encoding="ascii")
+    return {
+        "user_name": "toolpoint",
+        "password_file": str(password),
+        "certificate": str(directory / "daemon.der"),
+        "private_key": str(directory / "daemon.pem"),
+        "server_certificate": str(directory / "cnc.der"),
+    }
 
 
 @contextlib.contextmanager
@@ -151,9 +177,11 @@ def _start(
     clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
     toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
     common = ["--config", str(config_path), "--simulated-clock", clock]
+    configuration = load_configuration(config_path)
+    keys = ["--server-key", str(directory / "cnc.pem")] if configuration.cnc.opcua.security else []
     with (directory / "simulator.log").open("ab") as log:
         simulator = subprocess.Popen(
-            [*toolpoint, "simulate", *common, "--directory", str(directory), *simulate_arguments],
+            [*toolpoint, "simulate", *common, "--directory", str(directory), *keys, *simulate_arguments],
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
@@ -164,7 +192,6 @@ def _start(
         time.sleep(0.02)
     with (directory / "daemon.log").open("ab") as log:
         daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
-    configuration = load_configuration(config_path)
     try:
         client = _connect(configuration.service.socket, daemon, epoch_real_s)
         running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed, reports)

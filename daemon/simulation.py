@@ -15,6 +15,7 @@ from drivers.sim.contract import SimulatedMachine
 from drivers.sim.day import Day
 from drivers.sim.faults import load_faults
 from drivers.sim.machine import CfrpMachine
+from drivers.sim.opcua_server import ServerSecurity
 from drivers.sim.program import demo_program
 from drivers.sim.recorded import RecordedMachine
 from drivers.sim.runner import run_simulated_machine
@@ -38,7 +39,14 @@ class Simulation:
     clock: ScaledClock
 
     async def run(
-        self, directory: Path, *, faults_path: Path | None, until_s: float | None, report_s: float, report: Report
+        self,
+        directory: Path,
+        *,
+        faults_path: Path | None,
+        until_s: float | None,
+        report_s: float,
+        report: Report,
+        server_key: Path | None = None,
     ) -> None:
         """Run the machine's faces until cancelled; lines speak from simulated time 0 on."""
         try:
@@ -51,6 +59,7 @@ class Simulation:
                 faults=faults,
                 report_period_s=report_s,
                 report=self._with_channels(report),
+                security=self._security(server_key),
                 ready=lambda _: report({"ready": True}),
                 own_process=True,
                 first_pass_s=0.0,
@@ -58,6 +67,18 @@ class Simulation:
             )
         except (ValueError, OSError) as error:
             raise SimulationError(str(error)) from error
+
+    def _security(self, server_key: Path | None) -> ServerSecurity | None:
+        security = self.configuration.cnc.opcua.security
+        if security is None or server_key is None:
+            return None
+        return ServerSecurity(
+            user_name=security.user_name,
+            password=security.password_file.read_text(encoding="utf-8").strip(),
+            certificate=security.server_certificate,
+            private_key=server_key,
+            trusted_clients=(security.certificate,),
+        )
 
     def _with_channels(self, report: Report) -> Report:
         machine = self.machine

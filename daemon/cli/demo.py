@@ -42,6 +42,7 @@ LIVE_PERIOD_S = 0.25
     default=None,
     help="Fault script (YAML) for the simulated machine.",
 )
+@click.option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
 @json_option
 def demo(
     headless: bool,
@@ -49,6 +50,7 @@ def demo(
     speed: float,
     directory: Path | None,
     faults_path: Path | None,
+    secure: bool,
     json_path: str | None,
 ) -> None:
     """Watch a simulated machine tool warm up while the daemon compensates it.
@@ -57,7 +59,7 @@ def demo(
     """
     duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
     with folder_for(directory) as folder:
-        path, _ = write_rehearsal_configuration(_machine(), folder, speed=speed, http=not headless)
+        path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
@@ -81,7 +83,7 @@ def demo(
     sys.exit(1 if failures else 0)
 
 
-def _machine() -> dict[str, Any]:
+def demo_machine() -> dict[str, Any]:
     """Return the published machine's description with the simulated machine's model and commissioning record."""
     from config.machines import shipped_file
 

@@ -49,6 +49,12 @@ from daemon.simulation import SimulationError, recorded_simulation, simulated_da
 )
 @click.option("--until-s", type=float, default=None, help="Send no cycle that would begin after this time [s].")
 @click.option("--report-s", type=float, default=10.0, show_default=True, help="Time between reports [s].")
+@click.option(
+    "--server-key",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Private key of the simulated CNC; it then demands what cnc.opcua.security says.",
+)
 def simulate(
     config_path: Path,
     directory: Path,
@@ -60,6 +66,7 @@ def simulate(
     faults_path: Path | None,
     until_s: float | None,
     report_s: float,
+    server_key: Path | None,
 ) -> None:
     """Run the simulated machine: serial lines, displacement file, OPC UA server; reports as JSON lines."""
     configuration = read_configuration(config_path)
@@ -82,7 +89,16 @@ def simulate(
             if recording is not None
             else simulated_day(configuration, clock, day)
         )
-        asyncio.run(work.run(directory, faults_path=faults_path, until_s=until_s, report_s=report_s, report=report))
+        asyncio.run(
+            work.run(
+                directory,
+                faults_path=faults_path,
+                until_s=until_s,
+                report_s=report_s,
+                report=report,
+                server_key=server_key,
+            )
+        )
     except SimulationError as error:
         refuse(str(error))
     except KeyboardInterrupt:

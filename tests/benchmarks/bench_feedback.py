@@ -1,0 +1,67 @@
+"""From the last byte of a line's cycle to the macro that was read back, in real time, with the whole daemon.
+
+    python tests/benchmarks/bench_feedback.py [--minutes 10] [--period 1] [--secure] [--busy]
+
+Simulated machine and daemon are two processes as in the demo, at speed 1. --period shortens the lines'
+cycle (the source's is 10 s) to gather more samples; --busy loads every core besides. Prints start-up
+time, percentiles of the feedback delay, and memory and CPU of the daemon.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+
+from daemon.cli.demo import demo_machine
+from daemon.demonstration import switch_on, watch
+from daemon.rehearsal import rehearse, write_rehearsal_configuration
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--period", type=float, default=1.0)
+    parser.add_argument("--secure", action="store_true")
+    parser.add_argument("--busy", action="store_true")
+    options = parser.parse_args()
+    base = demo_machine()
+    for line in base["temperatures"]["lines"]:
+        line["cycle_period_s"] = options.period
+        line["baud"] = 115200
+    burners = [
+        subprocess.Popen([sys.executable, "-c", "while True: sum(range(1000))"])
+        for _ in range((os.cpu_count() or 1) if options.busy else 0)
+    ]
+    try:
+        with tempfile.TemporaryDirectory() as name:
+            directory = Path(name)
+            path, _ = write_rehearsal_configuration(base, directory, speed=1.0, http=True, secure=options.secure)
+            with rehearse([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
+                switch_on(running)
+                daemon = psutil.Process(running.daemon.pid)
+                watch(running, 200.0, lambda _: None, 1.0)
+                before, wall_s = daemon.cpu_times(), time.monotonic()
+                watch(running, 200.0 + options.minutes * 60.0, lambda _: None, 10.0)
+                after, wall_s = daemon.cpu_times(), time.monotonic() - wall_s
+                status = running.client.ask("status")
+                cpu_s = after.user + after.system - before.user - before.system
+                feedback = status["latency_s"]["feedback"]
+                print(f"cycle period {options.period:g} s, secure {options.secure}, busy {options.busy}")
+                print("feedback [ms]:", {k: round(v * 1e3, 2) for k, v in feedback.items() if k != "samples"})
+                print("samples:", feedback["samples"], "writes:", status["writes"])
+                print(
+                    f"daemon: RSS {daemon.memory_info().rss / 2**20:.1f} MiB, "
+                    f"CPU {100 * cpu_s / wall_s:.2f} % of a core"
+                )
+    finally:
+        for burner in burners:
+            burner.kill()
+
+
+if __name__ == "__main__":
+    main()
