@@ -11,18 +11,19 @@ from collections.abc import Awaitable, Callable
 import numpy as np
 import structlog
 
-from config.commissioning import CommissioningRecord, commissioning_obstacle
+from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon.cnc_link import CncLink
 from daemon.cnc_session import CncSession
 from daemon.history.writer import HistoryWriter
 from daemon.limits import axis_sources, output_limits
+from daemon.permission import Permission, in_words
 from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
 from daemon.resume import ResumePoint, reference_to_state
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
-from drivers.contract import SIMULATED_CNC_IDENTITY, DriverError, FatalDriverError, LinkError
+from drivers.contract import DriverError, FatalDriverError, LinkError
 from models.axis_map import axis_errors_um
 from models.compensation import (
     NO_REQUEST,
@@ -74,14 +75,13 @@ class ControlTask:
         self._link = link
         self._history = history
         self._telemetry = telemetry
-        self._commissioning = commissioning
-        self._model_obstacle = model_obstacle
+        self._permission = Permission(configuration, clock, commissioning, model_obstacle)
         self._resume = resume
         self._ask_reference = ask_reference
         self._on_tick = on_tick
         self.limits = output_limits(configuration)
         self._sources = axis_sources(configuration)
-        self.modelled = frozenset(source.axis for source in self._sources if source.channel is not None)
+        self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
@@ -112,27 +112,15 @@ class ControlTask:
 
     def request(self, request: OperatorRequest, person: str) -> str:
         """Queue what a person asks for; return why it is refused, '' when it is taken."""
-        refusal = self._why_refused(request)
+        refusal = self._permission.objection(
+            request, self.session.cnc if self.session is not None else None, reached=self.memory is not None
+        )
         if refusal:
-            self._event("refused", f"{_in_words(request)}: {refusal}", person)
+            self._event("refused", f"{in_words(request)}: {refusal}", person)
             return refusal
         self._requests.append((request, person))
         self._wake.set()
         return ""
-
-    def _why_refused(self, request: OperatorRequest) -> str:
-        if self.memory is None:
-            return "the CNC has not been reached yet, so what it applies is unknown"
-        unknown = (request.enable | request.disable) - set(self.limits.axes)
-        if unknown:
-            return f"there is no axis {', '.join(sorted(unknown))}; axes are {', '.join(self.limits.axes)}"
-        if without := sorted(request.enable - self.modelled):
-            return (
-                f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
-                "so it stays disabled"
-            )
-        refusals = self._refusals(request.enable) if request.enable else ()
-        return refusals[0] if refusals else ""
 
     def request_reference(self, person: str) -> str:
         """Set a reference by hand; return why it is refused, '' when it is taken."""
@@ -330,7 +318,7 @@ class ControlTask:
         now_s = self._clock.now().monotonic_s
         request, person = self._take_request()
         if person:
-            self._event("request", _in_words(request), person)
+            self._event("request", in_words(request), person)
         if request.acknowledge:
             self.output_fault = None
             if session is not None:
@@ -362,22 +350,8 @@ class ControlTask:
         return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
 
     def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
-        obstacles = [self._model_obstacle]
         session = self.session
-        if session is not None:
-            if self._clock.speed != 1.0 and session.cnc.identity != SIMULATED_CNC_IDENTITY:
-                obstacles.append("the clock is simulated but the control is not")
-            obstacles.append(
-                commissioning_obstacle(
-                    self._commissioning,
-                    cnc_identity=session.cnc.identity,
-                    macros=self._configuration.cnc.macros,
-                    axes=sorted(axes),
-                )
-            )
-            if not session.cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
-                obstacles.append("the connection is not secure, and cnc.opcua.allow_insecure_writes is not set")
-        return tuple(obstacle for obstacle in obstacles if obstacle)
+        return self._permission.refusals(session.cnc if session is not None else None, axes)
 
     # --- saying what happened ------------------------------------------------------------
 
@@ -411,16 +385,3 @@ class ControlTask:
     def _tick_trace(self) -> Trace:
         now = self._clock.now()
         return Trace(first_byte=now, last_byte=now)
-
-
-def _in_words(request: OperatorRequest) -> str:
-    words = []
-    if request.enable:
-        words.append(f"enable {', '.join(sorted(request.enable))}")
-    if request.disable:
-        words.append(f"disable {', '.join(sorted(request.disable))}")
-    if request.zero:
-        words.append("disable all and retreat to zero")
-    if request.acknowledge:
-        words.append("acknowledge the fault")
-    return "; ".join(words)

@@ -1,0 +1,75 @@
+"""Who and what may move the machine: everything that stands against switching an axis on."""
+
+from config.commissioning import CommissioningRecord, commissioning_obstacle
+from config.schema import Configuration
+from drivers.clock import Clock
+from drivers.contract import SIMULATED_CNC_IDENTITY, Cnc
+from models.compensation import OperatorRequest
+
+
+class Permission:
+    """Denies by default; every refusal says what was refused, why, and what a person can do."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        clock: Clock,
+        commissioning: CommissioningRecord | None,
+        model_obstacle: str,
+    ) -> None:
+        self._configuration = configuration
+        self._clock = clock
+        self._commissioning = commissioning
+        self._model_obstacle = model_obstacle
+        axes = configuration.compensation.axes
+        self._axes = tuple(axes)
+        self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
+
+    def refusals(self, cnc: Cnc | None, axes: frozenset[str]) -> tuple[str, ...]:
+        """Return what stands against compensating these axes, the most fundamental first."""
+        obstacles = [self._model_obstacle]
+        if cnc is not None:
+            if self._clock.speed != 1.0 and cnc.identity != SIMULATED_CNC_IDENTITY:
+                obstacles.append("the clock is simulated but the control is not")
+            obstacles.append(
+                commissioning_obstacle(
+                    self._commissioning,
+                    cnc_identity=cnc.identity,
+                    macros=self._configuration.cnc.macros,
+                    axes=sorted(axes),
+                )
+            )
+            if not cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
+                obstacles.append(
+                    "the connection is not secure: configure cnc.opcua.security, "
+                    "or set cnc.opcua.allow_insecure_writes: true"
+                )
+        return tuple(obstacle for obstacle in obstacles if obstacle)
+
+    def objection(self, request: OperatorRequest, cnc: Cnc | None, *, reached: bool) -> str:
+        """Return why a person's request is refused, '' when it may be taken."""
+        if not reached:
+            return "the CNC has not been reached yet, so what it applies is unknown"
+        if unknown := sorted((request.enable | request.disable) - set(self._axes)):
+            return f"there is no axis {', '.join(unknown)}; axes are {', '.join(self._axes)}"
+        if without := sorted(request.enable - self.modelled):
+            return (
+                f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
+                "so it stays disabled"
+            )
+        refusals = self.refusals(cnc, request.enable) if request.enable else ()
+        return refusals[0] if refusals else ""
+
+
+def in_words(request: OperatorRequest) -> str:
+    """Return a request as a phrase for log and audit."""
+    words = []
+    if request.enable:
+        words.append(f"enable {', '.join(sorted(request.enable))}")
+    if request.disable:
+        words.append(f"disable {', '.join(sorted(request.disable))}")
+    if request.zero:
+        words.append("disable all and retreat to zero")
+    if request.acknowledge:
+        words.append("acknowledge the fault")
+    return "; ".join(words)
