@@ -10,7 +10,7 @@ import pytest
 import pytest_asyncio
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from scripted_machine import GROUPS, NAMESPACE, SERVER_URI, ScriptedNc, cnc_config
+from scripted_machine import GROUPS, NAMESPACE, SERVER_URI, Keys, ScriptedNc, cnc_config
 
 from config.schema.cnc import OpcUaNodesConfig
 from drivers.clock import SystemClock
@@ -285,3 +285,11 @@ async def test_cancelled_connect_leaves_nothing_behind() -> None:
     await listener.wait_closed()
     await asyncio.sleep(0)
     assert all("asyncua/client" not in repr(task) for task in asyncio.all_tasks())
+
+
+async def test_a_server_without_encryption_is_fatal_when_encryption_is_configured(
+    server: SimulatedCncServer, tmp_path: Path
+) -> None:
+    cnc = OpcUaCnc(cnc_config(server.endpoint, security=Keys(tmp_path).client_config()), SystemClock())
+    with pytest.raises(FatalDriverError, match=r"offers None None_, not Basic256Sha256 SignAndEncrypt"):
+        await cnc.connect()

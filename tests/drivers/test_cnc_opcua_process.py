@@ -39,7 +39,9 @@ def serving() -> Iterator[ServingProcess]:
     serving.process.communicate()
 
 
-async def test_frozen_cnc_ends_every_call_and_a_new_driver_works_when_it_thaws(serving: ServingProcess) -> None:
+async def test_frozen_cnc_ends_every_call_until_it_thaws_and_its_death_ends_a_waiting_write(
+    serving: ServingProcess,
+) -> None:
     config = cnc_config(serving.endpoint, timeout_s=0.5)
     patient = cnc_config(serving.endpoint)
     reader, writer = OpcUaCnc(config, SystemClock()), OpcUaCnc(config, SystemClock())
@@ -63,6 +65,13 @@ async def test_frozen_cnc_ends_every_call_and_a_new_driver_works_when_it_thaws(s
     assert (await cnc.read([])).program == 1000
     await cnc.write_macros(GROUPS)
     assert await cnc.read_macros([505]) == {505: 1.0}
+
+    serving.process.send_signal(signal.SIGSTOP)
+    write = asyncio.create_task(cnc.write_macros(GROUPS))
+    await asyncio.sleep(0.05)
+    serving.process.kill()
+    with pytest.raises(LinkError, match="while writing macro variables"):
+        await write
     await cnc.close()
 
 
@@ -79,15 +88,3 @@ async def test_killed_cnc_is_a_lost_link_and_then_refuses(serving: ServingProces
     assert asyncio.all_tasks() == {asyncio.current_task()}
     with pytest.raises(LinkError, match="was lost while connecting"):
         await OpcUaCnc(cnc_config(serving.endpoint), SystemClock()).connect()
-
-
-async def test_cnc_killed_while_a_write_waits_is_a_lost_link(serving: ServingProcess) -> None:
-    cnc = OpcUaCnc(cnc_config(serving.endpoint), SystemClock())
-    await cnc.connect()
-    serving.process.send_signal(signal.SIGSTOP)
-    write = asyncio.create_task(cnc.write_macros(GROUPS))
-    await asyncio.sleep(0.05)
-    serving.process.kill()
-    with pytest.raises(LinkError, match="while writing macro variables"):
-        await write
-    await cnc.close()

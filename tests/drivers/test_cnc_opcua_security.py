@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 import pytest_asyncio
+from asyncua import Client, ua
 from cryptography import x509
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from scripted_machine import GROUPS, PASSWORD, SERVER_URI, Keys, ScriptedNc, cnc_config
+from scripted_machine import GROUPS, PASSWORD, SERVER_URI, USER, Keys, ScriptedNc, cnc_config
 
 from drivers.clock import SystemClock
 from drivers.cnc_opcua import OpcUaCnc
@@ -104,14 +105,6 @@ async def test_anonymous_client_of_a_secure_server_is_fatal(server: SimulatedCnc
         await cnc.connect()
 
 
-async def test_a_server_without_encryption_is_fatal_when_encryption_is_configured(keys: Keys) -> None:
-    plain = SimulatedCncServer(NC, cnc_config(), port=0)
-    await plain.start()
-    with pytest.raises(FatalDriverError, match=r"offers None None_, not Basic256Sha256 SignAndEncrypt"):
-        await driver(plain, keys).connect()
-    await plain.stop()
-
-
 @pytest.mark.parametrize("which", ["password_file", "private_key"])
 async def test_secrets_open_to_everybody_are_refused(
     server: SimulatedCncServer, keys: Keys, tmp_path: Path, which: str
@@ -160,3 +153,17 @@ async def test_certificate_without_application_uri_is_fatal(
     monkeypatch.undo()
     with pytest.raises(FatalDriverError, match="carries no application URI"):
         await driver(server, keys, certificate=certificate, private_key=key).connect()
+
+
+async def test_nobody_is_admitted_without_encryption(server: SimulatedCncServer) -> None:
+    """Not even a client that ignores the list of endpoints and sends user and password in the clear."""
+    client = Client(server.endpoint, timeout=10)
+    await client.connect_socket()
+    await client.send_hello()
+    await client.open_secure_channel()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Client, "find_endpoint", staticmethod(lambda endpoints, *_: endpoints[0]))
+        await client.create_session()
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await client.activate_session(username=USER, password=PASSWORD)
+    client.disconnect_socket()

@@ -12,7 +12,7 @@ import pytest_asyncio
 from asyncua import Client, ua
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from scripted_machine import NAMESPACE, PASSWORD, SERVER_URI, USER, Keys, ScriptedNc, cnc_config
+from scripted_machine import NAMESPACE, SERVER_URI, ScriptedNc, cnc_config
 
 from drivers.sim.opcua_server import SimulatedCncServer
 
@@ -161,21 +161,3 @@ async def test_stop_ends_connections_and_leaves_no_task_and_can_be_repeated() ->
             await asyncio.sleep(0.01)
     await client.disconnect()
     assert asyncio.all_tasks() <= before
-
-
-async def test_secure_server_admits_nobody_without_encryption(tmp_path: Path) -> None:
-    """Not even a client that ignores the list of endpoints and sends user and password in the clear."""
-    keys = Keys(tmp_path)
-    server = SimulatedCncServer(ScriptedNc(), cnc_config(), port=0, security=keys.server_security())
-    await server.start()
-    client = Client(server.endpoint, timeout=10)
-    await client.connect_socket()
-    await client.send_hello()
-    await client.open_secure_channel()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Client, "find_endpoint", staticmethod(lambda endpoints, *_: endpoints[0]))
-        await client.create_session()
-    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
-        await client.activate_session(username=USER, password=PASSWORD)
-    client.disconnect_socket()
-    await server.stop()

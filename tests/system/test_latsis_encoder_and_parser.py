@@ -1,6 +1,6 @@
 """The simulator's encoder and the driver's parser were written apart from each other: they must agree."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.schema.temperatures import GrammarConfig
@@ -18,6 +18,7 @@ GRAMMARS = st.builds(
 )
 
 
+@settings(deadline=None, max_examples=60)
 @given(
     GRAMMARS,
     st.lists(
