@@ -73,8 +73,8 @@ def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
         instance = model.model_validate_json(json.dumps(document.value))
     except ValidationError as error:
         refused = _refusals(error, document, model)
-        known = {fault.path for fault in document.faults}  # their values are unknown: one complaint is enough
-        problems += [_problem(file, *refusal) for refusal in refused if refusal[1] not in known or not refusal[1]]
+        complained = {fault.path for fault in document.faults if fault.path} | {f.position for f in document.faults}
+        problems += [_problem(file, *refusal) for refusal in refused if not complained & {refusal[0], refusal[1]}]
         raise ConfigurationError(problems) from None
     if problems:
         raise ConfigurationError(problems)

@@ -1,0 +1,179 @@
+"""What the schema itself refuses, and at which key it says so."""
+
+from typing import Any
+
+import pytest
+import yaml
+
+from config.json_schema import configuration_json_schema
+from config.loader import ConfigurationError, parse_yaml_model
+from config.reference import configuration_reference
+from config.sample import sample_configuration
+from config.schema import Configuration
+from config.schema.base import FORMS
+from config.schema.temperatures import expand_ranges
+
+
+def changed(path: str, value: Any) -> str:
+    """Return the sample with the value at a dotted path changed; numbers are list indices."""
+    content = yaml.safe_load(sample_configuration())
+    target: Any = content
+    *parents, last = path.split(".")
+    for step in parents:
+        target = target[int(step)] if step.isdigit() else target.setdefault(step, {})
+    target[int(last) if last.isdigit() else last] = value
+    return yaml.safe_dump(content, sort_keys=False)
+
+
+SENSOR = {"component": "Column"}
+LINE = {"name": "second", "port": "/dev/ttyUSB9", "chain": ["1-4"]}
+FILE = {"path": "x.csv", "header": "time"}
+CHANNEL = {"name": "Z1", "column": "Z1"}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "key", "sentence"),
+    [
+        ("temperatures.lines.0.chain", ["4-1"], "temperatures.lines[0].chain", "the range 4-1 runs backwards"),
+        ("temperatures.lines.0.chain", ["1-201"], "temperatures.lines[0].chain", "at most 200 sensors"),
+        ("temperatures.lines.0.chain", ["1-999999999"], "temperatures.lines[0].chain", "more than 100000 numbers"),
+        ("temperatures.lines.0.chain", ["1-4", 2], "temperatures.lines[0].chain", "two chain positions: [2]"),
+        ("temperatures.lines.0.chain", ["1-5"], "temperatures.lines[0].chain", "not listed: [5]"),
+        ("temperatures.lines.0.chain", ["1-3"], "temperatures.sensors[3].id", "sensor 4 hangs on no chain"),
+        ("temperatures.lines.0.id_offset", 252, "temperatures.lines[0].chain", "highest ID on the wire would be 256"),
+        ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
+        ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
+        ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
+        ("temperatures.sensors.0.label", "a b", "temperatures.sensors[0].label", "letters, digits and underscores"),
+        ("temperatures.cleansing.min_degc", 200.0, "temperatures.cleansing.min_degc", "below max_degc"),
+        ("temperatures.cleansing.stale_after_s", 5.0, "temperatures.cleansing.stale_after_s", "cycle period of line"),
+        ("displacements", {"file": FILE, "channels": [CHANNEL, CHANNEL]}, "displacements.channels[1].name", "same"),
+        (
+            "displacements",
+            {"file": {"path": "x"}, "channels": [CHANNEL]},
+            "displacements.channels[0].column",
+            "columns must be given by number",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "time_zone": "Mars/Base"}, "channels": [CHANNEL]},
+            "displacements.file.time_zone",
+            "no time zone 'Mars/Base'",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "time_format": "%Q"}, "channels": [CHANNEL]},
+            "displacements.file.time_format",
+            "no strptime format",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "start": "today", "interval_s": 60.0}, "channels": [CHANNEL]},
+            "displacements.file.start",
+            "no ISO 8601 time",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "start": "x"}, "channels": [CHANNEL]},
+            "displacements.file.start",
+            "start and interval_s go together",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "decimal": ","}, "channels": [CHANNEL]},
+            "displacements.file.decimal",
+            "the same character",
+        ),
+        (
+            "displacements",
+            {"file": FILE, "channels": [{**CHANNEL, "scale_um": 0.0}]},
+            "displacements.channels[0].scale_um",
+            "must not be 0",
+        ),
+        ("cnc.opcua.endpoint", "http://x", "cnc.opcua.endpoint", "an address such as opc.tcp://"),
+        ("cnc.opcua.nodes.macro", "s=Macro", "cnc.opcua.nodes.macro", "must contain {number}"),
+        ("cnc.stale_after_s", 0.5, "cnc.stale_after_s", "longer than poll_period_s"),
+        ("cnc.macros.values.z", 120, "cnc.macros.values.z", "#120 is used twice: it is valid_until already"),
+        ("cnc.macros.enable", 600, "cnc.macros.enable", "#600 lies outside `writable` (120, 500-549)"),
+        ("cnc.macros.valid_until", 520, "cnc.macros.valid_until", "one of #100-#199"),
+        ("cnc.macros.echo_applied", {"y": 520}, "cnc.macros.echo_applied", "the same axes as `values`"),
+        ("cnc.macros.writable", ["500 to 549"], "cnc.macros.writable[0]", 'such as "120" or "500-549"'),
+        ("cnc.macros.writable", [500], "cnc.macros.writable[0]", "must be text"),
+        ("compensation.axes", {}, "compensation.axes", "filled in"),
+        ("compensation.axes.z.estimate", "Z 1", "compensation.axes.z.estimate", "letters, digits and underscores"),
+        ("compensation.axes.z.deadband_um", 50.0, "compensation.axes.z.deadband_um", "nothing is ever written"),
+        ("compensation.output.validity_s", 1.0, "compensation.output.validity_s", "expires between two ticks"),
+        ("compensation.output.alarm_after_s", 5.0, "compensation.output.alarm_after_s", "must hold"),
+        ("service.retry_min_s", 60.0, "service.retry_min_s", "not be longer than retry_max_s"),
+        ("service.socket", "/run/" + "x" * 110, "service.socket", "at most 107 bytes"),
+        ("service.http_port", 70000, "service.http_port", "at most 65535"),
+    ],
+)
+def test_what_cannot_work_is_refused_at_its_key(path: str, value: Any, key: str, sentence: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(changed(path, value), Configuration, "f.yaml")
+    assert any(problem.key == key and sentence in problem.sentence for problem in refused.value.problems), str(
+        refused.value
+    )
+
+
+TOOL = {"length_mm": 100.0, "temperatures": {"Nose": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "sentence"),
+    [
+        ({"temperatures": {"Nose": 0.4, "Room": 0.5}}, ".temperatures", "they sum to 0.9"),
+        ({"temperatures": {"Nowhere": 1.0}}, ".temperatures", "no sensor carries the label ['Nowhere']"),
+        ({"direction": 0}, ".direction", "+1 or -1"),
+        ({"length_mm": -1.0}, ".length_mm", "must be above 0, not -1.0"),
+    ],
+)
+def test_tool_terms_that_cannot_work(change: dict[str, Any], key: str, sentence: str) -> None:
+    text = changed("compensation.axes.z.tool_term", {**TOOL, **change})
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(text, Configuration, "f.yaml")
+    (problem,) = refused.value.problems
+    assert problem.key == f"compensation.axes.z.tool_term{key}"
+    assert sentence in problem.sentence
+
+
+def test_axes_and_macro_values_name_the_same_axes() -> None:
+    axis = {"absolute_bound_um": 1.0, "slew_um_per_min": 1.0, "step_um": 1.0}
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(changed("compensation.axes", {"y": axis}), Configuration, "f.yaml")
+    (problem,) = refused.value.problems
+    assert problem.key == "cnc.macros.values"
+    assert "['y'] and cnc.macros.values ['z'] must name the same axes" in problem.sentence
+
+
+def test_limits_that_move_the_machine_have_no_default() -> None:
+    content = yaml.safe_load(sample_configuration())
+    content["compensation"]["axes"]["z"] = {"estimate": "Z1"}
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
+    missing = {problem.key.rsplit(".")[-1] for problem in refused.value.problems}
+    assert missing == {"absolute_bound_um", "slew_um_per_min", "step_um"}
+
+
+def test_every_pattern_is_put_in_words() -> None:
+    def patterns(node: Any) -> set[str]:
+        if isinstance(node, dict):
+            own = {node["pattern"]} if isinstance(node.get("pattern"), str) else set()
+            named = set(node.get("patternProperties", {}))
+            return own.union(named, *(patterns(value) for value in node.values()))
+        return set().union(*(patterns(item) for item in node)) if isinstance(node, list) else set()
+
+    found = patterns(configuration_json_schema())
+    assert found
+    assert found <= set(FORMS)
+
+
+def test_ranges() -> None:
+    assert expand_ranges([3, "7-9", 1]) == [3, 7, 8, 9, 1]
+
+
+def test_reference_page_names_every_section() -> None:
+    page = configuration_reference()
+    for heading in ("## `temperatures.lines[].grammar`", "## `compensation.axes.<name>.tool_term`", "## `service`"):
+        assert heading in page
