@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import signal
+from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest, ThermalTask
 from daemon.web import serve_metrics
 from drivers.clock import Clock
-from drivers.contract import Cnc
+from drivers.contract import Cnc, LinkError
 from models.records import Reference, TemperatureCycle
 from models.thermal.artifact import model_from_json
 from models.thermal.model import ModelError, ThermalModel
@@ -38,6 +39,8 @@ from models.thermal.model import ModelError, ThermalModel
 log = structlog.get_logger(__name__)
 
 
+STOP_CALLS = 4
+"""The control task may end this many calls to the CNC before it is cancelled."""
 ALIVE_PERIOD_S = 10.0
 """The store is told this often that the daemon lives [s of the wall clock]; a restart measures its outage by it."""
 
@@ -115,6 +118,7 @@ class Daemon:
         healths = [*self._line_health.values(), self._link.health]
         if configuration.displacements is not None:
             healths.append(self._displacement_health)
+        self._socket_health, self._web_health = LinkHealth("local socket"), LinkHealth("metrics")
         self._healths = healths
         self.board = StatusBoard(configuration, clock, self.thermal, self.control, self._telemetry, healths)
         self._commands = CommandDesk(self.board, self.control, axes)
@@ -131,17 +135,8 @@ class Daemon:
                 stop = asyncio.Event()
                 for number in (signal.SIGTERM, signal.SIGINT):
                     loop.add_signal_handler(number, stop.set)
-                running = [tasks.create_task(self.thermal.run()), tasks.create_task(self.control.run())]
-                for line in configuration.temperatures.lines:
-                    running.append(tasks.create_task(self._keep_line(line)))
-                running.append(tasks.create_task(self._keep(self._link.health, self._link.attempt)))
-                if configuration.displacements is not None:
-                    running.append(tasks.create_task(self._keep(self._displacement_health, self._follow_displacements)))
-                desk = ControlSocket(service.socket, service.socket_group, self._commands.handle)
-                running.append(tasks.create_task(desk.run()))
-                if service.http_port is not None:
-                    web = serve_metrics(self._telemetry.registry, service.http_host, service.http_port)
-                    running.append(tasks.create_task(web))
+                controlling = tasks.create_task(self.control.run())
+                running = [tasks.create_task(work) for work in (self.thermal.run(), *self._links())]
                 scheduler.start()
                 gc.collect()
                 gc.freeze()
@@ -149,7 +144,9 @@ class Daemon:
                 log.info("daemon.ready", machine=configuration.machine)
                 await stop.wait()
                 self._service_manager.stopping()
-                for task in running:
+                self.control.stop()
+                await asyncio.wait([controlling], timeout=STOP_CALLS * configuration.cnc.timeout_s)
+                for task in (controlling, *running):
                     task.cancel()
         finally:
             if scheduler.running:
@@ -158,6 +155,35 @@ class Daemon:
             await asyncio.to_thread(self._history.close)
 
     # --- links ---------------------------------------------------------------------------
+
+    def _links(self) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the work that keeps each link alive."""
+        configuration, service = self._configuration, self._configuration.service
+        for line in configuration.temperatures.lines:
+            yield self._keep_line(line)
+        yield self._keep(self._link.health, self._link.attempt)
+        if configuration.displacements is not None:
+            yield self._keep(self._displacement_health, self._follow_displacements)
+        yield self._keep(self._socket_health, self._serve_socket)
+        if service.http_port is not None:
+            yield self._keep(self._web_health, self._serve_web)
+
+    async def _serve_socket(self) -> None:
+        service = self._configuration.service
+        try:
+            self._socket_health.up = True
+            await ControlSocket(service.socket, service.socket_group, self._commands.handle).run()
+        except (OSError, KeyError) as error:
+            raise LinkError(f"service.socket {service.socket} cannot be served: {error}") from error
+
+    async def _serve_web(self) -> None:
+        service = self._configuration.service
+        assert service.http_port is not None
+        try:
+            self._web_health.up = True
+            await serve_metrics(self._telemetry.registry, service.http_host, service.http_port)
+        except OSError as error:
+            raise LinkError(f"service.http_port {service.http_port} cannot be served: {error}") from error
 
     async def _keep(self, health: LinkHealth, attempt: Any) -> None:
         service = self._configuration.service

@@ -41,6 +41,7 @@ class CncSession:
         self._telemetry = telemetry
         self._acceptable = known
         self._sequence = 0
+        self._enabled = False
         self.sample: CncSample | None = None
         self.echo: Echo | None = None
         self.last_write_s = -np.inf
@@ -51,11 +52,17 @@ class CncSession:
         """What our macros may hold: what was written, and what a lost write may have left."""
         return self._acceptable
 
+    @property
+    def enabled(self) -> bool:
+        """The CNC held an enable bit at the latest poll or read-back."""
+        return self._enabled
+
     async def poll(self) -> list[str]:
         """Read state, block and echo; return what is vacant or foreign among our macros."""
         sample = await self.cnc.read(self._block.polled)
         self.sample = sample
         self.echo = self._block.echo(sample.macros)
+        self._enabled = self._block.enabled(sample.macros)
         self._sequence = self._sequence or self._block.sequence(sample.macros)
         if self._acceptable is None:
             return self._adopt(sample)
@@ -110,6 +117,7 @@ class CncSession:
         self._acceptable = {number: (value,) for number, value in macros}
         problems = self._block.differences(self._acceptable, found)
         self.echo = self._block.echo(found)
+        self._enabled = self._block.enabled(found)
         self.last_write_s = now.monotonic_s
         self.last_command = command
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED

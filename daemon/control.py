@@ -83,6 +83,7 @@ class ControlTask:
         self._sources = axis_sources(configuration)
         self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
+        self._stopping = False
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
         self._requests: list[tuple[OperatorRequest, str]] = []
@@ -149,12 +150,17 @@ class ControlTask:
             return np.full(len(self.limits.axes), np.nan)
         return axis_errors_um(self._sources, self._estimate)
 
+    def stop(self) -> None:
+        """End `run` between two pieces of work, so that no block stays half written."""
+        self._stopping = True
+        self._wake.set()
+
     async def run(self) -> None:
-        """Serve for ever: estimates as they come, polls and ticks as they fall due."""
+        """Serve until stopped: estimates as they come, polls and ticks as they fall due."""
         poll_s = max(self._configuration.cnc.poll_period_s, SHORTEST_POLL_REAL_S * self._clock.speed)
         tick_s = max(self._configuration.compensation.output.tick_s, poll_s)
         next_poll_s = next_tick_s = self._clock.now().monotonic_s
-        while True:
+        while not self._stopping:
             await self._sleep_until(next_poll_s)
             now_s = self._clock.now().monotonic_s
             estimate, self._fresh = self._fresh, None
@@ -169,7 +175,7 @@ class ControlTask:
                 await self._guarded(self._act(estimate))
 
     async def _sleep_until(self, until_s: float) -> None:
-        if self._fresh is None and not self._requests:
+        if self._fresh is None and not self._requests and not self._stopping:
             self._wake.clear()
             wait_s = (until_s - self._clock.now().monotonic_s) / self._clock.speed
             if wait_s > 0:
@@ -183,9 +189,6 @@ class ControlTask:
         """Run one piece of work; a lost link ends the session, an unknown exception is a FAULT."""
         try:
             await work
-        except FatalDriverError as error:
-            self.writes["refused"] += 1
-            self._raise_fault(f"a write was refused: {error}")
         except DriverError as error:
             self._link.lost(error if isinstance(error, LinkError) else LinkError(str(error)))
         except Exception as error:
@@ -284,12 +287,17 @@ class ControlTask:
         estimate: ThermalErrorEstimate | None,
     ) -> None:
         self.writes["sent"] += 1
-        receipt = await session.write(
-            command,
-            validity_s=self._configuration.compensation.output.validity_s,
-            trace=trace,
-            cause="estimate" if estimate is not None else "tick",
-        )
+        try:
+            receipt = await session.write(
+                command,
+                validity_s=self._configuration.compensation.output.validity_s,
+                trace=trace,
+                cause="estimate" if estimate is not None else "tick",
+            )
+        except FatalDriverError as error:
+            self.writes["refused"] += 1
+            self._raise_fault(f"a write was refused: {error}")
+            return
         self.receipt = receipt
         if receipt.outcome is not WriteOutcome.VERIFIED:
             self._raise_fault(f"read-back differs: {receipt.detail}")
@@ -307,7 +315,7 @@ class ControlTask:
             or not np.array_equal(last.compensation_um, command.compensation_um)
         )
         if command.state is OutputState.OFF:
-            return changed and last is not None
+            return session.enabled or (changed and last is not None)
         if estimate is not None or changed:
             return True
         age_s = self._clock.now().monotonic_s - session.last_write_s

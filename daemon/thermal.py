@@ -94,12 +94,19 @@ class ThermalTask:
         """Serve the inbox for ever."""
         while True:
             item = await self.inbox.get()
-            if isinstance(item, TemperatureCycle):
-                self._on_cycle(item)
-            elif isinstance(item, ReferenceRequest):
-                self._set_reference(item)
-            else:
-                self._reference = item
+            try:
+                self._take(item)
+            except Exception:
+                # A defect here must not stop the output: without estimates it holds, and says so.
+                log.exception("thermal.defect")
+
+    def _take(self, item: TemperatureCycle | ReferenceRequest | Reference) -> None:
+        if isinstance(item, TemperatureCycle):
+            self._on_cycle(item)
+        elif isinstance(item, ReferenceRequest):
+            self._set_reference(item)
+        else:
+            self._reference = item
 
     def _model_order(self, model: ThermalModel | None, position: dict[int, int]) -> npt.NDArray[np.intp] | None:
         if model is None:
