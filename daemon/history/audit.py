@@ -24,11 +24,12 @@ def _record(frame: Frame, index: int) -> WriteRecord:
 
     written = frame.mapping("macros").row(index) or {}
     outcome = WriteOutcome(int(frame.integers("outcome")[index]))
-    outcome_ms, sequence = number("outcome_utc_ms"), number("sequence")
+    utc_ms = int(frame.integers("utc_ms")[index])
+    after_ms, age_ms, sequence = number("outcome_after_ms"), number("cycle_age_ms"), number("sequence")
     delays_us = {stage: number(f"{stage}_us") for stage in STAGES}
     return WriteRecord(
         write_id=int(frame.integers("write_id")[index]),
-        time_s=int(frame.integers("utc_ms")[index]) / 1e3,
+        time_s=utc_ms / 1e3,
         cause=frame.texts("cause")[index] or "",
         person=frame.texts("person")[index],
         state=frame.texts("state")[index],
@@ -43,7 +44,8 @@ def _record(frame: Frame, index: int) -> WriteRecord:
         detail=frame.texts("detail")[index],
         read_back=_read_back(frame, index, written) if outcome is not WriteOutcome.INTENDED else (),
         applied_um=frame.mapping("applied_um").row(index) or {},
-        outcome_time_s=None if outcome_ms is None else outcome_ms / 1e3,
+        outcome_time_s=None if after_ms is None else (utc_ms + after_ms) / 1e3,
+        cycle_time_s=None if age_ms is None else (utc_ms - age_ms) / 1e3,
         delay_s={stage: us / 1e6 for stage, us in delays_us.items() if us is not None},
     )
 

@@ -27,6 +27,12 @@ def texts_of(frame: Frame, name: str) -> tuple[str, ...]:
     return tuple(text or "" for text in frame.texts(name))
 
 
+def increments_of(frame: Frame) -> dict[str, FloatArray]:
+    """Return each label's change since the reference [K]."""
+    now, at_reference = frame.mapping("label_degc").values, frame.mapping("label_reference_degc").values
+    return {label: np.round(now[label] - before, 3) for label, before in at_reference.items()}
+
+
 def in_order(frame: Frame, from_ms: int, to_ms: int) -> Frame:
     """Return the rows from <= time < to, in order of time."""
     times_ms = frame.integers("utc_ms")

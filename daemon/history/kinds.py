@@ -69,7 +69,7 @@ ESTIMATES = Kind(
         *_texts("line"),
         _relative("cycle_utc_ms"),
         *_numbers("delay_us"),
-        *_mappings("thermal_error_um band_um label_degc label_increment_degc"),
+        *_mappings("thermal_error_um band_um label_degc label_reference_degc"),
         *_integers("in_domain"),
         *_numbers("confidence"),
         *_texts("imputed model_id reference_id"),
@@ -90,7 +90,7 @@ WRITES = Kind(
         *_numbers("sequence"),
         *_texts("detail"),
         *_mappings("read_back applied_um"),
-        *_numbers("outcome_utc_ms cycle_utc_ms line_ms cleansed_us estimated_us written_us read_back_us"),
+        *_numbers("outcome_after_ms cycle_age_ms cleansed_us estimated_us written_us read_back_us"),
     ),
 )
 

@@ -13,7 +13,15 @@ import numpy as np
 from daemon.history.audit import write_records
 from daemon.history.database import HOUR_MS, connect_reader
 from daemon.history.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
-from daemon.history.joining import in_order, merge_cycles, ms_from_s, reference_from_row, texts_of, time_s_of
+from daemon.history.joining import (
+    in_order,
+    increments_of,
+    merge_cycles,
+    ms_from_s,
+    reference_from_row,
+    texts_of,
+    time_s_of,
+)
 from daemon.history.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
 from daemon.history.packing import cycle_block, id_column
 from daemon.history.series import (
@@ -166,7 +174,7 @@ class HistoryReader:
             thermal_error_um=frame.mapping("thermal_error_um").values,
             band_um=frame.mapping("band_um").values,
             label_degc=frame.mapping("label_degc").values,
-            label_increment_degc=frame.mapping("label_increment_degc").values,
+            label_increment_degc=increments_of(frame),
             in_domain=frame.integers("in_domain").astype(bool),
             confidence=frame.numbers("confidence"),
             imputed=tuple(tuple(json.loads(text)) for text in texts_of(frame, "imputed")),

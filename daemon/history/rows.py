@@ -45,7 +45,7 @@ INSERT_CNC = _insert(
 INSERT_DISPLACEMENT = _insert("displacements", "utc_ms um reasons source")
 INSERT_ESTIMATE = _insert(
     "estimates",
-    "utc_ms monotonic_ms line cycle_utc_ms delay_us thermal_error_um band_um label_degc label_increment_degc "
+    "utc_ms monotonic_ms line cycle_utc_ms delay_us thermal_error_um band_um label_degc label_reference_degc "
     "in_domain confidence imputed model_id reference_id",
 )
 INSERT_INTENT = _insert(
@@ -53,8 +53,9 @@ INSERT_INTENT = _insert(
     "write_id utc_ms monotonic_ms cause person state reason requested_um compensation_um enable limits_hit macros",
 )
 UPDATE_OUTCOME = (
-    "UPDATE writes SET outcome = ?, sequence = ?, detail = ?, read_back = ?, applied_um = ?, outcome_utc_ms = ?, "
-    "cycle_utc_ms = ?, line_ms = ?, cleansed_us = ?, estimated_us = ?, written_us = ?, read_back_us = ? "
+    "UPDATE writes SET outcome = ?, sequence = ?, detail = ?, read_back = ?, applied_um = ?, "
+    "outcome_after_ms = ? - utc_ms, cycle_age_ms = utc_ms - ?, "
+    "cleansed_us = ?, estimated_us = ?, written_us = ?, read_back_us = ? "
     "WHERE write_id = ?"
 )
 INSERT_EVENT = _insert("events", "utc_ms monotonic_ms kind text person")
@@ -155,6 +156,8 @@ def estimate_row(estimate: ThermalErrorEstimate) -> Parameters:
     """Return one estimate."""
     trace = estimate.trace
     ready = trace.estimated or trace.last_byte
+    # The temperatures at the reference stay the same number from one estimate to the next; increments do not.
+    labels = [key for key in estimate.label_increment_degc if key in estimate.label_degc]
     return (
         *_times(ready),
         estimate.line,
@@ -163,7 +166,7 @@ def estimate_row(estimate: ThermalErrorEstimate) -> Parameters:
         _mapping(estimate.channels, estimate.thermal_error_um, 3),
         _mapping(estimate.channels, estimate.band_um, 3),
         _mapping(estimate.label_degc, estimate.label_degc.values(), 3),
-        _mapping(estimate.label_increment_degc, estimate.label_increment_degc.values(), 3),
+        _mapping(labels, (estimate.label_degc[key] - estimate.label_increment_degc[key] for key in labels), 3),
         int(estimate.in_domain),
         _number(estimate.confidence, 4),
         _json(estimate.imputed),
@@ -220,7 +223,6 @@ def outcome_row(layout: MachineLayout, write_id: int, now: Instant, receipt: Rec
         _mapping(axes, receipt.applied_um),
         utc_ms(trace.read_back or now),
         utc_ms(trace.first_byte),
-        round((trace.last_byte.monotonic_s - trace.first_byte.monotonic_s) * 1e3),
         _delay_us(trace.cleansed, trace),
         _delay_us(trace.estimated, trace),
         _delay_us(trace.written, trace),
@@ -230,7 +232,7 @@ def outcome_row(layout: MachineLayout, write_id: int, now: Instant, receipt: Rec
 
 
 def _delay_us(stage: Instant | None, trace: Trace) -> int | None:
-    return None if stage is None else round((stage.real_s - trace.last_byte.real_s) * 1e6)
+    return None if stage is None else 10 * round((stage.real_s - trace.last_byte.real_s) * 1e5)
 
 
 def event_row(now: Instant, kind: str, text: str, person: str | None) -> Parameters:

@@ -122,6 +122,8 @@ class WriteRecord:
     applied_um: dict[str, float | None]
     """The guard's echo per axis."""
     outcome_time_s: float | None
+    cycle_time_s: float | None
+    """UTC of the first byte of the cycle behind it [s]; None while the outcome is not known."""
     delay_s: dict[str, float]
     """From the cycle's last byte to each stage that was passed, on the computer's clock."""
 

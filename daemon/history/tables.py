@@ -25,7 +25,7 @@ KEY_NAMES = {
     "thermal_error_um": "{}_thermal_error_um",
     "band_um": "{}_band_um",
     "label_degc": "{}_degc",
-    "label_increment_degc": "{}_increment_degc",
+    "label_reference_degc": "{}_at_reference_degc",
     "requested_um": "{}_requested_um",
     "compensation_um": "{}_compensation_um",
     "macros": "macro_{}",

@@ -124,7 +124,7 @@ class TestExport:
         rows = exported(store, "estimates")
         assert [row["dx_thermal_error_um"] for row in rows] == [f"{1.0 + k}" for k in range(12)]
         assert (rows[0]["dy_thermal_error_um"], rows[0]["dz_thermal_error_um"]) == ("", "-0.333")
-        assert (rows[0]["Room_degc"], rows[0]["Room_increment_degc"]) == ("21.5", "0.5")
+        assert (rows[0]["Room_degc"], rows[0]["Room_at_reference_degc"]) == ("21.5", "21.0")
         assert rows[0]["cycle_time_utc"] == "2025-10-09T09:00:00.000Z"
         assert float(rows[0]["delay_s"]) == pytest.approx(0.0008)
 

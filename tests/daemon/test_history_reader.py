@@ -192,6 +192,8 @@ def test_writes_with_every_outcome(stored: Callable[[Fill], HistoryReader]) -> N
     assert verified.macros == written, "exactly as sent"
     assert verified.read_back == tuple(value for _, value in written)
     assert (verified.cause, verified.person, verified.state) == ("heartbeat", "somebody", "RETREAT")
+    assert verified.cycle_time_s == EPOCH_S
+    assert verified.outcome_time_s == pytest.approx(EPOCH_S + 1.502, abs=0.001), "when it was read back"
     assert verified.compensation_um == {"X": 0.0, "Y": 0.333, "Z": -2.0}
     assert (differs.read_back, differs.detail) == (differing, "macro #501 holds 7")
     assert (failed.read_back, failed.applied_um, failed.detail) == ((), {}, "time-out")

@@ -61,11 +61,11 @@ CREATE TABLE estimates (
     monotonic_ms INTEGER NOT NULL,
     line TEXT NOT NULL,              -- whose cycle renewed it
     cycle_utc_ms INTEGER NOT NULL,   -- first byte of that cycle
-    delay_us REAL,                   -- last byte to estimate, on the computer's clock
+    delay_us REAL,                   -- last byte to estimate, on the computer's clock, to 10 us
     thermal_error_um TEXT NOT NULL,  -- JSON objects: channel -> um, to 0.001 um
     band_um TEXT NOT NULL,
     label_degc TEXT NOT NULL,        -- JSON objects: label -> degC, to 0.001 degC
-    label_increment_degc TEXT NOT NULL,
+    label_reference_degc TEXT NOT NULL, -- what label_degc was at the reference
     in_domain INTEGER NOT NULL,
     confidence REAL,                 -- to 0.0001
     imputed TEXT NOT NULL,           -- JSON list of sensor ids
@@ -93,10 +93,9 @@ CREATE TABLE writes (
     detail TEXT,
     read_back TEXT,                  -- JSON object, NULL where the outcome is set: exactly as written
     applied_um TEXT,                 -- JSON object: axis -> the guard's echo
-    outcome_utc_ms REAL,
-    cycle_utc_ms REAL,               -- first byte of the cycle behind it
-    line_ms REAL,                    -- first to last byte; the following from the last byte on
-    cleansed_us REAL,
+    outcome_after_ms REAL,           -- after the intent
+    cycle_age_ms REAL,               -- from the first byte of the cycle behind it to the intent
+    cleansed_us REAL,                -- from that cycle's last byte to each stage, to 10 us
     estimated_us REAL,
     written_us REAL,
     read_back_us REAL
