@@ -1,0 +1,161 @@
+"""Means over time: of the running daemon's input, and of recordings."""
+
+import itertools
+from collections import deque
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+
+
+class RollingMean:
+    """Mean of each sensor over the last `window_s` seconds, missing values left out.
+
+    The on-line input of a model is filtered as its training input was (one-minute means). Vectors
+    may arrive slightly out of order, because lines that overlap complete in another order than
+    they begin; a clock that went back by more than the window starts the mean anew.
+
+    Parameters
+    ----------
+    window_s
+        Length of the window [s].
+
+    Raises
+    ------
+    ValueError
+        When the window is not positive.
+
+    """
+
+    def __init__(self, window_s: float) -> None:
+        if not window_s > 0:
+            raise ValueError(f"window_s must be positive, got {window_s}")
+        self.window_s = window_s
+        self._samples: deque[tuple[float, FloatArray]] = deque()
+        self._newest_s = -np.inf
+
+    def add(self, time_s: float, values: FloatArray) -> None:
+        """Take one vector into the mean.
+
+        Parameters
+        ----------
+        time_s
+            Its time [s].
+        values : shape (n_sensors,)
+            NaN where a sensor has no value. Kept by reference: hand over an array of its own.
+
+        Raises
+        ------
+        ValueError
+            When the time is not finite or the number of sensors changes.
+
+        """
+        if not np.isfinite(time_s):
+            raise ValueError(f"time_s must be finite, got {time_s}")
+        if self._samples and values.shape != self._samples[0][1].shape:
+            raise ValueError(f"{values.shape} sensors where {self._samples[0][1].shape} were before")
+        if time_s <= self._newest_s - self.window_s:
+            self._samples.clear()
+            self._newest_s = -np.inf
+        self._newest_s = max(self._newest_s, time_s)
+        self._samples.append((time_s, values))
+        oldest_s = self._newest_s - self.window_s
+        while self._samples[0][0] <= oldest_s:
+            self._samples.popleft()
+
+    def mean(self) -> FloatArray:
+        """Return the mean per sensor, shape (n_sensors,); NaN where the window holds no value.
+
+        Raises
+        ------
+        ValueError
+            Before the first vector.
+
+        """
+        if not self._samples:
+            raise ValueError("no vector has been added yet")
+        oldest_s = self._newest_s - self.window_s
+        return _mean_of_known(np.stack([values for time_s, values in self._samples if time_s > oldest_s]))
+
+    @property
+    def delay_s(self) -> float:
+        """How far the mean lies behind the newest vector [s]: its age in the mean; 0 when empty."""
+        if not self._samples:
+            return 0.0
+        return self._newest_s - float(np.mean([time_s for time_s, _ in self._samples]))
+
+
+def _mean_of_known(rows: FloatArray) -> FloatArray:
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    total = np.where(known, rows, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return means over blocks of time, for down-sampling recordings to one minute.
+
+    Block k covers ``k * period_s <= time_s < (k + 1) * period_s``. Blocks without any row do not
+    appear in the result, so that gaps stay gaps.
+
+    Parameters
+    ----------
+    time_s : shape (n,)
+        Times [s], increasing.
+    values : shape (n,) or (n, n_columns)
+        NaN where a value is missing; it is left out of its block's mean.
+    period_s
+        Length of a block [s].
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Start of each block [s], shape (n_blocks,), and the means, shape (n_blocks, ...); NaN where
+        a block holds no value of a column.
+
+    Raises
+    ------
+    ValueError
+        When the period is not positive, the lengths differ or the times do not increase.
+
+    """
+    if not period_s > 0:
+        raise ValueError(f"period_s must be positive, got {period_s}")
+    if time_s.ndim != 1 or len(values) != len(time_s):
+        raise ValueError(f"{len(values)} rows of values need as many times, got shape {time_s.shape}")
+    if len(time_s) == 0:
+        return time_s.copy(), values.copy()
+    if np.any(np.diff(time_s) <= 0):
+        raise ValueError(f"times do not increase at row {int(np.argmax(np.diff(time_s) <= 0)) + 2}")
+    block = np.floor(time_s / period_s)
+    starts = np.flatnonzero(np.diff(block, prepend=-np.inf))
+    table = values.reshape(len(values), -1)
+    known = np.isfinite(table)
+    count = np.add.reduceat(known.astype(np.int64), starts, axis=0)
+    total = np.add.reduceat(np.where(known, table, 0.0), starts, axis=0)
+    means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return block[starts] * period_s, means.reshape(len(starts), *values.shape[1:])
+
+
+def contiguous_runs(time_s: FloatArray, period_s: float) -> list[tuple[int, int]]:
+    """Return the (first, past-the-last) row of each stretch without a gap.
+
+    Parameters
+    ----------
+    time_s : shape (n,)
+        Increasing times [s].
+    period_s
+        Nominal time between rows [s]; a step over one and a half of it is a gap.
+
+    Returns
+    -------
+    list of tuple of int
+        Stretches in order; together they hold every row.
+
+    """
+    if len(time_s) == 0:
+        return []
+    breaks: npt.NDArray[np.intp] = np.flatnonzero(np.diff(time_s) > 1.5 * period_s) + 1
+    bounds = [0, *breaks.tolist(), len(time_s)]
+    return list(itertools.pairwise(bounds))
