@@ -1,0 +1,1 @@
+"""Thermal error from temperatures: fitting, model files, evaluation and the estimate itself."""
