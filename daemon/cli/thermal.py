@@ -1,0 +1,164 @@
+"""`toolpoint thermal`: thermal models from recordings."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daemon.cli.common import json_option, refuse, write_json
+
+MOST_WARNINGS = 10
+AUTO = "auto"
+
+
+def _hours(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    first, _, last = value.partition("-")
+    try:
+        hours = float(first), float(last)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} are not two hours such as 0-32") from None
+    if not 0.0 <= hours[0] < hours[1]:
+        raise click.BadParameter(f"{value!r}: the first hour must lie before the last")
+    return hours
+
+
+def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
+    if value is None or value == AUTO:
+        return value
+    try:
+        penalty = float(value)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is neither a number nor {AUTO}") from None
+    if not 0.0 < penalty < float("inf"):
+        raise click.BadParameter(f"{value!r}: a penalty is positive; leave --ridge out for ordinary least squares")
+    return penalty
+
+
+@click.group()
+def thermal() -> None:
+    """Thermal models: train them from recordings."""
+
+
+@thermal.command()
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
+@click.option("--hours", metavar="A-B", callback=_hours, help="Train on these hours of each recording only.")
+@click.option(
+    "--interval-min",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Interval of the increments [min].",
+)
+@click.option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
+@click.option("--b0/--no-b0", "intercept", default=False, show_default=True, help="Fit a drift with time.")
+@click.option("--channels", help="Displacement channels, separated by commas. Without: all.")
+@click.option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The model's file.")
+@json_option
+def train(
+    recordings: tuple[Path, ...],
+    map_path: Path | None,
+    hours: tuple[float, float] | None,
+    interval_min: float,
+    ridge: float | str | None,
+    intercept: bool,
+    channels: str | None,
+    split_at_speed: bool,
+    output: Path,
+    json_path: str | None,
+) -> None:
+    """Train a thermal model on RECORDINGS, each a run of its own.
+
+    What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one.
+    """
+    from config.problems import ConfigurationError
+    from config.recording_map import load_recording_map
+    from daemon.training import Selection, summary, train_from_files, write_model
+    from drivers.recording_csv import RecordingFileError
+    from models.dataset import DatasetError
+    from models.thermal.train import TrainingChoices
+
+    if not output.parent.is_dir():
+        refuse(f"{output}: there is no folder {output.parent}")
+    try:
+        recording_map = None if map_path is None else load_recording_map(map_path)
+        choices = TrainingChoices(
+            kind="increments" if ridge is None else "ridge",
+            interval_min=interval_min,
+            intercept=intercept,
+            ridge_k2=ridge if isinstance(ridge, float) else None,
+            sample_s=60.0 if recording_map is None else recording_map.sample_s,
+            split_at_speed_changes=split_at_speed,
+        )
+        selection = Selection(hours=hours, channels=_names(channels))
+        with _Bar() as bar:
+            result = train_from_files(recordings, recording_map, selection, choices, bar.show)
+        write_model(result, output)
+    except (ConfigurationError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{output}: the model cannot be written ({error.strerror})")
+    found = summary(result, output)
+    _show(found)
+    write_json(json_path, found)
+
+
+def _names(channels: str | None) -> tuple[str, ...] | None:
+    if channels is None:
+        return None
+    return tuple(name.strip() for name in channels.split(",") if name.strip())
+
+
+class _Bar:
+    """A progress bar on standard error; nothing where that is no terminal."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> "_Bar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, what: str, done: int, total: int) -> None:
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=total)
+        self._progress.update(self._tasks[what], completed=done, total=total)
+
+
+def _show(found: dict[str, Any]) -> None:
+    """Write the outcome for people, on standard error."""
+    for warning in found["warnings"][:MOST_WARNINGS]:
+        click.echo(f"warning: {warning}", err=True)
+    if len(found["warnings"]) > MOST_WARNINGS:
+        click.echo(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind", err=True)
+    model, held_out = found["model"], found["held_out"]
+    used = f"{found['increments']['used']} increments over {model['interval_min']:g} min"
+    click.echo(
+        f"{model['file']}: {model['model_id']}, {model['sensors']} sensors, {used}, ridge {model['ridge_k2']:.4g} K^2",
+        err=True,
+    )
+    if not held_out["channels"]:
+        click.echo("nothing could be left out, so nobody knows how good this model is: record longer", err=True)
+        return
+    click.echo(f"left out in turn: {', '.join(held_out['folds'])}", err=True)
+    click.echo(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]", err=True)
+    for channel, figures in held_out["channels"].items():
+        without, remaining = figures["without"], figures["with"]
+        click.echo(
+            f"{channel:10} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
+            f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}",
+            err=True,
+        )
+    if held_out["relative_rmse"] >= 1.0:
+        click.echo("warning: on what it had not seen this model is no better than none; do not use it", err=True)
