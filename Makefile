@@ -7,14 +7,14 @@ BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null)
 
 ifdef UV
-CREATE = $(UV) venv --quiet --allow-existing --python $(PYTHON) $(VENV)
+CREATE = $(UV) venv --quiet --seed --allow-existing --python $(PYTHON) $(VENV)
 INSTALL = $(UV) pip install --quiet --python $(BIN)/python --constraint constraints.txt
 else
 CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run test install lint types layers bundle simulated-model clean
+.PHONY: run test install lint types layers docs bundle simulated-model clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
@@ -34,16 +34,25 @@ types: $(VENV)/.installed-dev
 layers: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
+# The reference pages that are made from the code.
+docs: $(VENV)/.installed
+	$(BIN)/python -P -m config.reference > docs/reference/configuration.md
+	$(BIN)/python -P -m daemon.cli.reference > docs/reference/commands.md
+
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.
 simulated-model: $(VENV)/.installed
 	$(BIN)/python -P -m daemon.simulated_model
 
 # Everything that an installation without a network needs, in dist/bundle.
 bundle: $(VENV)/.installed
+	rm -rf dist/bundle
 	$(BIN)/python -m pip wheel --quiet --constraint constraints.txt --wheel-dir dist/bundle .
 	cp -r systemd constraints.txt README.md LICENSE dist/bundle/
 
 $(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Toolpoint needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }
+	@echo "Installing into $(VENV); the first time takes some minutes."
 	$(CREATE)
 	touch $@
 
