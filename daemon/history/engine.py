@@ -85,12 +85,16 @@ class Engine:
         self._thread.start()
         self._opened.wait()
 
-    def stop(self, within_s: float) -> None:
-        """Write what is queued, close the store, and end the thread; gives up after the given time."""
+    def stop(self, within_s: float) -> bool:
+        """Write what is queued, close the store, and end the thread; gives up after the given time.
+
+        False when the disk does not even let go: the store must then stay locked for others.
+        """
         self._give_up_s = time.monotonic() + within_s
         self._intake.close()
         if self._thread.ident is not None:
             self._thread.join(within_s + 10.0)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         try:

@@ -9,7 +9,7 @@ import json
 import os
 import struct
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -44,7 +44,7 @@ async def read_hour(stream: asyncio.StreamReader) -> PackedHour | None:
     return PackedHour(**header, data=data)
 
 
-async def packed_hours(path: Path, config: HistoryConfig, now_utc_s: float) -> AsyncIterator[PackedHour]:
+async def packed_hours(path: Path, config: HistoryConfig, now_utc_s: float) -> AsyncGenerator[PackedHour, None]:
     """Yield the chunks that a packing process makes; raises OSError with its words when it fails."""
     before_ms = packing_cutoff_ms(now_utc_s, config.pack_after_s)
     process = await asyncio.create_subprocess_exec(

@@ -5,6 +5,7 @@ import json
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
+from contextlib import aclosing
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -102,8 +103,8 @@ class HistoryWriter:
 
     def close(self) -> None:
         """Write what is queued, close the store; blocks, at most some seconds."""
-        self._engine.stop(CLOSE_WITHIN_S)
-        self._lock.release()
+        if self._engine.stop(CLOSE_WITHIN_S):
+            self._lock.release()
 
     async def flushed(self) -> None:
         """Return when everything that was queued before is committed."""
@@ -267,8 +268,9 @@ class HistoryWriter:
             report = HousekeepingReport()
             now_utc_s = self._clock.now().utc_s
             try:
-                async for hour in packed_hours(self.path, config, now_utc_s):
-                    await self.submit(partial(_store, hour, report))
+                async with aclosing(packed_hours(self.path, config, now_utc_s)) as hours:
+                    async for hour in hours:
+                        await self.submit(partial(_store, hour, report))
                 while await self.submit(partial(tidy, config=config, now_utc_s=now_utc_s, report=report)):
                     pass
             except (OSError, sqlite3.Error, ValueError) as error:

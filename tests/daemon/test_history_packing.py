@@ -1,5 +1,6 @@
 """Packed storage: nothing is changed by it, and nothing is lost or doubled on the way."""
 
+import asyncio
 import json
 import sqlite3
 import sys
@@ -9,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -348,6 +350,10 @@ def test_macros_last_written_are_found_in_packed_hours(store: Path) -> None:
     assert raw_rows(store)["writes"] == 0
     with HistoryReader(store) as reader:
         assert reader.last_written_macros() == before
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    assert writer.write_intent(None, ((500, 1.0),), "cycle") == HOURS * 12 + 1, "no number is given twice"
+    writer.close()
 
 
 def test_rows_that_changed_meanwhile_are_left_for_the_next_time(store: Path) -> None:
@@ -399,6 +405,21 @@ async def test_failing_packing_process_is_reported(store: Path, monkeypatch: pyt
     writer.close()
     assert report is not None
     assert any("housekeeping is put off" in problem and "packing process failed" in problem for problem in problems)
+
+
+async def test_packing_process_ends_with_whoever_waits_for_it(store: Path) -> None:
+    writer = HistoryWriter(store, clock=StillClock(END_S), machine=SMALL)
+    writer.start()
+    task = asyncio.create_task(writer.request_housekeeping(CONFIG))
+    while not (children := psutil.Process().children()):
+        await asyncio.sleep(0.01)
+    assert await writer.request_housekeeping(CONFIG) is None, "one at a time"
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    writer.close()
+    psutil.wait_procs(children, timeout=FOREVER_S)
+    assert not any(child.is_running() for child in children)
 
 
 def test_retention_is_per_kind_and_reaches_packed_hours(store: Path) -> None:
