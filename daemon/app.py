@@ -49,16 +49,23 @@ class StartError(Exception):
     """The daemon cannot start; the text says why and what to do."""
 
 
-def load_model(path: Path | None) -> tuple[ThermalModel | None, str]:
-    """Return the thermal model, or why there is none."""
+def load_model(configuration: Configuration) -> tuple[ThermalModel | None, str]:
+    """Return the thermal model, or why there is none that fits this machine."""
+    path = configuration.compensation.model_file
     if path is None:
         return None, "no thermal model is configured (compensation.model_file)"
     try:
-        return model_from_json(path.read_text(encoding="utf-8"), source=str(path)), ""
+        model = model_from_json(path.read_text(encoding="utf-8"), source=str(path))
     except OSError as error:
         return None, f"{path}: the thermal model cannot be read ({error.strerror})"
     except ModelError as error:
         return None, str(error)
+    if foreign := sorted(set(model.sensor_ids) - set(configuration.temperatures.sensor_ids)):
+        return None, f"{path}: the model needs sensors that this machine does not have: {foreign[:10]}"
+    wanted = {axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate}
+    if lacking := sorted(wanted - set(model.channels)):
+        return None, f"{path}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
+    return model, ""
 
 
 def load_record(path: Path | None) -> CommissioningRecord | None:
@@ -87,7 +94,7 @@ class Daemon:
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
         )
-        model, obstacle = load_model(configuration.compensation.model_file)
+        model, obstacle = load_model(configuration)
         if obstacle:
             log.error("model.missing", problem=obstacle)
         record = load_record(configuration.compensation.commissioning_file)

@@ -272,12 +272,11 @@ class ControlTask:
         self.command = command
         obstacle = why_not_ready(self.memory, inputs, self.limits)
         self._watch(before, self.memory, inputs.now_s, obstacle)
-        self._telemetry.output(command, inputs.applied_um)
         session = self.session
-        if session is None or not command.write or not self._due(session, command, estimate):
-            return
-        trace = estimate.trace if estimate is not None else self._tick_trace()
-        await self._write(session, command, trace, estimate)
+        if session is not None and command.write and self._due(session, command, estimate):
+            trace = estimate.trace if estimate is not None else self._tick_trace()
+            await self._write(session, command, trace, estimate)
+        self._telemetry.output(command, inputs.applied_um)
 
     async def _write(
         self,

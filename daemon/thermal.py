@@ -95,14 +95,14 @@ class ThermalTask:
         while True:
             item = await self.inbox.get()
             try:
-                self._take(item)
+                await self._take(item)
             except Exception:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
 
-    def _take(self, item: TemperatureCycle | ReferenceRequest | Reference) -> None:
+    async def _take(self, item: TemperatureCycle | ReferenceRequest | Reference) -> None:
         if isinstance(item, TemperatureCycle):
-            self._on_cycle(item)
+            await self._on_cycle(item)
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
@@ -111,8 +111,6 @@ class ThermalTask:
     def _model_order(self, model: ThermalModel | None, position: dict[int, int]) -> npt.NDArray[np.intp] | None:
         if model is None:
             return None
-        if unknown := [i for i in model.sensor_ids if i not in position]:
-            raise ValueError(f"model {model.model_id} needs sensors that this machine does not have: {unknown[:10]}")
         return np.array([position[i] for i in model.sensor_ids])
 
     def _make_estimator(self, model: ThermalModel | None) -> Estimator | None:
@@ -120,17 +118,20 @@ class ThermalTask:
             return None
         return linear_estimator(model, tuple(self._components[i] for i in self._order))
 
-    def _on_cycle(self, cycle: TemperatureCycle) -> None:
+    async def _on_cycle(self, cycle: TemperatureCycle) -> None:
+        """Hand the estimate on first; the control task writes while the books are kept."""
         temperatures = self._cleanse(cycle)
         self.latest = temperatures
-        self._history.temperatures(temperatures, cycle)
-        self._telemetry.cycle(cycle)
-        if (renewed := self._estimate(temperatures)) is not None:
+        self.cycles_received += 1
+        renewed = self._estimate(temperatures)
+        if renewed is not None:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
+            await asyncio.sleep(0)
             self._history.estimate(renewed)
-        self.cycles_received += 1
+        self._history.temperatures(temperatures, cycle)
+        self._telemetry.cycle(cycle)
         if not cycle.complete:
             self.cycles_incomplete += 1
             log.warning("cycle.incomplete", line=cycle.line, number=cycle.number, faults=cycle.faults[:5])
