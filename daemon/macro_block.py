@@ -45,7 +45,7 @@ class MacroBlock:
         """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
         units = command.compensation_um / self._um_per_unit
         bits = sum(1 << index for index, on in enumerate(command.enable) if on)
-        content = [(self._map.values[axis], float(unit)) for axis, unit in zip(self._axes, units, strict=True)]
+        content = [(self._map.values[axis], round(float(unit), 7)) for axis, unit in zip(self._axes, units, strict=True)]
         content += [(self._map.valid_until, round(valid_until_s, 3)), (self._map.enable, float(bits))]
         return (
             ((self._map.sequence_a, float(sequence)),),
