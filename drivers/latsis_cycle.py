@@ -251,15 +251,13 @@ class CycleAssembler:
     def _cycle(self, line_pass: LinePass) -> TemperatureCycle:
         numbering = self._numbering(line_pass)
         assigned = self._watch.judge(numbering)
-        if assigned:
-            values = self._chain.decode(line_pass.frames, line_pass.displaced)
-            self._count_missing(line_pass, values)
-        else:
-            values = self._chain.withheld()
+        values = self._chain.decode(line_pass.frames, line_pass.displaced) if assigned else self._chain.withheld()
         unexpected = numbering.below or numbering.displaced_kinds or not assigned
         faults = [self._watch.alarm or self._watch.describe(numbering)] if unexpected else []
         faults += self._faults(line_pass, values)
         complete = assigned and (values.missing | values.duplicate) <= self._silent
+        if assigned:
+            self._count_missing(line_pass, values)
         self._number += 1
         self._counts["complete" if complete else "incomplete"] += 1
         self._counts["resets"] += values.resets
