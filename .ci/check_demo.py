@@ -36,7 +36,7 @@ def failures(result: dict[str, Any]) -> list[str]:
         "cycles were expected": cycles["expected"] > 0,
         "every expected cycle arrived": cycles["received"] == cycles["expected"],
         "no cycle was incomplete": cycles["incomplete"] == 0,
-        "there is about one estimate per cycle": result["estimates"] >= 0.9 * cycles["received"],
+        "there is an estimate for most cycles": result["estimates"] >= 0.5 * cycles["received"],
         "something was written": writes["sent"] > 0,
         "every write was verified": writes["verified"] == writes["sent"],
         "no write was refused": writes["refused"] == 0,
