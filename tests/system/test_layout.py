@@ -1,0 +1,135 @@
+"""The house rules that a reader counts on: folders, sizes, docstrings, and what the wheel holds."""
+
+import ast
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("models", "drivers", "config", "daemon")
+FOLDERS = {*PACKAGES, "systemd", "tests", "docs", ".ci"}
+LONGEST_FILE = 400
+LONGEST_FUNCTION = 80
+
+
+def sources(*folders: str) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted(path for path in (ROOT / folder).rglob("*.py") if "node_modules" not in path.parts)
+
+
+def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def test_top_level_folders() -> None:
+    listed = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=False, cwd=ROOT)
+    if listed.returncode != 0:
+        pytest.skip("these sources are no git repository, so what belongs to them is unknown")
+    assert {name.split("/")[0] for name in listed.stdout.splitlines() if "/" in name} == FOLDERS
+
+
+def test_no_file_is_longer_than_a_reader_can_hold() -> None:
+    long = {
+        str(path.relative_to(ROOT)): count
+        for path in sources(*PACKAGES, "tests", ".ci")
+        if (count := len(path.read_text("utf-8").splitlines())) > LONGEST_FILE
+    }
+    assert not long
+
+
+def test_no_function_is_longer_than_a_screen_or_two() -> None:
+    long = {
+        f"{path.relative_to(ROOT)}:{function.lineno} {function.name}": size
+        for path in sources(*PACKAGES, "tests", ".ci")
+        for function in functions(path)
+        if (size := (function.end_lineno or 0) - function.lineno + 1) > LONGEST_FUNCTION
+    }
+    assert not long
+
+
+def public_definitions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node
+            if isinstance(node, ast.ClassDef):
+                for member in node.body:
+                    if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):
+                        yield member
+
+
+def test_everything_public_in_models_says_what_it_is() -> None:
+    silent = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+        for path in sources("models")
+        for node in public_definitions(path)
+        if not ast.get_docstring(node)
+    ]
+    modules = [str(path) for path in sources(*PACKAGES) if not ast.get_docstring(ast.parse(path.read_text("utf-8")))]
+    assert (silent, modules) == ([], [])
+
+
+def test_models_do_no_input_or_output() -> None:
+    forbidden = {"asyncio", "logging", "structlog", "time", "datetime", "socket", "sqlite3", "threading", "os"}
+    found = set()
+    for path in sources("models"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            found |= {f"{path.relative_to(ROOT)}: {name}" for name in names if name.split(".")[0] in forbidden}
+    assert not found
+
+
+def test_no_package_files_under_tests() -> None:
+    assert not list((ROOT / "tests").rglob("__init__.py"))
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
+    assert len(set(names)) == len(names)
+
+
+def test_no_other_distribution_owns_a_package_name() -> None:
+    owners = packages_distributions()
+    for package in PACKAGES:
+        assert set(owners.get(package, ["toolpoint"])) == {"toolpoint"}, package
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    folder = tmp_path_factory.mktemp("wheel")
+    built = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    (path,) = folder.glob("toolpoint-*.whl")
+    return zipfile.ZipFile(path)
+
+
+def test_wheel_holds_the_four_packages_and_nothing_else(wheel: zipfile.ZipFile) -> None:
+    names = wheel.namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+    sources_in_wheel = {name for name in names if name.endswith(".py")}
+    assert sources_in_wheel == {str(path.relative_to(ROOT)) for path in sources(*PACKAGES)}
+
+
+def test_wheel_holds_the_data_that_the_daemon_needs(wheel: zipfile.ZipFile) -> None:
+    tracked = {
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for pattern in ("*.yaml", "*.json", "*.sql")
+        for path in (ROOT / package).rglob(pattern)
+    }
+    assert "config/cfrpmt.yaml" in tracked
+    assert tracked <= set(wheel.namelist())
