@@ -1,0 +1,48 @@
+"""Draws docs/images/demo.svg anew: runs the demonstration and keeps the last picture of its terminal view.
+
+From the repository: `.venv/bin/python -P docs/images/render_demo.py`. It takes about half a minute.
+"""
+
+import io
+import re
+import time
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from daemon.cli.demo import demo_machine
+from daemon.demonstration import Trail, switch_on, watch
+from daemon.rehearsal import folder_for, rehearse, write_rehearsal_configuration
+from daemon.view import status_view, truth_panel
+
+OUTPUT = Path(__file__).with_name("demo.svg")
+WIDTH = 120
+
+
+@click.command()
+@click.option("--minutes", type=float, default=40.0, show_default=True, help="Simulated minutes until the picture.")
+@click.option("--speed", type=float, default=120.0, show_default=True, help="Simulated seconds per second.")
+def draw(minutes: float, speed: float) -> None:
+    """Run the demonstration and write the picture beside this script."""
+    trail = Trail()
+    with folder_for(None) as folder:
+        path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=False)
+        with rehearse([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+            switch_on(running)
+            watch(running, minutes * 60.0, lambda _: None, 0.25)
+            report = trail.take(running.reports)
+            status = running.client.ask("status")
+    if report is None:
+        raise click.ClickException("the simulated machine reported nothing")
+    console = Console(record=True, width=WIDTH, file=io.StringIO(), force_terminal=True, color_system="truecolor")
+    console.print(status_view(status, [truth_panel(report, trail.axes)]))
+    svg = console.export_svg(title="toolpoint demo")
+    # The fonts of the reader's own computer serve: the picture fetches nothing from anywhere.
+    svg = re.sub(r"@font-face \{.*?\}", "", svg, flags=re.DOTALL)
+    OUTPUT.write_text("\n".join(line.rstrip() for line in svg.splitlines()) + "\n", encoding="utf-8")
+    click.echo(f"{OUTPUT}: {OUTPUT.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    draw()
