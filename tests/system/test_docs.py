@@ -1,0 +1,127 @@
+"""The documentation names everything there is, and points nowhere in vain."""
+
+import re
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+from config.knobs import walk
+from config.loader import parse_yaml_model
+from config.recording_map import RecordingMap
+from config.reference import configuration_reference
+from config.schema import Configuration
+from daemon.cli import COMMANDS, main
+from daemon.cli.reference import commands, commands_reference
+from daemon.telemetry import Telemetry
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text("utf-8")
+
+
+def test_configuration_reference_is_current() -> None:
+    assert page("reference/configuration.md") == configuration_reference(), "run `make docs`"
+
+
+def test_every_configuration_key_is_in_the_reference() -> None:
+    text = page("reference/configuration.md")
+    for path, knob in walk(Configuration):
+        section = ".".join(path[:-1]).replace(".[]", "[]")
+        heading = f"## `{section}`" if section else "## Top level"
+        assert heading in text
+        table = text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0]
+        assert f"| `{knob.name}` |" in table, ".".join(path)
+
+
+def test_command_reference_is_current() -> None:
+    assert page("reference/commands.md") == commands_reference(), "run `make docs`"
+
+
+def test_every_command_and_option_is_in_the_reference() -> None:
+    text = page("reference/commands.md")
+    found = dict(commands(main))
+    assert {path[0] for path in found} == set(COMMANDS)
+    for path, command in found.items():
+        heading = f"## `toolpoint {' '.join(path)}`\n"
+        assert heading in text
+        part = text.split(heading, 1)[1].split("\n## ", 1)[0]
+        assert command.help, f"{' '.join(path)} has no help text"
+        for parameter in command.params:
+            if isinstance(parameter, click.Option) and not parameter.hidden:
+                assert all(name in part for name in parameter.opts), (path, parameter.opts)
+
+
+def test_every_metric_is_in_the_reference() -> None:
+    text = page("reference/metrics.md")
+    for family in Telemetry().registry.collect():
+        assert f"| `{family.name}` |" in text, family.name
+
+
+def test_every_key_of_a_recording_map_is_in_the_reference() -> None:
+    text = page("reference/recording-format.md")
+    for name in RecordingMap.model_fields:
+        assert f"| `{name}` |" in text, name
+
+
+def test_the_map_in_the_guide_is_valid() -> None:
+    block = page("how-to/train-a-model.md").split("## 2. Map", 1)[1].split("## 3.", 1)[0]
+    text = "".join(line.removeprefix("    ") for line in block.splitlines(True) if line.startswith("    "))
+    assert parse_yaml_model(text, RecordingMap, "guide").temperatures == ["t*"]
+
+
+def test_the_fault_script_in_the_tutorial_is_valid() -> None:
+    from drivers.sim.faults import FaultKind
+
+    entries = yaml.safe_load(
+        "\n".join(re.findall(r"^    (- \{kind: .*\})$", page("tutorial/first-run.md"), re.MULTILINE))
+    )
+    assert len(entries) == 3
+    assert {entry["kind"] for entry in entries} <= {str(kind) for kind in FaultKind}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(path: Path) -> None:
+    text = re.sub(r"`[^`\n]*`", "", path.read_text("utf-8"))
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
+        if not target.startswith("http"):
+            assert (path.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_commands_shown_exist(path: Path) -> None:
+    known = {" ".join(words): command for words, command in commands(main)}
+    shown = re.findall(
+        r"^    (?:sudo (?:-u \w+ )?)?(?:\S*/)?toolpoint ([a-z].*)$", path.read_text("utf-8"), re.MULTILINE
+    )
+    for line in shown:
+        words = line.split("  #")[0].split()
+        name = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
+        assert name in known, line
+        options = {
+            option for parameter in known[name].params for option in (*parameter.opts, *parameter.secondary_opts)
+        }
+        for word in words:
+            if word.startswith("--"):
+                assert word in options, f"{name} has no option {word}"
+
+
+def test_index_leads_to_every_page() -> None:
+    text = page("index.md")
+    for path in DOCS.rglob("*.md"):
+        name = str(path.relative_to(DOCS))
+        if name != "index.md" and "decisions" not in path.parts:
+            assert f"({name})" in text, name
+
+
+def test_readme_names_the_two_commands_and_every_folder() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    assert "make run" in text
+    assert "make test" in text
+    for folder in ("models", "config", "drivers", "daemon", "systemd", "tests", "docs"):
+        assert f"| `{folder}/` |" in text
