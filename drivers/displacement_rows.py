@@ -1,0 +1,201 @@
+"""Lines of an A/D logger's file -> displacement samples. No I/O, no clock."""
+
+import csv
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
+from models.quality import Reason
+from models.records import DisplacementSample
+
+QUOTED_CHARACTERS = 40
+"""How much of an unreadable field a problem quotes."""
+_NUMBER = {
+    ".": re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?([0-9]+,?[0-9]*|,[0-9]+)([eE][+-]?[0-9]+)?"),
+}
+
+
+class UnreadableFileError(Exception):
+    """The file's header does not fit the configuration; the text is fit for an operator."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Columns:
+    """Where in a row to look, counted from 0."""
+
+    time: tuple[int, ...]
+    channels: tuple[int, ...]
+    count: int
+    """Fields that a whole row has at least."""
+
+
+class RowReader:
+    """Reads the lines of one file from its first on.
+
+    A row is refused whole when its time cannot be read or when it has fewer fields than the header: its
+    last field may then be cut. An unreadable or overflowed field makes only its own value NaN.
+    """
+
+    def __init__(self, config: DisplacementsConfig, file: str, report: Callable[[str], None]) -> None:
+        self._file_config = config.file
+        self._channels = config.channels
+        self._file = file
+        self._report = report
+        # Without a byte order mark at the beginning utf-8-sig is plain utf-8.
+        self._encoding = "utf-8-sig" if config.file.encoding.startswith("utf-8") else config.file.encoding
+        self._overflow = frozenset(config.file.overflow_tokens)
+        self._number = _NUMBER[config.file.decimal]
+        self._clock = _start_clock(config.file) or _stamp_clock(config.file)
+        self._columns = None if config.file.header else self._columns_by_number()
+        self._unit_row_due = False
+        self.data_rows = 0
+
+    @property
+    def has_header(self) -> bool:
+        """Whether the header, if the files have one, has been seen."""
+        return self._columns is not None
+
+    def read(self, line: bytes, number: int) -> DisplacementSample | None:
+        """Return the sample of a line, counted from 1; None for every other line, and for a reported bad row.
+
+        Raises UnreadableFileError at a header that lacks a configured column.
+        """
+        text = line.decode(self._encoding, errors="replace").rstrip("\r\n")
+        if self._file_config.header and text.lstrip('"').startswith(self._file_config.header.lstrip('"')):
+            try:
+                self._columns = self._columns_by_header(self._fields(text), number)
+            except csv.Error as error:
+                raise UnreadableFileError(f"{self._file}:{number}: the header cannot be split: {error}") from error
+            self._unit_row_due = self._file_config.unit_row
+            return None
+        columns = self._columns
+        if columns is None or not text.strip():
+            return None
+        if self._unit_row_due:
+            self._unit_row_due = False
+            return None
+        self.data_rows += 1
+        return self._row(text, number, columns)
+
+    def _row(self, text: str, number: int, columns: _Columns) -> DisplacementSample | None:
+        place = f"{self._file}:{number}"
+        try:
+            fields = self._fields(text)
+        except csv.Error as error:
+            self._report(f"{place}:1: this row cannot be split into fields ({error}); it is skipped")
+            return None
+        if len(fields) < columns.count:
+            self._report(
+                f"{place}:{len(fields)}: this row has {len(fields)} fields where {columns.count} are expected; "
+                "it may have been cut off and is skipped"
+            )
+            return None
+        stamp = " ".join(fields[index] for index in columns.time)
+        try:
+            utc_s = self._clock(stamp, self.data_rows - 1)
+        except ValueError as error:
+            column = columns.time[0] + 1
+            self._report(f"{place}:{column}: the time stamp {stamp!r} cannot be read ({error}); the row is skipped")
+            return None
+        values = [
+            self._value(fields[index], f"{place}:{index + 1}", channel.name, channel.scale_um)
+            for index, channel in zip(columns.channels, self._channels, strict=True)
+        ]
+        return DisplacementSample(
+            utc_s=utc_s,
+            um=np.array([um for um, _ in values], dtype=np.float64),
+            reason=np.array([int(reason) for _, reason in values], dtype=np.uint8),
+            source=place,
+        )
+
+    def _value(self, field: str, place: str, channel: str, scale_um: float) -> tuple[float, Reason]:
+        if self._number.fullmatch(field):
+            um = float(field.replace(",", ".")) * scale_um
+            if math.isfinite(um):
+                return um, Reason.NONE
+        if field in self._overflow:
+            return math.nan, Reason.OVERFLOW
+        if field:
+            self._report(f"{place}: {field[:QUOTED_CHARACTERS]!r} is no displacement for {channel}; it is left out")
+        return math.nan, Reason.UNREADABLE
+
+    def _fields(self, text: str) -> list[str]:
+        delimiter = self._file_config.delimiter
+        fields = text.split(delimiter) if '"' not in text else next(csv.reader([text], delimiter=delimiter))
+        return [field.strip() for field in fields]
+
+    def _columns_by_number(self) -> _Columns:
+        time = () if self._file_config.start else tuple(int(column) - 1 for column in self._file_config.time_columns)
+        channels = tuple(int(channel.column) - 1 for channel in self._channels)
+        return _Columns(time=time, channels=channels, count=max(*time, *channels, -1) + 1)
+
+    def _columns_by_header(self, titles: list[str], number: int) -> _Columns:
+        wanted = [] if self._file_config.start else list(self._file_config.time_columns)
+        time = tuple(self._find(column, titles, number) for column in wanted)
+        channels = tuple(self._find(channel.column, titles, number) for channel in self._channels)
+        while titles and not titles[-1]:
+            titles = titles[:-1]
+        return _Columns(time=time, channels=channels, count=max(*time, *channels, len(titles) - 1) + 1)
+
+    def _find(self, column: str | int, titles: Sequence[str], number: int) -> int:
+        if isinstance(column, int):
+            if column <= len(titles):
+                return column - 1
+            raise UnreadableFileError(
+                f"{self._file}:{number}: the header has {len(titles)} columns, "
+                f"but the configuration reads column {column}"
+            )
+        found = [index for index, title in enumerate(titles) if title == column]
+        if len(found) == 1:
+            return found[0]
+        what = "no column" if not found else f"{len(found)} columns"
+        raise UnreadableFileError(
+            f"{self._file}:{number}: the header has {what} {column!r}; it has {', '.join(map(repr, titles))}. "
+            "Correct the columns of the displacements in the configuration, or the logger's channel names"
+        )
+
+
+def _start_clock(config: DisplacementFileConfig) -> Callable[[str, int], float] | None:
+    """Return the time of a row by its number, for files without time columns."""
+    if config.start is None or config.interval_s is None:
+        return None
+    start = datetime.fromisoformat(config.start)
+    if start.tzinfo is None:
+        start = start.replace(tzinfo=ZoneInfo(config.time_zone))
+    start_s, interval_s = start.timestamp(), config.interval_s
+    return lambda _, row: start_s + row * interval_s
+
+
+def _stamp_clock(config: DisplacementFileConfig) -> Callable[[str, int], float]:
+    """Return the time of a row by its time stamp."""
+    if config.time_format == "%s":
+        number = _NUMBER[config.decimal]
+
+        def seconds(stamp: str, _: int) -> float:
+            if not number.fullmatch(stamp):
+                raise ValueError("not a number of seconds since 1970")
+            return float(stamp.replace(",", "."))
+
+        return seconds
+    zone = ZoneInfo(config.time_zone)
+    last_s = -math.inf
+
+    def local(stamp: str, _: int) -> float:
+        nonlocal last_s
+        moment = datetime.strptime(stamp, config.time_format)
+        if moment.tzinfo is not None:
+            return moment.timestamp()
+        moment = moment.replace(tzinfo=zone)
+        utc_s, second_s = moment.timestamp(), moment.replace(fold=1).timestamp()
+        # An hour that comes twice when summer time ends: rows do not go back in time.
+        last_s = second_s if utc_s <= last_s < second_s else utc_s
+        return last_s
+
+    return local
