@@ -12,7 +12,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.macro_block import LAST_SEQUENCE, Echo, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
-from drivers.contract import Cnc, DriverError, FatalDriverError
+from drivers.contract import Cnc, FatalDriverError
 from models.records import (
     CncSample,
     CompensationCommand,
@@ -42,6 +42,7 @@ class CncSession:
         self._acceptable = known
         self._sequence = 0
         self._enabled = False
+        self._seen: Mapping[int, float | None] = {}
         self.sample: CncSample | None = None
         self.echo: Echo | None = None
         self.last_write_s = -np.inf
@@ -63,6 +64,7 @@ class CncSession:
         self.sample = sample
         self.echo = self._block.echo(sample.macros)
         self._enabled = self._block.enabled(sample.macros)
+        self._seen = sample.macros
         self._sequence = self._sequence or self._block.sequence(sample.macros)
         if self._acceptable is None:
             return self._adopt(sample)
@@ -71,10 +73,13 @@ class CncSession:
             self._narrow(sample.macros)
         return problems
 
-    def forgive(self) -> None:
-        """Take what the CNC holds now as known: a person has acknowledged the fault."""
-        if self.sample is not None:
-            self._narrow(self.sample.macros)
+    def forgive(self) -> list[str]:
+        """Take what the CNC holds now as known: a person has acknowledged. Return what is vacant and stays a fault."""
+        if not self._seen:
+            return []
+        found = {number: self._seen.get(number) for number in self._block.ours}
+        self._acceptable = {number: () if value is None else (value,) for number, value in found.items()}
+        return self._block.vacant(found)
 
     def _narrow(self, found: Mapping[int, float | None]) -> None:
         ours = {number: found.get(number) for number in self._block.ours}
@@ -83,9 +88,7 @@ class CncSession:
     def _adopt(self, sample: CncSample) -> list[str]:
         """Take over a block that nobody here has written: only a whole, disabled one."""
         found = {number: sample.macros.get(number) for number in self._block.ours}
-        problems = self._block.differences(
-            {number: (() if value is None else (value,)) for number, value in found.items()}, found
-        )
+        problems = self._block.vacant(found)
         if self._block.enabled(sample.macros):
             problems.append("enable bits are set in the CNC, and this daemon has no record of having set them")
         if not problems:
@@ -109,7 +112,7 @@ class CncSession:
             trace = replace(trace, written=self._clock.now())
             found = await self.cnc.read_macros(self._block.polled)
             trace = replace(trace, read_back=self._clock.now())
-        except DriverError as error:
+        except Exception as error:
             refused = isinstance(error, FatalDriverError)
             outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
             self._conclude(intent, macros, outcome, str(error), {}, trace)
@@ -118,6 +121,7 @@ class CncSession:
         problems = self._block.differences(self._acceptable, found)
         self.echo = self._block.echo(found)
         self._enabled = self._block.enabled(found)
+        self._seen = found
         self.last_write_s = now.monotonic_s
         self.last_command = command
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED

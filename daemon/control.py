@@ -19,7 +19,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.limits import axis_sources, output_limits
 from daemon.permission import Permission, in_words
 from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
-from daemon.resume import ResumePoint, reference_to_state
+from daemon.resume import ResumePoint, reference_to_state, rest_to_state, with_rest
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
@@ -257,6 +257,11 @@ class ControlTask:
         sample = session.sample
         reference = self._resume.reference
         if reference is not None and sample is not None and not end_of_reference(reference, sample):
+            try:
+                self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference)
+            except ValueError as error:
+                self._notice(str(error))
+                return
             self.reference = reference
             self._ask_reference(reference)
             self._event("reference", f"taken up again: {reference.source}", "daemon")
@@ -326,15 +331,13 @@ class ControlTask:
         request, person = self._take_request()
         if person:
             self._event("request", in_words(request), person)
-        if request.acknowledge:
-            self.output_fault = None
-            if session is not None:
-                session.forgive()
+        if request.acknowledge and self.output_fault is not None and session is not None:
+            self.output_fault = "; ".join(session.forgive()) or None
         enabled = self._wanted_axes()
         return OutputInputs(
             now_s=now_s,
             phase=self.phase,
-            link=session is not None and session.echo is not None,
+            link=session is not None and session.echo is not None and not self._permission.prohibition(session.cnc),
             applied_um=self.applied_um(),
             thermal_error_um=self.thermal_error_um(),
             estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
@@ -367,6 +370,9 @@ class ControlTask:
             self._event("state", f"{before.state.value} -> {after.state.value}: {after.reason}", "daemon")
         if after.wanted != before.wanted or after.state is not before.state:
             self._history.put_state("wanted", dict(zip(self.limits.axes, after.wanted, strict=True)))
+        counts_anew = after.baseline_um is not before.baseline_um or after.offset_um is not before.offset_um
+        if after.reference_id is not None and counts_anew:
+            self._history.put_state("rest", rest_to_state(after, self.limits.axes))
         frozen_s = now_s - after.since_s
         alarm_after_s = self._configuration.compensation.output.alarm_after_s
         if after.state is OutputState.FAULT:

@@ -45,7 +45,9 @@ class MacroBlock:
         """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
         units = command.compensation_um / self._um_per_unit
         bits = sum(1 << index for index, on in enumerate(command.enable) if on)
-        content = [(self._map.values[axis], round(float(unit), 7)) for axis, unit in zip(self._axes, units, strict=True)]
+        content = [
+            (self._map.values[axis], round(float(unit), 7)) for axis, unit in zip(self._axes, units, strict=True)
+        ]
         content += [(self._map.valid_until, round(valid_until_s, 3)), (self._map.enable, float(bits))]
         return (
             ((self._map.sequence_a, float(sequence)),),
@@ -67,17 +69,23 @@ class MacroBlock:
 
     def differences(self, acceptable: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None]) -> list[str]:
         """Return what is vacant or foreign among our macros, in words."""
-        problems = []
+        problems = self.vacant({number: found.get(number) for number in acceptable})
         for number, allowed in acceptable.items():
             value = found.get(number)
             if value is None:
-                if number != self._map.valid_until:
-                    problems.append(f"macro #{number} is vacant")
                 continue
             if not any(self._close(value, expected) for expected in allowed):
-                expected = " or ".join(f"{v:g}" for v in allowed)
+                expected = " or ".join(f"{v:g}" for v in allowed) or "nothing"
                 problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
         return problems
+
+    def vacant(self, ours: Mapping[int, float | None]) -> list[str]:
+        """Return which of our macros are vacant, in words; power-off clears valid_until, so that one may be."""
+        return [
+            f"macro #{number} is vacant; commissioning initialises it"
+            for number, value in ours.items()
+            if value is None and number != self._map.valid_until
+        ]
 
     def enabled(self, macros: Mapping[int, float | None]) -> bool:
         """Whether any enable bit is set."""

@@ -1,5 +1,7 @@
 """Who and what may move the machine: everything that stands against switching an axis on."""
 
+from collections.abc import Iterator
+
 from config.commissioning import CommissioningRecord, commissioning_obstacle
 from config.schema import Configuration
 from drivers.clock import Clock
@@ -27,24 +29,27 @@ class Permission:
 
     def refusals(self, cnc: Cnc | None, axes: frozenset[str]) -> tuple[str, ...]:
         """Return what stands against compensating these axes, the most fundamental first."""
-        obstacles = [self._model_obstacle]
-        if cnc is not None:
-            if self._clock.speed != 1.0 and cnc.identity != SIMULATED_CNC_IDENTITY:
-                obstacles.append("the clock is simulated but the control is not")
-            obstacles.append(
-                commissioning_obstacle(
-                    self._commissioning,
-                    cnc_identity=cnc.identity,
-                    macros=self._configuration.cnc.macros,
-                    axes=sorted(axes),
-                )
+        of_control = () if cnc is None else self._obstacles_of_control(cnc, axes)
+        return tuple(obstacle for obstacle in (self._model_obstacle, *of_control) if obstacle)
+
+    def prohibition(self, cnc: Cnc) -> str:
+        """Return why nothing at all may be written to this control, not even a retreat, '' when it may."""
+        return next((obstacle for obstacle in self._obstacles_of_control(cnc, frozenset()) if obstacle), "")
+
+    def _obstacles_of_control(self, cnc: Cnc, axes: frozenset[str]) -> Iterator[str]:
+        if self._clock.speed != 1.0 and cnc.identity != SIMULATED_CNC_IDENTITY:
+            yield "the clock is simulated but the control is not"
+        yield commissioning_obstacle(
+            self._commissioning,
+            cnc_identity=cnc.identity,
+            macros=self._configuration.cnc.macros,
+            axes=sorted(axes),
+        )
+        if not cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
+            yield (
+                "the connection is not secure: configure cnc.opcua.security, "
+                "or set cnc.opcua.allow_insecure_writes: true"
             )
-            if not cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
-                obstacles.append(
-                    "the connection is not secure: configure cnc.opcua.security, "
-                    "or set cnc.opcua.allow_insecure_writes: true"
-                )
-        return tuple(obstacle for obstacle in obstacles if obstacle)
 
     def objection(self, request: OperatorRequest, cnc: Cnc | None, *, reached: bool) -> str:
         """Return why a person's request is refused, '' when it may be taken."""

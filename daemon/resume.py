@@ -1,6 +1,7 @@
 """What a previous run of the daemon left behind, and whether it may be taken up again."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import structlog
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from drivers.clock import Clock
+from models.compensation import OutputMemory
 from models.records import Instant, Reference
 
 log = structlog.get_logger(__name__)
@@ -21,6 +23,42 @@ class ResumePoint:
     wanted: tuple[bool, ...]
     reference: Reference | None
     known_macros: dict[int, tuple[float, ...]] | None
+    rest: dict[str, Any] | None = None
+    """Where the output stood when the reference was set, from `rest_to_state`."""
+
+
+def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
+    """Return as JSON for the store what the request is counted from."""
+    return {
+        "reference_id": memory.reference_id,
+        "model_id": memory.model_id,
+        "baseline_um": dict(zip(axes, memory.baseline_um.tolist(), strict=True)),
+        "offset_um": dict(zip(axes, memory.offset_um.tolist(), strict=True)),
+    }
+
+
+def with_rest(
+    memory: OutputMemory, rest: dict[str, Any] | None, axes: Sequence[str], reference: Reference
+) -> OutputMemory:
+    """Return the memory with the stored baseline of a reference that is taken up again.
+
+    Without it the request would count from what is applied now, which already holds the compensation.
+
+    Raises
+    ------
+    ValueError
+        When no baseline is stored for this reference, or for other axes.
+
+    """
+    if rest is None or rest["reference_id"] != reference.reference_id or set(rest["baseline_um"]) != set(axes):
+        raise ValueError(f"the reference of {reference.source} is not taken up again: its baseline was not stored")
+    return replace(
+        memory,
+        reference_id=rest["reference_id"],
+        model_id=rest["model_id"],
+        baseline_um=np.array([rest["baseline_um"][axis] for axis in axes]),
+        offset_um=np.array([rest["offset_um"][axis] for axis in axes]),
+    )
 
 
 def reference_to_state(reference: Reference) -> dict[str, Any]:
@@ -67,4 +105,5 @@ def load_resume_point(configuration: Configuration, history: HistoryWriter, cloc
         wanted=tuple(bool(wanted.get(axis, False)) and resumable for axis in axes),
         reference=reference,
         known_macros=history.last_written_macros(),
+        rest=history.get_state("rest"),
     )

@@ -1,0 +1,256 @@
+"""The control task on a CNC in this process, moved on by a test turn by turn."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from memory_cnc import MemoryNc
+
+from config.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.schema import Configuration
+from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig
+from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
+from config.schema.service import HistoryConfig, ServiceConfig
+from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
+from daemon.cnc_link import CncLink
+from daemon.cnc_session import CncSession
+from daemon.control import ControlTask
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.limits import commissioned_factors
+from daemon.macro_block import MacroBlock
+from daemon.resume import ResumePoint, load_resume_point
+from daemon.supervisor import Backoff, keep_alive
+from daemon.telemetry import Telemetry
+from daemon.thermal import ReferenceRequest
+from drivers.clock import Clock
+from drivers.contract import SIMULATED_CNC_IDENTITY
+from models.compensation import OperatorRequest
+from models.records import Instant, Reference, ThermalErrorEstimate, Trace
+
+SENSOR_IDS = (1, 2, 3, 11, 12)
+LINES = {"spindle": ["1-3"], "column": ["11-12"]}
+SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, SEQUENCE_B = 500, 501, 502, 503, 120, 504, 505
+BLOCK = (SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, SEQUENCE_B)
+EPOCH_S = 1_760_000_400.0
+TURN_S = 0.5
+FOREVER_S = 30.0
+
+
+class HandClock:
+    """A clock that a test moves."""
+
+    def __init__(self, monotonic_s: float = 1000.0, *, speed: float = 1.0) -> None:
+        self.monotonic_s = monotonic_s
+        self.speed = speed
+
+    def now(self) -> Instant:
+        return Instant(
+            monotonic_s=self.monotonic_s, utc_s=EPOCH_S + self.monotonic_s, real_s=self.monotonic_s / self.speed
+        )
+
+    async def sleep(self, duration_s: float) -> None:
+        self.monotonic_s += duration_s
+
+
+def machine(directory: Path, **changes: Any) -> Configuration:
+    """Two lines with five sensors; y and z have models, x has none. `changes` go to the output's section."""
+    cnc = changes.pop("cnc", {})
+    return Configuration(
+        machine="rig",
+        temperatures=TemperaturesConfig(
+            lines=[
+                LineConfig(name=name, port=str(directory / f"{name}.tty"), chain=chain) for name, chain in LINES.items()
+            ],
+            sensors=[
+                SensorConfig(id=i, device="TMP102", component="head" if i < 10 else "column", label="A")
+                for i in SENSOR_IDS
+            ],
+        ),
+        cnc=CncConfig(
+            opcua=OpcUaConfig(
+                endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc", allow_insecure_writes=True
+            )
+            if "opcua" not in cnc
+            else cnc["opcua"],
+            macros=MacroMapConfig(
+                writable=["120", "500-505"],
+                sequence_a=SEQUENCE_A,
+                values={"x": X, "y": Y, "z": Z},
+                valid_until=VALID_UNTIL,
+                enable=ENABLE,
+                sequence_b=SEQUENCE_B,
+                echo_applied={"x": 511, "y": 512, "z": 513},
+                echo_time=514,
+                echo_status=515,
+                echo_guard_version=516,
+            ),
+        ),
+        compensation=CompensationConfig(
+            axes={
+                name: AxisConfig(estimate=channel, absolute_bound_um=30.0, slew_um_per_min=60.0, step_um=10.0)
+                for name, channel in (("x", None), ("y", "Y1"), ("z", "Z1"))
+            },
+            reference=ReferenceConfig(sequence_numbers=[100]),
+            output=OutputConfig(**({"safe_sequence_numbers": [900], "hold_limit_s": 600.0} | changes)),
+        ),
+        history=HistoryConfig(path=directory / "history.sqlite"),
+        service=ServiceConfig(socket=directory / "s", http_port=None, retry_min_s=0.001, retry_max_s=0.002),
+    )
+
+
+def record_for(configuration: Configuration, **changes: Any) -> CommissioningRecord:
+    """A commissioning of y and z on the simulated control."""
+    content = {
+        "cnc_identity": SIMULATED_CNC_IDENTITY,
+        "macro_map_sha256": macro_map_digest(configuration.cnc.macros),
+        "person": "a test",
+        "date": "2026-01-01",
+        "axes": {
+            axis: CommissionedAxis(sign=1, scale=1.0, written_um=10.0, measured_um=10.0) for axis in ("x", "y", "z")
+        },
+    }
+    return CommissioningRecord(**(content | changes))
+
+
+class Rig:
+    """One run of the control task; `turn` does what its loop does when poll and tick fall due."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        nc: MemoryNc,
+        clock: Clock,
+        *,
+        record: CommissioningRecord | None,
+        model_obstacle: str = "",
+        resume: ResumePoint | None = None,
+    ) -> None:
+        self.configuration, self.nc, self.clock = configuration, nc, clock
+        self.telemetry = Telemetry()
+        self.history = HistoryWriter(
+            configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
+        )
+        self.asked: list[ReferenceRequest | Reference] = []
+        self.ticks = 0
+        axes = tuple(configuration.compensation.axes)
+        self.block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
+        self.resume = resume if resume is not None else load_resume_point(configuration, self.history, clock)
+        self.link = CncLink(nc.open, self._open_session)
+        self.control = ControlTask(
+            configuration,
+            clock,
+            self.link,
+            self.history,
+            self.telemetry,
+            commissioning=record,
+            model_obstacle=model_obstacle,
+            resume=self.resume,
+            ask_reference=self.asked.append,
+            on_tick=self._tick,
+        )
+
+    def _tick(self) -> None:
+        self.ticks += 1
+
+    def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
+        known = last.known if last is not None else self.resume.known_macros
+        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, known)
+
+    async def connected(self, *, timeout_s: float = FOREVER_S) -> None:
+        """Return when the supervisor has opened a session."""
+        async with asyncio.timeout(timeout_s):
+            while self.link.session is None:
+                await asyncio.sleep(0.001)
+
+    async def turn(
+        self, estimate: ThermalErrorEstimate | None = None, *, after_s: float = TURN_S, safe: bool = True
+    ) -> None:
+        """Let time pass, poll, decide and write; then let the guard run when the tool is away from the work."""
+        self.clock.monotonic_s += after_s  # type: ignore[attr-defined]
+        if estimate is not None:
+            self.control.deliver(estimate)
+        fresh, self.control._fresh = self.control._fresh, None
+        await self.control._guarded(self.control._poll())
+        await self.control._guarded(self.control._act(fresh))
+        if safe:
+            self.nc.safe_point()
+
+    def estimate(self, y_um: float, z_um: float, **changes: Any) -> ThermalErrorEstimate:
+        """An estimate from now, relative to the present reference."""
+        now = self.clock.now()
+        reference = self.control.reference
+        content = {
+            "channels": ("Y1", "Z1"),
+            "thermal_error_um": np.array([y_um, z_um]),
+            "band_um": np.full(2, np.nan),
+            "label_degc": {"A": 20.0},
+            "label_increment_degc": {"A": 0.0},
+            "in_domain": True,
+            "confidence": 1.0,
+            "imputed": (),
+            "model_id": "made-up",
+            "reference_id": reference.reference_id if reference is not None else None,
+            "line": "spindle",
+            "trace": Trace(first_byte=now, last_byte=now, cleansed=now, estimated=now),
+        }
+        return ThermalErrorEstimate(**(content | changes))
+
+    def set_reference(self, reference_id: str = "r1") -> None:
+        """Answer as the thermal task does."""
+        nc = self.nc
+        self.control.deliver(
+            Reference(
+                reference_id=reference_id,
+                time=self.clock.now(),
+                source="O1000 N100",
+                degc=np.full(len(SENSOR_IDS), 20.0),
+                program=nc.program,
+                work_offset=nc.work_offset,
+                power_on_count=nc.power_on_count,
+            )
+        )
+
+    async def follow(self, y_um: float, z_um: float, turns: int = 40, **changes: Any) -> None:
+        """Deliver the same error again and again."""
+        for _ in range(turns):
+            await self.turn(self.estimate(y_um, z_um, **changes))
+
+    async def switch_on(self, *axes: str) -> None:
+        """Have axes switched on by a person."""
+        refusal = self.control.request(OperatorRequest(enable=frozenset(axes or ("y", "z"))), "a person")
+        assert refusal == ""
+        await self.turn()
+
+    async def active(self) -> None:
+        """Go to ACTIVE with a reference and no error."""
+        await self.turn()
+        self.set_reference()
+        await self.switch_on()
+        await self.follow(0.0, 0.0, 2)
+        assert self.state == "ACTIVE", self.control.memory
+
+    @property
+    def state(self) -> str:
+        return self.control.memory.state.value if self.control.memory is not None else "none"
+
+    @property
+    def applied(self) -> dict[str, float]:
+        return self.nc.guard.applied_um
+
+
+@contextlib.asynccontextmanager
+async def running(rig: Rig) -> AsyncIterator[Rig]:
+    """Keep the rig's link and history alive."""
+    rig.history.start()
+    keeper = asyncio.create_task(keep_alive(rig.link.health, rig.link.attempt, Backoff(0.001, 0.002)))
+    try:
+        await rig.connected()
+        yield rig
+    finally:
+        keeper.cancel()
+        await asyncio.gather(keeper, return_exceptions=True)
+        await asyncio.to_thread(rig.history.close)

@@ -1,0 +1,120 @@
+"""A CNC in this process: macro table and safe points of the simulated NC behind the drivers' contract."""
+
+from collections.abc import Sequence
+
+from config.schema import Configuration
+from drivers.clock import Clock
+from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError
+from drivers.sim.nc import MacroTable
+from drivers.sim.safe_point import GuardStatus, SafePointApplication
+from models.records import CncMode, CncRun, CncSample
+
+
+class MemoryNc:
+    """The control itself: outlives every client that is opened on it."""
+
+    def __init__(self, configuration: Configuration, clock: Clock) -> None:
+        self.clock = clock
+        self.macros = MacroTable()
+        self.guard = SafePointApplication(configuration.cnc.macros, configuration.compensation.axes)
+        self.guard.initialise(self.macros, self.clock_s)
+        self.identity = SIMULATED_CNC_IDENTITY
+        self.secure = False
+        self.program, self.sequence_number, self.work_offset = 1000, 0, 54
+        self.run = CncRun.START
+        self.power_on_count = 7
+        self.clock_zero_s = 500.0
+        self.reachable = True
+        self.groups_until_lost: int | None = None
+        """Groups that are still taken before the connection is lost in a write."""
+        self.refuses: int | None = None
+        """Macro variable whose writing is refused for good."""
+        self.forgets: int | None = None
+        """Macro variable that takes a write and keeps its old value."""
+        self.breaks: Exception | None = None
+        """What the next call raises."""
+        self.written: list[tuple[int, float]] = []
+        self.opened: list[MemoryCnc] = []
+
+    @property
+    def clock_s(self) -> float:
+        return getattr(self, "clock_zero_s", 500.0) + self.clock.now().monotonic_s
+
+    def open(self) -> "MemoryCnc":
+        client = MemoryCnc(self)
+        self.opened.append(client)
+        return client
+
+    def safe_point(self) -> GuardStatus:
+        """Let the guard run once."""
+        return self.guard.run(self.macros, self.clock_s)
+
+    def power_cycle(self) -> None:
+        self.macros.power_off()
+        self.power_on_count += 1
+        self.clock_zero_s = -self.clock.now().monotonic_s
+
+
+class MemoryCnc:
+    """One client of a MemoryNc; implements `drivers.contract.Cnc`."""
+
+    def __init__(self, nc: MemoryNc) -> None:
+        self._nc = nc
+        self.identity = nc.identity
+        self.secure = nc.secure
+        self.connected = False
+        self.closed = False
+
+    async def connect(self) -> None:
+        if not self._nc.reachable:
+            raise LinkError("the CNC cannot be reached")
+        self.connected = True
+
+    async def read(self, macros: Sequence[int]) -> CncSample:
+        found = await self.read_macros(macros)
+        nc = self._nc
+        return CncSample(
+            time=nc.clock.now(),
+            mode=CncMode.MEMORY,
+            run=nc.run,
+            alarm=False,
+            program=nc.program,
+            sequence_number=nc.sequence_number,
+            spindle_speed_rpm=5000.0,
+            motor_temperature_degc=30.0,
+            clock_s=nc.clock_s,
+            power_on_count=nc.power_on_count,
+            work_offset=nc.work_offset,
+            tool_number=1,
+            macros=found,
+        )
+
+    async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
+        self._answer()
+        return {number: self._nc.macros.get(number) for number in macros}
+
+    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        self._answer()
+        nc = self._nc
+        for group in groups:
+            if nc.groups_until_lost is not None:
+                if nc.groups_until_lost == 0:
+                    nc.groups_until_lost = None
+                    raise LinkError("the connection was lost while writing")
+                nc.groups_until_lost -= 1
+            for number, value in group:
+                if number == nc.refuses:
+                    raise FatalDriverError(f"the CNC refuses #{number}")
+                nc.written.append((number, value))
+                if number != nc.forgets:
+                    nc.macros.set(number, value)
+
+    async def close(self) -> None:
+        self.closed = True
+
+    def _answer(self) -> None:
+        if self.closed or not self._nc.reachable:
+            raise LinkError("the connection is lost")
+        if self._nc.breaks is not None:
+            error, self._nc.breaks = self._nc.breaks, None
+            raise error
