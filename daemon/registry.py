@@ -5,6 +5,7 @@ from config.schema.temperatures import LineConfig
 from drivers.clock import Clock
 from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
+from drivers.displacement_csv import DisplacementCsvSource
 from drivers.latsis_serial import LatsisSerialSource
 
 
@@ -17,8 +18,6 @@ def open_displacement_source(
     configuration: Configuration, clock: Clock, after_utc_s: float | None
 ) -> DisplacementSource:
     """Return a new, unopened source for the logger's files; rows up to `after_utc_s` are skipped."""
-    from drivers.displacement_csv import DisplacementCsvSource
-
     assert configuration.displacements is not None
     return DisplacementCsvSource(configuration.displacements, clock, after_utc_s=after_utc_s)
 
