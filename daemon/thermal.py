@@ -18,6 +18,7 @@ from daemon.telemetry import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
+from models.quality import Quality, Reason
 from models.records import (
     FloatArray,
     MachineTemperatures,
@@ -72,8 +73,8 @@ class ThermalTask:
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
         self._measured = np.full(len(position), np.nan)
-        self._quality = np.full(len(position), 2, dtype=np.uint8)
-        self._reason = np.full(len(position), 1, dtype=np.uint8)
+        self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
+        self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
         self._reference: Reference | None = None
         self.inbox = inbox
         self.latest: MachineTemperatures | None = None
@@ -149,7 +150,10 @@ class ThermalTask:
         self._quality[indices] = result.quality
         self._reason[indices] = result.reason
         ages_s = age_s(self._state, now_s)
-        degc[ages_s > self._rules.stale_after_s] = np.nan
+        stale = ages_s > self._rules.stale_after_s
+        degc[stale] = np.nan
+        unsaid = stale & (self._quality != Quality.MISSING)
+        self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
         self._mean.add(now_s, degc)
         return MachineTemperatures(
             line=cycle.line,
@@ -196,14 +200,17 @@ class ThermalTask:
         return means
 
     def _set_reference(self, request: ReferenceRequest) -> None:
-        degc = self._mean.mean()
+        now = self._clock.now()
+        latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
+        degc = self._mean.mean() if now.monotonic_s - latest_s <= self._mean.window_s else np.empty(0)
         usable = int(np.isfinite(degc).sum())
         if usable == 0:
-            self._deliver(f"reference of {request.source} refused: no temperature has arrived in the last minute")
+            window = f"the last {self._mean.window_s:.0f} s"
+            self._deliver(f"reference of {request.source} refused: no temperature has arrived in {window}")
             return
         reference = Reference(
             reference_id=request.reference_id,
-            time=self._clock.now(),
+            time=now,
             source=request.source,
             degc=degc,
             program=request.program,
