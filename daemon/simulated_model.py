@@ -53,7 +53,7 @@ def published_sensors() -> list[SensorConfig]:
     return load_configuration(shipped_file("cfrpmt.yaml")).temperatures.sensors
 
 
-def test_programmes() -> tuple[PartProgram, ...]:
+def training_programmes() -> tuple[PartProgram, ...]:
     """Return the programmes of the training days, used in turn: the kinds of test that the source made."""
     return (
         rotation_program(speed_rpm=12000.0),
@@ -135,7 +135,7 @@ def judge(model: ThermalModel, recording: Recording, sensors: Sequence[SensorCon
 
 def unseen_days(sensors: Sequence[SensorConfig]) -> list[Recording]:
     """Return days that nothing was fitted or chosen on, half of them with the demo's part programme."""
-    programmes = (demo_program(), *test_programmes()[:3])
+    programmes = (demo_program(), *training_programmes()[:3])
     return [
         simulated_recording(seed, programmes[0 if index % 2 else index // 2 % 3 + 1], sensors, hours=UNSEEN_HOURS)
         for index, seed in enumerate(UNSEEN_SEEDS)
@@ -153,7 +153,7 @@ def unseen_days(sensors: Sequence[SensorConfig]) -> list[Recording]:
 def main(output: Path) -> None:
     """Fit the model of the simulated machine and judge it on days it has not seen."""
     sensors = published_sensors()
-    programmes = test_programmes()
+    programmes = training_programmes()
     recordings = []
     with click.progressbar(TRAINING_SEEDS, label="recording days", file=sys.stderr) as seeds:
         for seed in seeds:

@@ -1,7 +1,6 @@
 """Means over time: of the running daemon's input, and of recordings."""
 
 import itertools
-from collections import deque
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +31,7 @@ class RollingMean:
         if not window_s > 0:
             raise ValueError(f"window_s must be positive, got {window_s}")
         self.window_s = window_s
-        self._samples: deque[tuple[float, FloatArray]] = deque()
+        self._samples: list[tuple[float, FloatArray]] = []
         self._newest_s = -np.inf
 
     def add(self, time_s: float, values: FloatArray) -> None:
@@ -59,10 +58,9 @@ class RollingMean:
             self._samples.clear()
             self._newest_s = -np.inf
         self._newest_s = max(self._newest_s, time_s)
-        self._samples.append((time_s, values))
         oldest_s = self._newest_s - self.window_s
-        while self._samples[0][0] <= oldest_s:
-            self._samples.popleft()
+        self._samples = [sample for sample in self._samples if sample[0] > oldest_s]
+        self._samples.append((time_s, values))
 
     def mean(self) -> FloatArray:
         """Return the mean per sensor, shape (n_sensors,); NaN where the window holds no value.
@@ -75,8 +73,7 @@ class RollingMean:
         """
         if not self._samples:
             raise ValueError("no vector has been added yet")
-        oldest_s = self._newest_s - self.window_s
-        return _mean_of_known(np.stack([values for time_s, values in self._samples if time_s > oldest_s]))
+        return _mean_of_known(np.stack([values for _, values in self._samples]))
 
     @property
     def delay_s(self) -> float:

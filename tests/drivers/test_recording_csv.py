@@ -1,0 +1,144 @@
+"""Recordings as files: maps, formats, and errors with file, line and column."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.problems import ConfigurationError
+from config.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
+from drivers.recording_csv import RecordingFileError, read_header, read_recording
+
+MAP = RecordingMap(time="t", speed="rpm", temperatures=["t*"], displacements=["c*"])
+GOOD = "t,rpm,c1,t1,t2\n0,0,0.5,20,21\n15,1250,0.75,20.5,21.25\n"
+
+
+def written(folder: Path, content: str | bytes, name: str = "day.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def refusal(folder: Path, content: str | bytes, recording_map: RecordingMap | None = MAP) -> str:
+    with pytest.raises(RecordingFileError) as raised:
+        read_recording(written(folder, content), recording_map)
+    return str(raised.value).removeprefix(str(folder) + "/")
+
+
+def test_columns_are_read_by_the_map(tmp_path: Path) -> None:
+    recording = read_recording(written(tmp_path, GOOD), MAP)
+    assert (recording.temperature_names, recording.displacement_names) == (("t1", "t2"), ("c1",))
+    np.testing.assert_array_equal(recording.time_s, [0.0, 15.0])
+    np.testing.assert_array_equal(recording.speed_rpm, [0.0, 1250.0])
+    np.testing.assert_array_equal(recording.temperatures_degc, [[20.0, 21.0], [20.5, 21.25]])
+    np.testing.assert_array_equal(recording.displacements_um, [[0.5], [0.75]])
+
+
+def test_without_a_map_the_usual_names_are_understood(tmp_path: Path) -> None:
+    recording = read_recording(written(tmp_path, GOOD))
+    assert (recording.temperature_names, recording.displacement_names) == (("t1", "t2"), ("c1",))
+    assert usual_map(["time_h", "speed_rpm", "T1", "Y1", "Z2"]).displacements == ["[XYZ][0-9]*"]
+    assert "no column carries a usual name for displacements" in refusal(tmp_path, "t,t1\n0,20\n", None)
+    assert "time: no column carries a usual name" in refusal(tmp_path, "clock,t1,c1\n0,20,1\n", None)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + GOOD.encode(),
+        GOOD.replace("\n", "\r\n").encode(),
+        GOOD.replace(",", ";").replace(".", ",").encode(),
+        GOOD.replace(",", "\t").encode(),
+        GOOD.replace("\n", "\n\n").encode(),
+        GOOD.replace(",", " , ").encode(),
+        GOOD.replace("t1", '"t1"').encode(),
+        GOOD.rstrip("\n").encode(),
+    ],
+)
+def test_usual_dialects_give_the_same_numbers(tmp_path: Path, content: bytes) -> None:
+    recording = read_recording(written(tmp_path, content), MAP)
+    np.testing.assert_array_equal(recording.temperatures_degc, [[20.0, 21.0], [20.5, 21.25]])
+    np.testing.assert_array_equal(recording.time_s, [0.0, 15.0])
+
+
+@pytest.mark.parametrize(
+    ("unit", "first", "second"),
+    [
+        ("s", "100", "115"),
+        ("min", "2", "2.25"),
+        ("h", "1.0", "1.0041666666666667"),
+        ("iso", "2026-03-01T08:00:00", "2026-03-01T08:00:15"),
+        ("iso", "2026-03-01 08:00:00+01:00", "2026-03-01T07:00:15Z"),
+    ],
+)
+def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, first: str, second: str) -> None:
+    content = f"when,c1,t1\n{first},1,20\n{second},1,20\n"
+    recording_map = RecordingMap(time="when", time_unit=unit, temperatures=["t1"], displacements=["c1"])  # type: ignore[arg-type]
+    recording = read_recording(written(tmp_path, content), recording_map)
+    np.testing.assert_allclose(recording.time_s, [0.0, 15.0], atol=1e-6)
+    assert recording.speed_rpm is None
+
+
+def test_empty_fields_are_missing_values(tmp_path: Path) -> None:
+    recording = read_recording(written(tmp_path, "t,rpm,c1,t1,t2\n0,,NA,20,\n15,0,1,nan,21\n"), MAP)
+    np.testing.assert_array_equal(recording.temperatures_degc, [[20.0, np.nan], [np.nan, 21.0]])
+    np.testing.assert_array_equal(recording.displacements_um, [[np.nan], [1.0]])
+    np.testing.assert_array_equal(recording.speed_rpm, [np.nan, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("", "day.csv: has no header row"),
+        ("\n1,2\n", "day.csv:1: has no header row"),
+        ("0,1,2\n", "day.csv:1: begins with numbers"),
+        ("t,rpm,c1,t1,t1\n", "day.csv:1: the column names t1 appear twice"),
+        ("t,rpm,c1,t1,t2\n", "day.csv:1: holds no rows"),
+        ("t,rpm,c1,x\n0,0,0,0\n", "day.csv:1: temperatures: no column matches 't*'; the columns are t, rpm, c1, x"),
+        ("t,c1,t1\n0,0,0\n", "day.csv:1: speed: there is no column 'rpm'"),
+        (GOOD + "30,0,1,20\n", "day.csv:4: has 4 fields where the header has 5"),
+        (GOOD + "30,0,abc,20,21\n", "day.csv:4: column c1: 'abc' is not a number"),
+        (GOOD + "30,0,1,20,inf\n", "day.csv:4: column t2: 'inf' is not a possible value"),
+        (GOOD + ",0,1,20,21\n", "day.csv:4: column t: '' is not a time"),
+        (GOOD + "nan,0,1,20,21\n", "day.csv:4: column t: 'nan' is not a time"),
+        (GOOD + "15,0,1,20,21\n", "day.csv:4: column t: '15' does not come after the row before"),
+        (GOOD.encode() + b"30,0,\xff,20,21\n", "is not UTF-8"),
+        (GOOD.encode() + b"30,0,\x00,20,21\n", "day.csv:4: holds a NUL byte"),
+        (",".join(f"x{i}" for i in range(5000)) + "\n", "day.csv:1: has 5000 columns"),
+        (GOOD + '30,0,"' + "9" * 200_000 + "\n", "is not CSV"),
+    ],
+)
+def test_errors_name_file_line_and_column(tmp_path: Path, content: str | bytes, sentence: str) -> None:
+    assert sentence in refusal(tmp_path, content)
+
+
+def test_a_file_that_is_not_there_or_no_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingFileError, match="cannot be opened"):
+        read_recording(tmp_path / "nothing.csv", MAP)
+    with pytest.raises(RecordingFileError, match="cannot be opened"):
+        read_recording(tmp_path, MAP)
+
+
+def test_the_header_alone_can_be_read(tmp_path: Path) -> None:
+    assert read_header(written(tmp_path, GOOD)) == ["t", "rpm", "c1", "t1", "t2"]
+
+
+def test_a_column_has_one_meaning() -> None:
+    header = ["t", "tempo", "c1", "t1"]
+    columns = resolve_columns(RecordingMap(time="t", speed="tempo", temperatures=["t*"], displacements=["c*"]), header)
+    assert columns.temperatures == [3]
+    with pytest.raises(ColumnError, match="c1 would be temperature and displacement at once"):
+        resolve_columns(RecordingMap(time="t", temperatures=["*1"], displacements=["c*"]), header)
+    with pytest.raises(ColumnError, match="is the time already"):
+        resolve_columns(RecordingMap(time="t", speed="t", temperatures=["t*"], displacements=["c*"]), header)
+
+
+def test_a_map_is_yaml_with_errors_by_line_and_key(tmp_path: Path) -> None:
+    small = '{time: t, time_unit: s, speed: rpm, temperatures: ["t*"], displacements: ["c*"], sample_s: 60}\n'
+    assert load_recording_map(written(tmp_path, small, "map.yaml")) == MAP
+    bad = "time: t\ntemperatures: [t1]\ndisplacements: [c1]\ntime_unit: days\ncolour: red\n"
+    with pytest.raises(ConfigurationError) as raised:
+        load_recording_map(written(tmp_path, bad, "bad.yaml"))
+    text = str(raised.value)
+    assert "bad.yaml:4:" in text and "time_unit" in text
+    assert "bad.yaml:5:1: colour" in text

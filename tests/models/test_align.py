@@ -1,0 +1,85 @@
+"""Rolling means, block means, stretches without a gap."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.align import RollingMean, block_means, contiguous_runs
+
+
+def test_the_mean_covers_the_last_minute_and_leaves_missing_values_out() -> None:
+    rolling = RollingMean(60.0)
+    rolling.add(0.0, np.array([100.0, 100.0, 100.0]))
+    rolling.add(30.0, np.array([1.0, np.nan, np.nan]))
+    rolling.add(60.0, np.array([3.0, 5.0, np.nan]))
+    np.testing.assert_array_equal(rolling.mean(), [2.0, 5.0, np.nan])
+    assert rolling.delay_s == 15.0
+
+
+def test_vectors_out_of_order_count_and_a_clock_that_went_back_starts_anew() -> None:
+    rolling = RollingMean(60.0)
+    rolling.add(100.0, np.array([1.0]))
+    rolling.add(95.0, np.array([3.0]))
+    assert rolling.mean()[0] == 2.0
+    rolling.add(0.0, np.array([7.0]))
+    assert (rolling.mean()[0], rolling.delay_s) == (7.0, 0.0)
+
+
+def test_a_late_vector_leaves_with_its_own_time() -> None:
+    rolling = RollingMean(60.0)
+    for time_s, value in ((100.0, 1.0), (50.0, 9.0), (115.0, 3.0)):
+        rolling.add(time_s, np.array([value]))
+    assert rolling.mean()[0] == 2.0
+    assert rolling.delay_s == 7.5
+
+
+def test_what_cannot_be_averaged_is_refused() -> None:
+    with pytest.raises(ValueError, match="window_s"):
+        RollingMean(0.0)
+    rolling = RollingMean(60.0)
+    assert rolling.delay_s == 0.0
+    with pytest.raises(ValueError, match="no vector"):
+        rolling.mean()
+    rolling.add(0.0, np.zeros(3))
+    with pytest.raises(ValueError, match="sensors"):
+        rolling.add(1.0, np.zeros(4))
+    with pytest.raises(ValueError, match="finite"):
+        rolling.add(float("nan"), np.zeros(3))
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 40.0), st.one_of(st.just(np.nan), st.floats(-50.0, 50.0))), min_size=1))
+def test_the_rolling_mean_is_the_mean_of_what_lies_in_the_window(steps: list[tuple[float, float]]) -> None:
+    rolling, times, values = RollingMean(60.0), np.cumsum([step for step, _ in steps]), [v for _, v in steps]
+    for time_s, value in zip(times, values, strict=True):
+        rolling.add(float(time_s), np.array([value]))
+    inside = [v for t, v in zip(times, values, strict=True) if t > times[-1] - 60.0 and not np.isnan(v)]
+    expected = sum(inside) / len(inside) if inside else np.nan
+    np.testing.assert_allclose(rolling.mean()[0], expected, atol=1e-9)
+
+
+def test_block_means_keep_gaps_and_partial_blocks() -> None:
+    time_s = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 240.0, 255.0])
+    values = np.array(
+        [[1.0, np.nan], [2.0, np.nan], [3.0, np.nan], [4.0, np.nan], [9.0, 1.0], [5.0, np.nan], [7.0, 2.0]]
+    )
+    start_s, means = block_means(time_s, values, 60.0)
+    np.testing.assert_array_equal(start_s, [0.0, 60.0, 240.0])
+    np.testing.assert_array_equal(means, [[2.5, np.nan], [9.0, 1.0], [6.0, 2.0]])
+    np.testing.assert_array_equal(block_means(time_s, values[:, 0], 60.0)[1], [2.5, 9.0, 6.0])
+
+
+def test_block_means_refuse_what_has_no_order() -> None:
+    with pytest.raises(ValueError, match="row 3"):
+        block_means(np.array([0.0, 1.0, 1.0]), np.zeros(3), 60.0)
+    with pytest.raises(ValueError, match="period_s"):
+        block_means(np.zeros(1), np.zeros(1), 0.0)
+    with pytest.raises(ValueError, match="as many times"):
+        block_means(np.zeros(2), np.zeros(3), 60.0)
+    assert len(block_means(np.zeros(0), np.zeros((0, 2)), 60.0)[0]) == 0
+
+
+def test_stretches_end_where_the_time_jumps() -> None:
+    time_s = np.array([0.0, 60.0, 120.0, 300.0, 360.0, 460.0])
+    assert contiguous_runs(time_s, 60.0) == [(0, 3), (3, 5), (5, 6)]
+    assert contiguous_runs(np.zeros(0), 60.0) == []

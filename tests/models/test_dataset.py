@@ -1,0 +1,128 @@
+"""Recordings: their parts, and what is said about bad ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.dataset import DatasetError, Recording
+
+
+def recording(rows: int = 60, sensors: int = 3, period_s: float = 60.0) -> Recording:
+    rng = np.random.default_rng(5)
+    return Recording(
+        name="day.csv",
+        time_s=np.arange(rows) * period_s,
+        speed_rpm=np.where(np.arange(rows) % 20 < 10, 0.0, 5000.0),
+        temperature_names=tuple(f"t{i + 1}" for i in range(sensors)),
+        temperatures_degc=20.0 + np.cumsum(rng.normal(0.2, 0.1, (rows, sensors)), axis=0),
+        displacement_names=("c1", "c2"),
+        displacements_um=np.cumsum(rng.normal(0.3, 0.2, (rows, 2)), axis=0),
+    )
+
+
+def sentences(one: Recording) -> str:
+    return "\n".join(str(finding) for finding in one.findings())
+
+
+def spoilt(table: str, column: int, rows: slice | int, value: float) -> Recording:
+    good = recording()
+    values = getattr(good, table).copy()
+    values[rows, column] = value
+    return replace(good, **{table: values})
+
+
+def test_a_good_recording_has_no_findings() -> None:
+    assert recording().require_usable() == ()
+
+
+def test_tables_and_names_must_fit() -> None:
+    with pytest.raises(DatasetError, match="2 temperature names"):
+        replace(recording(), temperature_names=("t1", "t2"))
+    with pytest.raises(DatasetError, match="c1 appear twice"):
+        replace(recording(), displacement_names=("c1", "c1"))
+    with pytest.raises(DatasetError, match="as many speeds"):
+        replace(recording(), speed_rpm=np.zeros(3))
+
+
+def test_time_must_increase_and_the_row_is_named() -> None:
+    times = recording().time_s.copy()
+    times[7] = times[6]
+    with pytest.raises(DatasetError, match=r"column time, row 8: 360 s does not come after 360 s"):
+        replace(recording(), time_s=times)
+    times[7] = np.nan
+    with pytest.raises(DatasetError, match="column time, row 8: not a time"):
+        replace(recording(), time_s=times)
+
+
+def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
+    assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+    spoilt("temperatures_degc", 1, slice(4, 7), np.nan).require_usable()
+
+
+def test_an_empty_column_is_refused() -> None:
+    with pytest.raises(DatasetError, match=r"day\.csv: column c2: no value at all"):
+        spoilt("displacements_um", 1, slice(None), np.nan).require_usable()
+
+
+def test_a_constant_sensor_is_a_warning() -> None:
+    assert "column t3: constant at 21.5" in sentences(spoilt("temperatures_degc", 2, slice(None), 21.5))
+
+
+def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
+    times = recording().time_s.copy()
+    times[30:] += 3600.0
+    assert "column time, row 31: a gap of 3660 s" in sentences(replace(recording(), time_s=times))
+
+
+def test_fewer_rows_than_variables_are_refused() -> None:
+    with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
+        recording(rows=20, sensors=30).require_usable()
+
+
+def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
+    good = recording()
+    with pytest.raises(DatasetError, match=r"column t1: a median of .* looks like kelvin"):
+        replace(good, temperatures_degc=good.temperatures_degc + 273.15).require_usable()
+    with pytest.raises(DatasetError, match="looks like raw counts"):
+        replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0).require_usable()
+    with pytest.raises(DatasetError, match="looks like millimetres"):
+        replace(good, displacements_um=good.displacements_um / 1000.0).require_usable()
+    with pytest.raises(DatasetError, match=r"column c1: moves by .* too far for micrometres"):
+        replace(good, displacements_um=good.displacements_um * 1000.0).require_usable()
+
+
+def test_parts_keep_the_clock_of_the_whole() -> None:
+    part = recording().between_hours(0.25, 0.5)
+    np.testing.assert_array_equal(part.time_s[[0, -1]], [900.0, 1740.0])
+    assert part.between_hours(0.4, 0.5).time_s[0] == 1440.0
+    with pytest.raises(DatasetError, match=r"no row in hours 3 to 4; the recording covers hours 0.00 to 0.98"):
+        recording().between_hours(3.0, 4.0)
+    with pytest.raises(DatasetError, match="run backwards"):
+        recording().between_hours(2.0, 1.0)
+
+
+def test_channels_are_chosen_by_name() -> None:
+    chosen = recording().with_channels(("c2",))
+    np.testing.assert_array_equal(chosen.displacements_um[:, 0], recording().displacements_um[:, 1])
+    with pytest.raises(DatasetError, match="no displacement channel c9; there are c1, c2"):
+        recording().with_channels(("c9",))
+
+
+def test_down_sampling_averages_every_column_and_never_adds_rows() -> None:
+    fine = recording(rows=240, period_s=15.0)
+    minutes = fine.downsampled(60.0)
+    assert minutes.rows == 60
+    np.testing.assert_allclose(minutes.temperatures_degc[3], fine.temperatures_degc[12:16].mean(axis=0))
+    np.testing.assert_allclose(minutes.displacements_um[3], fine.displacements_um[12:16].mean(axis=0))
+    assert minutes.speed_rpm is not None and fine.speed_rpm is not None
+    np.testing.assert_allclose(minutes.speed_rpm[3], fine.speed_rpm[12:16].mean())
+    assert minutes.downsampled(10.0) is minutes
+
+
+def test_stretches_of_constant_speed() -> None:
+    speed = np.r_[np.full(5, 0.0), [600.0], np.full(20, 5000.0), np.full(34, 5040.0)]
+    parts = replace(recording(), speed_rpm=speed).split_at_speed_changes()
+    assert [part.rows for part in parts] == [5, 1, 54]
+    with pytest.raises(DatasetError, match="needs a speed column"):
+        replace(recording(), speed_rpm=None).split_at_speed_changes()

@@ -1,0 +1,143 @@
+"""The estimate: telescoped, imputed, in domain or not, never NaN."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.records import FloatArray
+from models.thermal.estimate import DOMAIN_MARGIN_K, Estimation, estimate, linear_estimator
+from models.thermal.evaluation import residual_metrics
+from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
+
+COEFFICIENTS = np.array([[1.0, 2.0, -1.0, 0.0], [0.5, 0.0, 0.0, -0.5]])
+DRIFT = np.array([0.1, 0.0])
+COMPONENTS = ("Column", "Column", "Column", "Bed")
+REFERENCE = np.array([20.0, 20.0, 20.0, 20.0])
+MODEL = ThermalModel(
+    model_id="m",
+    kind="ridge",
+    channels=("Y1", "Z1"),
+    sensor_ids=(11, 12, 13, 14),
+    sensor_names=("T11", "T12", "T13", "T14"),
+    coefficients_um_per_k=COEFFICIENTS,
+    drift_um_per_min=DRIFT,
+    interval_min=1.0,
+    ridge_k2=1.0,
+    lowest_increment_k=np.array([0.0, -2.0, -2.0, 0.0]),
+    highest_increment_k=np.array([4.0, 6.0, 6.0, 0.0]),
+    band_um=np.array([1.0, 1.0]),
+    training=(TrainingData(name="d", sha256="00", from_hours=0.0, to_hours=1.0, rows=60),),
+    created="2026-01-01T00:00:00+00:00",
+    test_vectors=make_test_vectors(COEFFICIENTS, DRIFT, ((REFERENCE, REFERENCE),)),
+)
+INCREMENTS = st.lists(st.one_of(st.just(np.nan), st.floats(-30.0, 30.0)), min_size=4, max_size=4)
+
+
+def at(increment_k: list[float], elapsed_min: float = 0.0, model: ThermalModel = MODEL) -> Estimation:
+    outcome = estimate(model, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min, COMPONENTS)
+    assert outcome is not None
+    return outcome
+
+
+def test_the_estimate_is_drift_times_minutes_plus_coefficients_times_increments() -> None:
+    outcome = at([1.0, 2.0, 3.0, 0.25], elapsed_min=30.0)
+    np.testing.assert_allclose(outcome.thermal_error_um, [1.0 + 4.0 - 3.0 + 3.0, 0.5 - 0.125])
+    assert (outcome.confidence, outcome.in_domain, outcome.imputed, outcome.outside) == (1.0, True, (), ())
+
+
+def test_a_missing_sensor_takes_the_mean_increment_of_its_component() -> None:
+    outcome = at([1.0, np.nan, 3.0, 0.0])
+    np.testing.assert_allclose(outcome.thermal_error_um, [1.0 + 2.0 * 2.0 - 3.0, 0.5])
+    assert outcome.imputed == (12,)
+    assert outcome.confidence == pytest.approx(1.0 - 2.0 / 4.0)
+
+
+def test_a_component_without_any_sensor_takes_the_mean_of_all() -> None:
+    outcome = at([1.0, 2.0, 3.0, np.nan])
+    np.testing.assert_allclose(outcome.thermal_error_um[1], 0.5 * 1.0 - 0.5 * 2.0)
+    assert outcome.imputed == (14,)
+    assert outcome.confidence == pytest.approx(0.5)  # half of Z1's weight, nothing of Y1's
+
+
+def test_a_sensor_without_a_value_at_the_reference_is_imputed_as_well() -> None:
+    reference = REFERENCE.copy()
+    reference[0] = np.nan
+    outcome = estimate(MODEL, REFERENCE + 1.0, reference, 0.0, COMPONENTS)
+    assert outcome is not None
+    assert outcome.imputed == (11,)
+    np.testing.assert_allclose(outcome.thermal_error_um, [2.0, 0.0])
+
+
+def test_without_any_sensor_there_is_no_estimate() -> None:
+    assert estimate(MODEL, np.full(4, np.nan), REFERENCE, 0.0, COMPONENTS) is None
+
+
+def test_the_domain_is_half_a_range_wider_than_training_and_never_narrower_than_the_margin() -> None:
+    assert at([6.0, 0.0, 0.0, DOMAIN_MARGIN_K]).in_domain
+    assert at([-2.0, -6.0, 0.0, -DOMAIN_MARGIN_K]).in_domain
+    beyond = at([6.01, 0.0, 10.01, 0.0])
+    assert (beyond.in_domain, beyond.outside) == (False, (11, 13))
+    assert at([0.0, 0.0, 0.0, -DOMAIN_MARGIN_K - 0.01]).outside == (14,)
+
+
+def test_an_imputed_sensor_is_not_judged_by_the_domain() -> None:
+    outcome = at([np.nan, 9.0, 9.0, 0.0])
+    assert (outcome.in_domain, outcome.imputed) == (True, (11,))
+
+
+@given(increment_k=INCREMENTS, elapsed_min=st.floats(0.0, 1e5))
+def test_the_estimate_is_finite_whenever_one_sensor_is_usable(increment_k: list[float], elapsed_min: float) -> None:
+    outcome = estimate(MODEL, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min, COMPONENTS)
+    if np.isnan(increment_k).all():
+        assert outcome is None
+        return
+    assert outcome is not None
+    assert np.isfinite(outcome.thermal_error_um).all()
+    assert 0.0 <= outcome.confidence <= 1.0
+    missing = tuple(i for i, k in zip(MODEL.sensor_ids, increment_k, strict=True) if np.isnan(k))
+    assert outcome.imputed == missing
+    assert (outcome.confidence == 1.0) == (not missing)
+
+
+def test_a_model_without_weight_on_a_channel_keeps_its_confidence() -> None:
+    nothing = np.zeros((2, 4))
+    empty = replace(
+        MODEL,
+        coefficients_um_per_k=nothing,
+        test_vectors=make_test_vectors(nothing, DRIFT, ((REFERENCE, REFERENCE),)),
+    )
+    assert at([np.nan, 0.0, 0.0, 0.0], model=empty).confidence == 1.0
+
+
+def test_shapes_and_times_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="needs 4 temperatures"):
+        estimate(MODEL, REFERENCE[:3], REFERENCE, 0.0, COMPONENTS)
+    with pytest.raises(ValueError, match="elapsed_min"):
+        estimate(MODEL, REFERENCE, REFERENCE, float("nan"), COMPONENTS)
+    with pytest.raises(ValueError, match="3 components for 4 sensors"):
+        linear_estimator(MODEL, COMPONENTS[:3])
+
+
+def series(*columns: list[float]) -> FloatArray:
+    return np.column_stack([np.array(column) for column in columns])
+
+
+def test_residuals_are_referenced_to_the_first_sample() -> None:
+    measured = series([10.0, 13.0, 6.0], [0.0, 0.0, 0.0], [np.nan, 5.0, 8.0], [np.nan] * 3)
+    estimated = series([1.0, 3.0, -1.0], [7.0, 7.0, 7.0], [1.0, 2.0, 4.0], [0.0] * 3)
+    metrics = residual_metrics(("a", "b", "c", "d"), measured, estimated)
+    np.testing.assert_allclose(metrics.max_without_um, [4.0, 0.0, 3.0, np.nan])
+    np.testing.assert_allclose(metrics.max_with_um, [2.0, 0.0, 1.0, np.nan])
+    np.testing.assert_allclose(metrics.rmse_without_um[0], np.sqrt((0 + 9 + 16) / 3))
+    np.testing.assert_allclose(metrics.rmse_with_um[0], np.sqrt((0 + 1 + 4) / 3))
+    np.testing.assert_allclose(metrics.max_reduction, [0.5, np.nan, 2.0 / 3.0, np.nan])
+
+
+def test_residuals_of_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="same rows"):
+        residual_metrics(("a",), np.zeros((3, 1)), np.zeros((2, 1)))
+    with pytest.raises(ValueError, match="not finite"):
+        residual_metrics(("a",), np.zeros((3, 1)), np.full((3, 1), np.nan))
