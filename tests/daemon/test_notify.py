@@ -1,0 +1,67 @@
+"""The service manager's protocol, over a real datagram socket."""
+
+import asyncio
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import HandClock, Rig, machine, record_for, running
+from memory_cnc import MemoryNc
+
+from daemon.notify import ServiceManager
+
+
+@pytest.fixture
+def listener(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(30.0)
+        yield listener
+
+
+def test_messages_are_systemds(listener):
+    manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
+    manager.ready("running")
+    manager.watchdog("ACTIVE")
+    manager.stopping()
+    received = [listener.recv(1000).decode().split("\n") for _ in range(3)]
+    assert received == [["READY=1", "STATUS=running"], ["WATCHDOG=1", "STATUS=ACTIVE"], ["STOPPING=1"]]
+
+
+def test_an_abstract_address_is_understood():
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind("")  # the kernel picks an abstract name
+        listener.settimeout(30.0)
+        ServiceManager({"NOTIFY_SOCKET": "@" + listener.getsockname()[1:].decode()}).ready("x")
+        assert listener.recv(1000).startswith(b"READY=1")
+
+
+def test_without_a_service_manager_nothing_happens(tmp_path):
+    ServiceManager({}).ready("x")
+    ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "nobody")}).watchdog("x")
+
+
+async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(listener, tmp_path):
+    manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
+    listener.setblocking(False)
+    configuration, clock = machine(tmp_path), HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    rig.control._on_tick = lambda: manager.watchdog("x")
+    loop = asyncio.get_running_loop()
+    async with running(rig), asyncio.timeout(30):
+        task = asyncio.create_task(rig.control.run())
+        try:
+            for _ in range(3):
+                clock.monotonic_s += 1.1
+                rig.control._wake.set()
+                assert (await loop.sock_recv(listener, 1000)).startswith(b"WATCHDOG=1")
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    with pytest.raises(BlockingIOError):
+        while True:
+            listener.recv(1000)

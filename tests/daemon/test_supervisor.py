@@ -1,0 +1,70 @@
+"""Retry: bounded waits, whatever an attempt raises."""
+
+import asyncio
+import contextlib
+
+import structlog
+
+from daemon.supervisor import Backoff, LinkHealth, keep_alive
+from drivers.contract import DriverError, FatalDriverError, LinkError
+
+
+def test_waits_double_up_to_the_bound_and_are_jittered():
+    backoff = Backoff(0.5, 30.0)
+    waits = [backoff.draw() for _ in range(12)]
+    for index, wait_s in enumerate(waits):
+        whole_s = min(0.5 * 2**index, 30.0)
+        assert whole_s / 2 <= wait_s <= whole_s
+    backoff.reset()
+    assert backoff.draw() <= 0.5
+    assert len({Backoff(1.0, 2.0).draw() for _ in range(20)}) > 1
+
+
+async def run_attempts(outcomes):
+    """Keep a link alive whose attempts end with these outcomes, and then for ever."""
+    health, left, reached = LinkHealth("made up"), list(outcomes), asyncio.Event()
+
+    async def attempt():
+        if not left:
+            health.up = True
+            reached.set()
+            await asyncio.Event().wait()
+        outcome = left.pop(0)
+        if outcome is not None:
+            raise outcome
+
+    task = asyncio.create_task(keep_alive(health, attempt, Backoff(0.0001, 0.001)))
+    try:
+        async with asyncio.timeout(30):
+            await reached.wait()
+        assert not task.done()
+        assert health.up
+        return health
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def test_whatever_is_raised_is_tried_again():
+    outcomes = [LinkError("a"), FatalDriverError("b"), DriverError("c"), ZeroDivisionError("d"), None, LinkError("e")]
+    with structlog.testing.capture_logs() as logs:
+        health = await run_attempts(outcomes)
+    assert health.attempts == len(outcomes) + 1
+    assert health.failures == len(outcomes)
+    defects = [entry for entry in logs if entry["event"] == "link.defect"]
+    assert len(defects) == 1 and defects[0]["link"] == "made up"
+
+
+async def test_the_same_problem_is_logged_once_and_shown_as_it_is():
+    with structlog.testing.capture_logs() as logs:
+        health = await run_attempts([LinkError("no such port")] * 20)
+    assert health.problem == "no such port"
+    assert len([entry for entry in logs if entry["event"] == "link.down"]) == 1
+
+
+async def test_cancelling_ends_it():
+    task = asyncio.create_task(keep_alive(LinkHealth("x"), lambda: asyncio.sleep(3600), Backoff(0.1, 1.0)))
+    await asyncio.sleep(0.01)
+    task.cancel()
+    assert isinstance((await asyncio.gather(task, return_exceptions=True))[0], asyncio.CancelledError)
