@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 SHOWN_SENSORS = 20
 """At most so many sensors that are not good are named."""
+SHOWN_FAULTS = 5
+"""At most so many faults of a line's latest cycle are named."""
 
 
 class StatusBoard:
@@ -172,6 +174,9 @@ class StatusBoard:
             "labels_degc": labels,
             "not_good": {str(ids[i]): describe(int(latest.reason[i])) for i in bad[:SHOWN_SENSORS]},
             "not_good_count": int(bad.size),
+            "line_faults": {
+                line: list(faults[:SHOWN_FAULTS]) for line, faults in self._thermal.line_faults.items() if faults
+            },
         }
 
     def _displacements(self) -> dict[str, Any] | None:

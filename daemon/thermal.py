@@ -80,6 +80,7 @@ class ThermalTask:
         self.latest: MachineTemperatures | None = None
         self.latest_estimate: ThermalErrorEstimate | None = None
         self.cycles_received = 0
+        self.line_faults: dict[str, tuple[str, ...]] = {}
         self.cycles_incomplete = 0
         self.estimates = 0
         self._model = model
@@ -133,9 +134,11 @@ class ThermalTask:
             self._history.estimate(renewed)
         self._history.temperatures(temperatures, cycle)
         self._telemetry.cycle(cycle)
-        if not cycle.complete:
-            self.cycles_incomplete += 1
-            log.warning("cycle.incomplete", line=cycle.line, number=cycle.number, faults=cycle.faults[:5])
+        self.cycles_incomplete += not cycle.complete
+        if cycle.faults != self.line_faults.get(cycle.line, ()):
+            self.line_faults[cycle.line] = cycle.faults
+            event = "cycle.faults" if cycle.complete else "cycle.incomplete"
+            log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more")
 
     def _cleanse(self, cycle: TemperatureCycle) -> MachineTemperatures:
         indices, period_s = self._lines[cycle.line]

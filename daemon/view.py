@@ -158,6 +158,8 @@ def _links(picture: Mapping[str, Any]) -> Text:
         text.append(link["name"] + "  ")
         if not link["up"] and link["problem"]:
             text.append(f"({link['problem'][:70]})  ", style="red")
+    for line, faults in ((picture["temperatures"] or {}).get("line_faults", {})).items():
+        text.append(f"\nline {line}: {faults[0]}", style="yellow")
     cycles = picture["cycles"]
     text.append(f"\n{cycles['received']} line cycles, {cycles['incomplete']} incomplete", style="dim")
     return text
