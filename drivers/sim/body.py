@@ -70,7 +70,7 @@ class MachineBody:
         rotation_jump: RotationJump | None = None,
     ) -> None:
         self.program = program
-        self.structure = structure or Structure()
+        self.structure = structure or Structure.on(day)
         self.sensors = SensorArray(sensors, machine_seed=machine_seed, noise_seed=day.seed)
         self.time_s = 0.0
         self._seed = day.seed

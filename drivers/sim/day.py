@@ -12,7 +12,22 @@ from drivers.sim.parameters import AIR_LINKS, LINKS, NODES, OIL_LINKS, OUTSIDE_L
 Start = Literal["cold", "warm"]
 
 SPREAD = 0.2
-"""Largest relative departure of a capacity, conductance or heat source from its nominal value."""
+"""Largest relative departure of a capacity, conductance, heat source or deformation coefficient from nominal."""
+STRUCTURE = (
+    "ram_um_per_k",
+    "cast_um_per_k",
+    "housing_um_per_k",
+    "cover_um_per_k",
+    "shaft_um_per_k",
+    "bearing_um_per_k",
+    "bed_um_per_k",
+    "column_um_per_k",
+    "tilt_um_per_m_k",
+    "ram_tilt_um_per_m_k",
+    "column_tilt_um_per_m_k",
+    "ram_drop_um_per_k",
+)
+"""Coefficients of the structure that differ from day to day, so that no regression knows them."""
 CHILLER_OVER_COLD_K = 2.2
 """Set temperature of the chiller over the hall's mean (chosen: a cold machine's oil warms up first) [K]."""
 
@@ -32,6 +47,7 @@ class Day:
     capacity_factors: dict[str, float]
     conductance_factors: dict[str, float]
     heat_factors: dict[str, float]
+    structure_factors: dict[str, float]
     start_deviation_k: dict[str, float]
     """How far each node of the cold machine is from the hall's temperature [K]."""
     chiller_set_degc: float
@@ -57,6 +73,7 @@ class Day:
             capacity_factors=dict.fromkeys(NODES, 1.0),
             conductance_factors=dict.fromkeys(_link_names(), 1.0),
             heat_factors=dict.fromkeys(SOURCES, 1.0),
+            structure_factors=dict.fromkeys(STRUCTURE, 1.0),
             start_deviation_k=dict.fromkeys(NODES, 0.0),
             chiller_set_degc=ambient.mean_degc + CHILLER_OVER_COLD_K,
             ambient=ambient,
@@ -71,6 +88,10 @@ class Day:
             drawn = 1.0 + SPREAD * rng.uniform(-1.0, 1.0, len(names))
             return dict(zip(names, drawn.tolist(), strict=True))
 
+        structure_rng = np.random.default_rng([seed, 7])
+        structure_factors = dict(
+            zip(STRUCTURE, (1.0 + SPREAD * structure_rng.uniform(-1.0, 1.0, len(STRUCTURE))).tolist(), strict=True)
+        )
         drawn_start: Start = "cold" if rng.random() < 0.5 else "warm"
         mean_degc = float(rng.uniform(19.0, 23.0))
         ambient = AmbientProfile(
@@ -90,6 +111,7 @@ class Day:
             capacity_factors=factors(tuple(NODES)),
             conductance_factors=factors(_link_names()),
             heat_factors=factors(tuple(SOURCES)),
+            structure_factors=structure_factors,
             start_deviation_k=dict(zip(NODES, rng.uniform(-0.25, 0.25, len(NODES)).tolist(), strict=True)),
             chiller_set_degc=mean_degc + CHILLER_OVER_COLD_K + float(rng.uniform(-0.4, 0.4)),
             ambient=ambient,

@@ -9,10 +9,11 @@ design leaves. Shaft, bearings, test bar and tool carry no sensor, and the senso
 lie between them and read some air.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.sim.day import Day
 from drivers.sim.heat import INDEX
 from drivers.sim.parameters import NODES
 from models.records import FloatArray
@@ -75,6 +76,14 @@ class Structure:
     """Half the saddle's width, left against right [um/K] (chosen)."""
     spindle_sideways_um_per_k: float = 0.1
     """What is not symmetric in the spindle unit [um/K] (chosen)."""
+
+    @classmethod
+    def on(cls, day: Day) -> "Structure":
+        """Return the structure as it is on a day: clamping, preload and joints change its coefficients."""
+        nominal = cls()
+        return replace(
+            nominal, **{name: getattr(nominal, name) * factor for name, factor in day.structure_factors.items()}
+        )
 
     def nose_um(self, degc: FloatArray) -> FloatArray:
         """Return X, Y, Z of the spindle nose and the inclination [um, um, um, um/m] at `degc` [degC]."""
