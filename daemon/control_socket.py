@@ -17,6 +17,8 @@ log = structlog.get_logger(__name__)
 
 LONGEST_REQUEST = 65536
 """A longer line than this is refused [byte]."""
+HANG_UP_S = 1.0
+"""Open conversations get this long to end when the socket is closed [s]."""
 
 Handler = Callable[[dict[str, Any], str], Awaitable[dict[str, Any]]]
 
@@ -43,6 +45,7 @@ class ControlSocket:
         self._path = path
         self._group = group
         self._handle = handle
+        self._connections: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
     async def run(self) -> None:
         """Serve until cancelled."""
@@ -61,9 +64,20 @@ class ControlSocket:
                 await server.serve_forever()
         finally:
             self._path.unlink(missing_ok=True)
+            await self._hang_up()
+
+    async def _hang_up(self) -> None:
+        """End every conversation by closing it: asyncio prints a traceback for each one that is cancelled."""
+        for writer in self._connections.values():
+            writer.close()
+        if self._connections:
+            await asyncio.wait(tuple(self._connections), timeout=HANG_UP_S)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         person = peer_name(writer.get_extra_info("socket"))
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections[task] = writer
         try:
             while line := await reader.readline():
                 answer = await self._answer(line, person)
@@ -72,6 +86,7 @@ class ControlSocket:
         except (ConnectionError, ValueError) as error:
             log.info("socket.closed", person=person, problem=str(error))
         finally:
+            del self._connections[task]
             writer.close()
 
     async def _answer(self, line: bytes, person: str) -> dict[str, Any]:

@@ -66,3 +66,23 @@ async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
 def test_without_a_daemon_the_client_says_what_to_do(tmp_path):
     with pytest.raises(DaemonUnreachableError, match="is it running"):
         ControlClient(tmp_path / "nobody")
+
+
+async def test_an_open_conversation_does_not_hinder_the_end(tmp_path):
+    async def handle(request, person):
+        return {}
+
+    loop, complaints = asyncio.get_running_loop(), []
+    loop.set_exception_handler(lambda _, context: complaints.append(context))
+    task = asyncio.create_task(ControlSocket(tmp_path / "s", None, handle).run())
+    while not (tmp_path / "s").exists():
+        await asyncio.sleep(0.01)
+    client = await asyncio.to_thread(ControlClient, tmp_path / "s")
+    await asyncio.to_thread(client.ask, "status")
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    assert asyncio.all_tasks() == {asyncio.current_task()}, "no conversation is left to be cancelled"
+    with pytest.raises(DaemonUnreachableError):
+        await asyncio.to_thread(client.ask, "status")
+    client.close()
+    assert complaints == []

@@ -1,0 +1,150 @@
+"""A simulated machine and a daemon as processes on real wires, and what must hold of them afterwards."""
+
+import contextlib
+import itertools
+import json
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from config.schema import Configuration
+from daemon.cli.demo import demo_machine
+from daemon.control_socket import ControlClient, DaemonUnreachableError
+from daemon.demonstration import switch_on
+from daemon.history import HistoryReader
+from daemon.history.series import WriteRecord
+from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
+from models.records import WriteOutcome
+
+EVER = (0.0, 1e11)
+FOREVER_S = 45.0
+FIRST_REFERENCE_S = 150.0
+"""Simulated time of the first work positioning [s]."""
+
+
+class Wires:
+    """One rehearsal whose daemon a test may end and start again."""
+
+    def __init__(self, running: Rehearsal, directory: Path) -> None:
+        self.running = running
+        self.directory = directory
+        self.configuration: Configuration = running.configuration
+
+    @property
+    def log(self) -> list[dict[str, Any]]:
+        """The daemon's log so far."""
+        lines = (self.directory / "daemon.log").read_text(encoding="utf-8").splitlines()
+        return [json.loads(line) for line in lines if line.startswith("{")]
+
+    def status(self) -> dict[str, Any]:
+        self.running.check_alive()
+        return self.running.client.ask("status")
+
+    def wait(
+        self, what: str, condition: Callable[[dict[str, Any]], bool], timeout_s: float = FOREVER_S
+    ) -> dict[str, Any]:
+        """Return the first status that meets the condition."""
+        end_s = time.monotonic() + timeout_s
+        status = self.status()
+        while not condition(status):
+            assert time.monotonic() < end_s, f"waited in vain for {what}: {status['output']}, {status['links']}"
+            time.sleep(0.02)
+            status = self.status()
+        return status
+
+    def wait_for_state(self, state: str) -> dict[str, Any]:
+        return self.wait(state, lambda status: status["output"]["state"] == state)
+
+    def wait_until(self, time_s: float) -> None:
+        """Return when the simulated time is reached."""
+        self.running.check_alive()
+        time.sleep(max(0.0, (time_s - self.running.time_s) / self.running.speed))
+
+    def switch_on(self) -> dict[str, Any]:
+        """Enable every axis with a model; return the status when the output is ACTIVE."""
+        switch_on(self.running, FOREVER_S)
+        return self.wait_for_state("ACTIVE")
+
+    def start_daemon(self) -> None:
+        """Start the daemon anew, as it was started first, and connect."""
+        arguments = self.running.daemon.args
+        with (self.directory / "daemon.log").open("ab") as log:
+            self.running.daemon = subprocess.Popen(arguments, stdout=log, stderr=log)  # type: ignore[arg-type]
+        end_s = time.monotonic() + FOREVER_S
+        while True:
+            try:
+                self.running.client = ControlClient(self.configuration.service.socket)
+                self.running.client.ask("status")
+                return
+            except DaemonUnreachableError:
+                assert self.running.daemon.poll() is None, "the daemon ended"
+                assert time.monotonic() < end_s, "the daemon does not answer"
+                time.sleep(0.02)
+
+    def kill_daemon(self) -> None:
+        self.running.daemon.kill()
+        self.running.daemon.wait()
+        self.running.client.close()
+
+    def check_nothing_broke(self) -> None:
+        """Neither process has ended, and no task met what nobody expected."""
+        self.running.check_alive()
+        defects = [entry for entry in self.log if entry["event"].endswith(".defect")]
+        assert not defects, defects[0]
+        text = (self.directory / "daemon.log").read_text(encoding="utf-8")
+        assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:3000]
+
+    def writes(self) -> list[WriteRecord]:
+        """Return the audit."""
+        with HistoryReader(self.configuration.history.path) as reader:
+            return reader.writes(*EVER)
+
+
+@contextlib.contextmanager
+def on_wires(
+    directory: Path,
+    *,
+    speed: float,
+    faults: Sequence[dict[str, Any]] = (),
+    change: Callable[[dict[str, Any]], None] = lambda content: None,
+    arguments: Sequence[str] = (),
+) -> Iterator[Wires]:
+    """Start simulated machine and daemon; `change` may change the configuration, `faults` is a script."""
+    content = demo_machine()
+    path, _ = write_rehearsal_configuration(content, directory, speed=speed, http=False)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content["service"]["retry_min_s"], content["service"]["retry_max_s"] = 0.05, 0.5
+    change(content)
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    more = list(arguments)
+    if faults:
+        script = directory / "faults.yaml"
+        script.write_text(yaml.safe_dump(list(faults)), encoding="utf-8")
+        more += ["--faults", str(script)]
+    with rehearse(more, path, speed=speed, epoch_utc_s=time.time(), directory=directory) as running:
+        yield Wires(running, directory)
+
+
+def check_audit(writes: Sequence[WriteRecord], configuration: Configuration, *, unverified: int = 0) -> None:
+    """Check bound, slew rate and standstill in HOLD of everything that was written."""
+    axes = configuration.compensation.axes
+    assert writes
+    failed = [record for record in writes if record.outcome is not WriteOutcome.VERIFIED]
+    assert len(failed) <= unverified, failed[:3]
+    for before, after in itertools.pairwise(writes):
+        elapsed_min = max(after.time_s - before.time_s, 0.0) / 60.0
+        for axis, limits in axes.items():
+            value, last = after.compensation_um[axis], before.compensation_um[axis]
+            assert value is not None and last is not None
+            assert abs(value) <= limits.absolute_bound_um + 1e-9, after
+            if value == before.applied_um[axis] or before.applied_um[axis] is None:
+                continue  # the command began again at what the tool point already has
+            # The step's time is taken before the intent's: a little more than the slew rate may show.
+            slack_um = 0.1 * limits.slew_um_per_min
+            assert abs(value - last) <= limits.slew_um_per_min * elapsed_min + slack_um, (axis, before, after)
+            if after.state == before.state == "HOLD":
+                assert value == last, (axis, before, after)
