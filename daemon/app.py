@@ -132,7 +132,7 @@ class Daemon:
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""
-        service, configuration = self._configuration.service, self._configuration
+        configuration = self._configuration
         self._history.start()
         self._history.event("daemon", "started", "daemon")
         scheduler = housekeeping_scheduler(self._history, configuration.history)

@@ -128,7 +128,7 @@ class ControlTask:
         sample = self.session.sample if self.session else None
         if sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
-        self._ask_for_reference(f"by hand: {person}", sample)
+        self._ask_for_reference(f"hand: {person}", sample)
         return ""
 
     # --- the loop ------------------------------------------------------------------------

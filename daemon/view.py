@@ -140,15 +140,15 @@ def _cnc(picture: Mapping[str, Any]) -> Panel:
 
 def _latency(picture: Mapping[str, Any]) -> Panel:
     latency = picture["latency_s"]
-    table = Table.grid(padding=(0, 2))
-    table.add_row("", "mean", "p99", "published")
+    table = Table.grid(padding=(0, 1))
+    table.add_row("", "mean", "p99", "published*")
     feedback, total, published = latency["feedback"], latency["total"], latency["published"]
     table.add_row(
         "feedback", milliseconds(feedback["mean"]), milliseconds(feedback["p99"]), f"{published['feedback']} s"
     )
-    table.add_row("total", number(total["mean"], 3, " s"), number(total["p99"], 3, " s"), f"{published['total']} s")
-    table.add_row(Text("published: another rig, with database polling", style="dim"))
-    return Panel(table, title="Delay")
+    table.add_row("total", number(total["mean"], 2, " s"), number(total["p99"], 2, " s"), f"{published['total']} s")
+    note = Text("* another rig, with database polling", style="dim")
+    return Panel(Group(table, note), title="Delay")
 
 
 def _links(picture: Mapping[str, Any]) -> Text:

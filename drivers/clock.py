@@ -35,8 +35,8 @@ class ScaledClock:
     """A clock for simulated machines that runs `speed` times as fast as the computer's.
 
     Before its epoch it runs at the computer's own pace, so that what waits for the beginning
-    waits as on a real machine. Two processes that are given the same epoch agree on the time, because CLOCK_MONOTONIC is
-    one clock for the whole computer.
+    waits as on a real machine. Two processes that are given the same epoch agree on the time,
+    because CLOCK_MONOTONIC is one clock for the whole computer.
     """
 
     def __init__(self, *, epoch_real_s: float, epoch_utc_s: float, speed: float) -> None:

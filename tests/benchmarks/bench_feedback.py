@@ -8,11 +8,13 @@ time, percentiles of the feedback delay, and memory and CPU of the daemon.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from datetime import datetime
 from pathlib import Path
 
 import psutil
@@ -20,6 +22,15 @@ import psutil
 from daemon.cli.demo import demo_machine
 from daemon.demonstration import switch_on, watch
 from daemon.rehearsal import rehearse, write_rehearsal_configuration
+
+
+def _ready_s(log: Path) -> float:
+    """Return when the daemon said that it was ready [s since 1970]."""
+    for line in log.read_text(encoding="utf-8").splitlines():
+        record = json.loads(line)
+        if record["event"] == "daemon.ready":
+            return datetime.fromisoformat(record["timestamp"]).timestamp()
+    raise ValueError(f"{log}: the daemon was never ready")
 
 
 def main() -> None:
@@ -44,6 +55,7 @@ def main() -> None:
             with rehearse([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
                 switch_on(running)
                 daemon = psutil.Process(running.daemon.pid)
+                print(f"daemon ready {_ready_s(directory / 'daemon.log') - daemon.create_time():.2f} s after its start")
                 watch(running, 200.0, lambda _: None, 1.0)
                 before, wall_s = daemon.cpu_times(), time.monotonic()
                 watch(running, 200.0 + options.minutes * 60.0, lambda _: None, 10.0)

@@ -74,7 +74,10 @@ def test_foreign_and_vacant_values_are_named():
     expected = {501: (0.003,), 502: (0.0, 0.001), 120: (50.0,)}
     assert block.differences(expected, {501: 0.003, 502: 0.001, 120: None}) == []
     problems = block.differences(expected, {501: None, 502: 0.5, 120: 50.0})
-    assert problems == ["macro #501 is vacant; commissioning initialises it", "macro #502 holds 0.5, we wrote 0 or 0.001"]
+    assert problems == [
+        "macro #501 is vacant; commissioning initialises it",
+        "macro #502 holds 0.5, we wrote 0 or 0.001",
+    ]
 
 
 @pytest.mark.parametrize(
