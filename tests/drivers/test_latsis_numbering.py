@@ -1,0 +1,105 @@
+"""The numbering of a LATSIS line: when it is not trusted, and when it is trusted again."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from latsis_line import Line, only
+
+from drivers.latsis_numbering import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
+from models.quality import Reason
+
+
+def test_a_renumbered_line_is_quarantined_and_released() -> None:
+    line = Line()
+    line.one_pass()
+    fewer = line.ids[2:]
+    for number in range(1, 4):
+        cycle = only(line.one_pass(fewer))
+        # Not even the first of them is assigned to sensors.
+        assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
+        assert np.isnan(cycle.degc).all()
+        assert not cycle.complete
+        assert "announce 10 sensors where the chain has 12" in cycle.faults[0]
+        assert line.assembler.statistics.quarantined == (number >= RENUMBERED_AFTER_CYCLES)
+    alarm = line.assembler.statistics.alarm
+    assert alarm is not None
+    assert "line spindle" in alarm
+    assert "Restore the chain, or correct `chain`" in alarm
+    for number in range(1, RELEASED_AFTER_CYCLES + 1):
+        cycle = only(line.one_pass())
+        assert (Reason.QUARANTINED in line.reasons(cycle).values()) == (number < RELEASED_AFTER_CYCLES)
+    assert line.good(cycle) == line.expected()
+    assert line.assembler.statistics.alarm is None
+
+
+def test_more_nodes_than_configured_are_quarantined() -> None:
+    line = Line()
+    line.one_pass()
+    for _ in range(RENUMBERED_AFTER_CYCLES):
+        cycle = only(line.one_pass((13, *line.ids)))
+    assert line.assembler.statistics.quarantined
+    assert "announce 13 sensors" in cycle.faults[0]
+
+
+def test_ids_below_the_chain_are_quarantined() -> None:
+    line = Line(id_offset=1)
+    line.one_pass()
+    for _ in range(RENUMBERED_AFTER_CYCLES + 1):
+        line.one_pass((*line.ids, 1))
+    assert line.assembler.statistics.quarantined
+    assert "IDs below the chain's lowest" in (line.assembler.statistics.alarm or "")
+
+
+def test_sensors_of_another_kind_under_an_id_are_quarantined() -> None:
+    line = Line(infrared=[11, 12])
+    line.one_pass()
+    # The same count, but the chain has been put in backwards.
+    backwards = [line.frame(i, 0x3A2B if i <= 2 else 0x190, digits=4 if i <= 2 else 3) for i in line.ids]
+    for _ in range(RENUMBERED_AFTER_CYCLES):
+        cycle = only(line.send(*backwards) + line.rest())
+        assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
+    assert "another kind of sensor come under the IDs 002h, 001h" in cycle.faults[0]
+    assert line.assembler.statistics.quarantined
+
+
+def test_renumbering_is_seen_although_the_first_value_has_the_wrong_width() -> None:
+    line = Line(infrared=[12])
+    line.one_pass()
+    for _ in range(RENUMBERED_AFTER_CYCLES):
+        frames = [line.frame(i, 0x3A2B if i == 11 else 0x190, digits=4 if i == 11 else 3) for i in line.ids[1:]]
+        cycle = only(line.send(*frames) + line.rest())
+        assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
+    assert "announce 11 sensors" in cycle.faults[0]
+
+
+def test_a_line_that_is_renumbered_from_the_start_is_never_assigned() -> None:
+    line = Line()
+    cycles = [cycle for _ in range(5) for cycle in line.one_pass(line.ids[1:])]
+    assert len(cycles) == 4  # the first might have been joined under way
+    assert all(set(line.reasons(cycle).values()) == {Reason.QUARANTINED} for cycle in cycles)
+    assert line.assembler.statistics.quarantined
+
+
+def test_lost_bytes_at_the_head_of_the_pass_are_no_renumbering() -> None:
+    line = Line(profile="checked")
+    line.one_pass()
+    for _ in range(10):
+        cycle = only(line.send(line.frame(12)[1:], line.frame(11)[:-5], *(line.frame(i) for i in line.ids[2:])))
+        line.rest()
+        assert line.reasons(cycle) == {12: Reason.NOT_RECEIVED, 11: Reason.NOT_RECEIVED}
+    assert not line.assembler.statistics.quarantined
+
+
+def test_a_quarantine_survives_lost_heads_and_ends_only_with_the_expected_count() -> None:
+    line = Line()
+    line.one_pass()
+    for _ in range(RENUMBERED_AFTER_CYCLES):
+        line.one_pass(line.ids[1:])
+    for _ in range(2 * RELEASED_AFTER_CYCLES):
+        line.send(line.frame(12)[1:], *(line.frame(i) for i in line.ids[1:]))
+        line.rest()
+    assert line.assembler.statistics.quarantined

@@ -1,0 +1,103 @@
+"""Values of LATSIS sensors: how codes become temperatures, and which codes are refused."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from latsis_line import Line, only
+
+from drivers.latsis_values import RESET_BURST_SENSORS, decode_mlx90615, decode_tmp102
+from models.quality import Reason
+
+
+@pytest.fixture
+def line() -> Line:
+    """A bare line that has already delivered one good cycle."""
+    line = Line()
+    assert only(line.one_pass()).complete
+    return line
+
+
+# Decoding
+
+
+@pytest.mark.parametrize(
+    ("code", "extended", "degc"),
+    [(0x190, False, 25.0), (0xE70, False, -25.0), (0x001, False, 0.0625), (0xFFF, False, -0.0625),
+     (0x7FF, False, 127.9375), (0x800, False, -128.0), (0x0190, True, 25.0), (0x1E70, True, -25.0),
+     (0x0960, True, 150.0), (0x1FFF, True, -0.0625)],
+)  # fmt: skip
+def test_tmp102_register(code: int, extended: bool, degc: float) -> None:
+    assert decode_tmp102(code, extended_mode=extended) == (degc, Reason.NONE)
+
+
+def test_codes_beyond_the_register_have_no_temperature() -> None:
+    value, reason = decode_tmp102(0x2000, extended_mode=True)
+    assert math.isnan(value)
+    assert reason == Reason.UNREADABLE
+
+
+def test_mlx90615_register_and_error_flag() -> None:
+    assert decode_mlx90615(0x3A2B)[0] == pytest.approx(0x3A2B * 0.02 - 273.15)
+    value, reason = decode_mlx90615(0x8000 | 0x3A2B)
+    assert math.isnan(value)
+    assert reason == Reason.DEVICE_ERROR
+
+
+# Node resets
+
+
+def test_a_reset_burst_is_refused_and_named(line: Line) -> None:
+    cycle = only(line.one_pass(c9=0, c8=0, c7=0))
+    assert line.reasons(cycle) == dict.fromkeys([7, 8, 9], Reason.RESET)
+    assert all(math.isnan(cycle.degc[i - 1]) for i in (7, 8, 9))
+    (fault,) = cycle.faults
+    assert "burst of node resets, 3 sensors" in fault
+    assert all(f"sensor {500 + i}" in fault for i in (7, 8, 9))
+    assert line.assembler.statistics.resets == 3
+    assert line.good(only(line.one_pass())) == line.expected()
+
+
+def test_a_single_reset_is_refused(line: Line) -> None:
+    assert line.reasons(only(line.one_pass(c5=0))) == {5: Reason.RESET}
+
+
+def test_zero_without_a_predecessor_is_refused() -> None:
+    line = Line()
+    assert line.reasons(only(line.one_pass(c5=0))) == {5: Reason.RESET}
+
+
+@pytest.mark.parametrize(("before", "genuine"), [(0x020, True), (0xFE0, True), (0x021, False), (0xFDF, False)])
+def test_a_sensor_near_zero_may_read_zero(line: Line, before: int, genuine: bool) -> None:
+    line.one_pass(c5=before)  # 2 degC, -2 degC, and one step beyond each
+    cycle = only(line.one_pass(c5=0))
+    assert (line.reasons(cycle) == {}) == genuine
+    assert line.reasons(only(line.one_pass(c5=0))) == ({} if genuine else {5: Reason.RESET})
+
+
+def test_within_a_burst_no_zero_is_believed(line: Line) -> None:
+    line.one_pass(c5=0x008)
+    burst = {f"c{i}": 0 for i in range(6, 6 + RESET_BURST_SENSORS)}
+    assert line.reasons(only(line.one_pass(c5=0, **burst)))[5] == Reason.RESET
+
+
+def test_infrared_sensors_have_no_reset_rule() -> None:
+    line = Line(3, infrared=[2])
+    line.one_pass()
+    assert line.good(only(line.one_pass(c2=0x355A)))[2] == pytest.approx(0.01)
+
+
+# Errors that the sensor reports
+
+
+def test_a_status_byte_is_a_device_error() -> None:
+    line = Line(profile="checked")
+    frames = [line.frame(i, status=0x04 if i == 6 else 0) for i in line.ids]
+    cycle = only(line.send(*frames))
+    assert line.reasons(cycle) == {6: Reason.DEVICE_ERROR}
+    assert "sensor 506 (ID 006h) reports an error: code 0196h, status 04h, at byte 96" in cycle.faults[0]
+    assert cycle.complete
