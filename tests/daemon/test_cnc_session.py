@@ -1,0 +1,173 @@
+"""One connected CNC: what is accepted as ours, and what the audit says of a write."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, HandClock, Z, machine
+from memory_cnc import MemoryNc
+
+from daemon.cnc_session import CncSession
+from daemon.history import HistoryReader
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.macro_block import LAST_SEQUENCE, MacroBlock
+from daemon.telemetry import Telemetry
+from drivers.contract import FatalDriverError, LinkError
+from models.records import CompensationCommand, OutputState, Trace, WriteOutcome
+
+AXES = ("x", "y", "z")
+
+
+class Desk:
+    """A control, a store, and sessions on it."""
+
+    def __init__(self, directory: Path) -> None:
+        self.configuration = machine(directory)
+        self.clock = HandClock()
+        self.nc = MemoryNc(self.configuration, self.clock)
+        self.history = HistoryWriter(
+            self.configuration.history.path,
+            clock=self.clock,
+            machine=MachineLayout.from_configuration(self.configuration),
+        )
+        self.block = MacroBlock(self.configuration.cnc.macros, AXES, {})
+
+    def session(self, known=None) -> CncSession:
+        return CncSession(self.nc.open(), self.block, self.clock, self.history, Telemetry(), known)
+
+    async def write(self, session, z_um=3.0, enable=(False, False, True)):
+        now = self.clock.now()
+        command = CompensationCommand(
+            axes=AXES,
+            requested_um=np.array([0.0, 0.0, z_um]),
+            compensation_um=np.array([0.0, 0.0, z_um]),
+            enable=enable,
+            state=OutputState.ACTIVE,
+            reason="",
+            write=True,
+        )
+        trace = Trace(first_byte=now, last_byte=now)
+        return await session.write(command, validity_s=30.0, trace=trace, cause="tick")
+
+    def audit(self):
+        self.history.close()
+        with HistoryReader(self.configuration.history.path) as reader:
+            return reader.writes(0.0, 1e11), reader.unsettled_writes()
+
+
+@pytest.fixture
+def desk(tmp_path):
+    desk = Desk(tmp_path)
+    desk.history.start()
+    yield desk
+    desk.history.close()
+
+
+async def test_a_commissioned_block_that_is_off_is_taken_over(desk):
+    session = desk.session()
+    assert await session.poll() == []
+    assert session.known[Z] == (0.0,)
+    assert not session.enabled
+
+
+@pytest.mark.parametrize("number", [SEQUENCE_A, Z, ENABLE, SEQUENCE_B])
+async def test_a_vacant_macro_is_named_until_it_is_filled(desk, number):
+    desk.nc.macros.set(number, None)
+    session = desk.session()
+    for _ in range(2):
+        assert any(f"#{number} is vacant" in problem for problem in await session.poll())
+    assert any(f"#{number} is vacant" in problem for problem in session.forgive())
+    desk.nc.macros.set(number, 0.0)
+    assert any(f"#{number} holds 0, we wrote nothing" in problem for problem in await session.poll())
+    assert session.forgive() == []
+    assert await session.poll() == []
+
+
+async def test_a_write_is_read_back_and_audited(desk):
+    session = desk.session()
+    await session.poll()
+    receipt = await desk.write(session)
+    assert receipt.outcome is WriteOutcome.VERIFIED and receipt.detail == ""
+    assert dict(receipt.macros)[Z] == pytest.approx(0.003)
+    assert receipt.read_back == tuple(value for _, value in receipt.macros)
+    assert receipt.trace.written is not None and receipt.trace.read_back is not None
+    assert session.enabled
+    assert await session.poll() == []
+    records, unsettled = desk.audit()
+    assert [record.outcome for record in records] == [WriteOutcome.VERIFIED] and unsettled == []
+
+
+async def test_the_sequence_goes_on_from_the_controls_and_starts_again_at_the_end(desk):
+    for number in (SEQUENCE_A, SEQUENCE_B):
+        desk.nc.macros.set(number, float(LAST_SEQUENCE - 1))
+    session = desk.session()
+    await session.poll()
+    assert [(await desk.write(session)).sequence for _ in range(3)] == [LAST_SEQUENCE, 1, 2]
+
+
+async def test_with_all_bits_0_valid_until_is_no_promise(desk):
+    session = desk.session()
+    await session.poll()
+    await desk.write(session, 0.0, (False, False, False))
+    assert desk.nc.macros.get(VALID_UNTIL) == 0.0 and not session.enabled
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (LinkError("lost"), WriteOutcome.FAILED),
+        (FatalDriverError("refused"), WriteOutcome.REFUSED),
+        (ZeroDivisionError("nobody expected"), WriteOutcome.FAILED),
+    ],
+)
+async def test_a_write_that_ends_in_an_error_is_settled_in_the_audit(desk, error, outcome):
+    session = desk.session()
+    await session.poll()
+    desk.nc.breaks = error
+    with pytest.raises(type(error)):
+        await desk.write(session)
+    records, unsettled = desk.audit()
+    assert [record.outcome for record in records] == [outcome] and unsettled == []
+    assert str(error) in records[0].detail
+
+
+@pytest.mark.parametrize("groups", [0, 1, 2])
+async def test_after_a_lost_write_the_next_session_accepts_old_or_new_and_nothing_else(desk, groups):
+    first = desk.session()
+    await first.poll()
+    await desk.write(first, 1.0)
+    desk.nc.groups_until_lost = groups
+    with pytest.raises(LinkError):
+        await desk.write(first, 2.0)
+    second = desk.session(first.known)
+    assert await second.poll() == []
+    assert len(second.known[Z]) == 1, "what was found is now known"
+    desk.nc.macros.set(Z, 0.0015)
+    assert any(f"#{Z} holds 0.0015" in problem for problem in await second.poll())
+
+
+async def test_many_lost_writes_do_not_widen_what_is_accepted(desk):
+    session = desk.session()
+    await session.poll()
+    for z_um in range(1, 50):
+        desk.nc.groups_until_lost = z_um % 3
+        with pytest.raises(LinkError):
+            await desk.write(session, float(z_um))
+        session = desk.session(session.known)
+        assert await session.poll() == []
+        assert all(len(values) == 1 for values in session.known.values())
+
+
+async def test_a_value_that_is_not_kept_is_seen_in_the_read_back(desk):
+    session = desk.session()
+    await session.poll()
+    desk.nc.forgets = Z
+    receipt = await desk.write(session, 4.0)
+    assert receipt.outcome is WriteOutcome.DIFFERS and f"#{Z} holds 0" in receipt.detail
+    assert session.forgive() == []
+    assert await session.poll() == [], "acknowledged: what the control holds is known now"

@@ -1,0 +1,40 @@
+"""What `toolpoint doctor` finds on this computer."""
+
+import importlib.metadata
+import subprocess
+import sys
+
+from daemon.diagnosis import OUR_PACKAGES, examine
+
+
+def test_this_environment_is_healthy():
+    findings = {finding.subject: finding for finding in examine()}
+    for subject in ("python", "packages", "package names", "sqlite", "clock"):
+        assert findings[subject].passed, findings[subject].detail
+    assert sys.version.split()[0] in findings["python"].detail
+
+
+def test_the_four_package_names_belong_to_this_project_alone():
+    owners = importlib.metadata.packages_distributions()
+    for name in OUR_PACKAGES:
+        assert set(owners.get(name, ["toolpoint"])) == {"toolpoint"}, name
+
+
+def test_a_package_that_takes_one_of_the_names_is_found(tmp_path, monkeypatch):
+    intruder = tmp_path / "intruder-1.0.dist-info"
+    intruder.mkdir()
+    (intruder / "METADATA").write_text("Metadata-Version: 2.1\nName: intruder\nVersion: 1.0\n", encoding="utf-8")
+    (intruder / "top_level.txt").write_text("models\n", encoding="utf-8")
+    (intruder / "RECORD").write_text("models/__init__.py,,\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    findings = {finding.subject: finding for finding in examine()}
+    assert not findings["package names"].passed
+    assert "models also belongs to intruder" in findings["package names"].detail
+
+
+def test_the_command_prints_what_it_finds():
+    finished = subprocess.run(
+        [sys.executable, "-P", "-m", "daemon.cli", "doctor"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert finished.returncode in (0, 1), finished.stderr
+    assert "package names" in finished.stdout and "Traceback" not in finished.stderr

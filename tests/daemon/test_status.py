@@ -1,0 +1,116 @@
+"""The picture that people and programs get: plain JSON, whatever is known."""
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import HandClock, Rig, machine, record_for, running
+from memory_cnc import MemoryNc
+
+from daemon.commands import CommandDesk
+from daemon.control_socket import RequestError
+from daemon.status import StatusBoard, without_nan
+from daemon.thermal import ThermalTask
+from models.quality import Quality, Reason
+from models.records import TemperatureCycle, Trace
+
+
+@pytest.fixture
+async def board(tmp_path):
+    configuration, clock = machine(tmp_path), HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    thermal = ThermalTask(configuration, clock, rig.history, rig.telemetry, None, asyncio.Queue(), rig.control.deliver)
+    async with running(rig):
+        board = StatusBoard(configuration, clock, thermal, rig.control, rig.telemetry, [rig.link.health])
+        yield board, rig, thermal
+
+
+def strict(picture):
+    """Through JSON and back, NaN refused."""
+    return json.loads(json.dumps(picture, allow_nan=False))
+
+
+async def test_before_anything_is_known_the_picture_is_json(board):
+    picture = strict(board[0].picture())
+    assert picture["output"]["state"] == "OFF" and "not been reached" in picture["output"]["reason"]
+    assert picture["axes"]["z"]["applied_um"] is None
+    assert picture["reference"] is None and picture["estimate"] is None and picture["temperatures"] is None
+
+
+async def test_everything_at_once(board):
+    board, rig, thermal = board
+    await rig.active()
+    await rig.follow(2.0, -3.0, 10)
+    now = rig.clock.now()
+    await thermal._take(
+        TemperatureCycle(
+            line="spindle",
+            number=1,
+            degc=np.array([20.0, np.nan, 21.0]),
+            quality=np.array([Quality.GOOD, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
+            reason=np.array([Reason.NONE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8),
+            complete=False,
+            trace=Trace(first_byte=now, last_byte=now),
+        )
+    )
+    board.acknowledged["spindle"] = 1
+    picture = strict(board.picture())
+    assert picture["output"]["state"] == "ACTIVE" and picture["output"]["insecure_writes"] is True
+    z = picture["axes"]["z"]
+    assert z["wanted"] and z["enabled"] and z["applied_um"] == pytest.approx(3.0, abs=0.11)
+    assert picture["axes"]["x"]["thermal_error_um"] is None
+    assert picture["reference"]["id"] == "r1" and picture["reference"]["age_s"] > 0
+    assert picture["temperatures"]["usable"] == 2
+    assert picture["temperatures"]["not_good"]["2"] == "not received"
+    assert picture["cycles"] == {"received": 1, "incomplete": 1}
+    assert picture["writes"]["sent"] == picture["writes"]["verified"]
+    assert picture["cnc"]["identity"] == "urn:toolpoint:simulated-cnc"
+    assert picture["latency_s"]["feedback"]["samples"] > 0
+    assert picture["links"] == [{"name": "cnc", "up": True, "problem": "", "attempts": 1, "failures": 0}]
+
+
+async def test_without_the_link_the_applied_value_is_not_known(board):
+    board, rig, _ = board
+    await rig.active()
+    rig.nc.reachable = False
+    await rig.turn()
+    picture = strict(board.picture())
+    assert picture["cnc"] is None and picture["axes"]["z"]["applied_um"] is None
+    assert picture["output"]["state"] == "HOLD"
+
+
+def test_numbers_become_plain():
+    given = {1: np.float64("nan"), "a": [np.int64(3), np.bool_(True), np.inf], "b": (None, "x", 2.5)}
+    assert without_nan(given) == {"1": None, "a": [3, True, None], "b": [None, "x", 2.5]}
+
+
+async def test_commands_are_taken_or_refused_in_words(board):
+    board, rig, _ = board
+    desk = CommandDesk(board, rig.control, ("x", "y", "z"))
+    await rig.turn()
+    rig.set_reference()
+    assert await desk.handle({"command": "enable"}, "p") == {}
+    await rig.turn()
+    assert rig.control.memory.wanted == (False, True, True), "every axis that has a model"
+    await desk.handle({"command": "disable", "axes": ["y"]}, "p")
+    await rig.turn()
+    assert rig.control.memory.wanted == (False, False, True)
+    await desk.handle({"command": "disable"}, "p")
+    await rig.turn()
+    assert not any(rig.control.memory.wanted)
+    for request, words in (
+        ({"command": "explode"}, "no command"),
+        ({}, "no command"),
+        ({"command": "enable", "axes": "z"}, "list of axis names"),
+        ({"command": "enable", "axes": [1]}, "list of axis names"),
+        ({"command": "enable", "axes": ["w"]}, "no axis w"),
+    ):
+        with pytest.raises(RequestError, match=words):
+            await desk.handle(request, "p")
+    assert strict(await desk.handle({"command": "status"}, "p"))["machine"] == "rig"

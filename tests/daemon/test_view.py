@@ -1,0 +1,106 @@
+"""The terminal view of a status picture."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from daemon.view import sparkline, status_view, truth_panel
+
+AXIS = {
+    "estimate_from": "Z1",
+    "wanted": True,
+    "enabled": True,
+    "thermal_error_um": -12.34,
+    "requested_um": 12.34,
+    "written_um": 12.3,
+    "applied_um": 12.25,
+    "bound_um": 30.0,
+    "slew_um_per_min": 2.0,
+}
+DELAY = {"mean": 0.003, "p50": 0.003, "p99": 0.0045, "p999": 0.005, "max": 0.006, "samples": 9}
+PICTURE = {
+    "machine": "a machine",
+    "output": {
+        "state": "HOLD",
+        "reason": "temperatures are stale (61 s old)",
+        "since_s": 5.0,
+        "alarm": "held for 400 s",
+        "phase": "cutting",
+        "limits_hit": [],
+        "notices": [],
+        "insecure_writes": True,
+    },
+    "axes": {"z": AXIS, "x": AXIS | {"estimate_from": None}},
+    "reference": {"id": "r", "source": "O1000 N100", "age_s": 90.0, "set_utc_s": 0.0},
+    "temperatures": {
+        "usable": 300,
+        "total": 302,
+        "labels_degc": {"A": 21.25, "Room": None, "IR": 23.0},
+        "not_good": {"17": "not received"},
+        "not_good_count": 2,
+    },
+    "cnc": {
+        "program": 1000,
+        "sequence_number": 200,
+        "mode": "memory",
+        "run": "start",
+        "alarm": True,
+        "spindle_speed_rpm": 12000.0,
+        "motor_temperature_degc": 41.0,
+        "tool_number": 1,
+        "work_offset": 54,
+    },
+    "writes": {"sent": 10, "verified": 9, "refused": 0},
+    "latency_s": {"feedback": DELAY, "total": DELAY, "published": {"feedback": 1.2, "total": 24.7}},
+    "links": [
+        {"name": "cnc", "up": True, "problem": "", "attempts": 1, "failures": 0},
+        {"name": "latsis spindle", "up": False, "problem": "no such port", "attempts": 3, "failures": 3},
+    ],
+    "cycles": {"received": 5, "incomplete": 1},
+}
+
+
+def shown(renderable, width=160):
+    console = Console(file=io.StringIO(), width=width, force_terminal=False)
+    console.print(renderable)
+    return console.file.getvalue()
+
+
+def test_what_matters_is_on_the_screen():
+    text = shown(status_view(PICTURE, footer="the footer"))
+    for words in (
+        *("HOLD", "temperatures are stale", "held for 400 s", "cutting", "insecure connection", "O1000 N100"),
+        *("-12.3", "+12.3", "no model for this axis", "300 of 302", "sensor 17", "ALARM", "9 of 10"),
+        *("1.2 s", "24.7 s", "latsis spindle", "no such port", "5 line cycles, 1 incomplete", "the footer"),
+    ):
+        assert words in text, words
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_before_anything_is_known_it_renders_too(width):
+    nothing = dict.fromkeys(("thermal_error_um", "requested_um", "written_um", "applied_um"))
+    unknown = {"mean": None, "p50": None, "p99": None, "p999": None, "max": None, "samples": 0}
+    picture = PICTURE | {
+        "axes": {"z": AXIS | nothing},
+        "reference": None,
+        "temperatures": None,
+        "cnc": None,
+        "latency_s": {"feedback": unknown, "total": unknown, "published": {"feedback": 1.2, "total": 24.7}},
+    }
+    text = shown(status_view(picture), width)
+    assert "reference" in text and "–" in text
+
+
+def test_the_truth_is_drawn_on_one_scale():
+    report = {"time_s": 600.0, "truth": {"z": {"uncompensated_um": -40.0, "compensated_um": 4.0}}}
+    text = shown(truth_panel(report, {"z": [(0.0, 0.0), (-20.0, 2.0), (-40.0, 4.0)]}))
+    assert "-40.0" in text and "+4.0" in text and "10.0 min" in text
+    assert "█" in text
+
+
+def test_a_sparkline_is_thinned_out_and_keeps_the_latest():
+    line = sparkline([0.0] * 999 + [10.0], top=10.0, width=20)
+    assert len(line) <= 20 and line.endswith("█")
+    assert sparkline([], top=0.0) == ""
+    assert sparkline([5.0], top=0.0) == "█"

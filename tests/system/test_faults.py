@@ -1,0 +1,115 @@
+"""What goes wrong on the wires, while the whole daemon runs: the output holds, recovers, and never jumps."""
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from wires import check_audit, on_wires
+
+from daemon.history import HistoryReader
+
+pytestmark = pytest.mark.wires
+
+
+def link(status, name):
+    return next(link for link in status["links"] if link["name"] == name)
+
+
+def test_disturbed_lines_do_not_disturb_the_output(tmp_path):
+    """Lost bytes, noise, a port that is pulled out and put back, nodes that are renumbered."""
+    faults = [
+        {"kind": "lost_bytes", "at_s": 260, "duration_s": 100, "target": "spindle", "amount": 0.2},
+        {"kind": "noise", "at_s": 260, "duration_s": 100, "target": "saddle", "amount": 0.05},
+        {"kind": "unplugged", "at_s": 400, "duration_s": 60, "target": "fixed"},
+        {"kind": "renumbered", "at_s": 500, "duration_s": 200, "target": "saddle", "amount": 5},
+    ]
+    with on_wires(tmp_path, speed=60.0, faults=faults) as wires:
+        wires.switch_on()
+        wires.wait_until(400.0)
+        status = wires.status()
+        assert status["cycles"]["incomplete"] > 0
+        assert status["output"]["state"] in ("ACTIVE", "HOLD")
+        wires.wait("the port to be gone", lambda status: not link(status, "latsis fixed")["up"])
+        wires.wait("the port to be back", lambda status: link(status, "latsis fixed")["up"])
+        wires.wait_until(530.0)
+        wires.wait(
+            "the quarantine",
+            lambda status: any("quarantine" in why for why in status["temperatures"]["not_good"].values()),
+        )
+        wires.wait_for_state("ACTIVE")
+        wires.check_nothing_broke()
+        check_audit(wires.writes(), wires.configuration)
+        assert wires.status()["writes"]["refused"] == 0
+
+
+def test_one_dead_line_is_imputed_and_three_hold_the_output(tmp_path):
+    faults = [{"kind": "dead_line", "at_s": 250, "duration_s": 350, "target": "fixed"}]
+    faults += [{"kind": "dead_line", "at_s": 380, "duration_s": 220, "target": name} for name in ("spindle", "saddle")]
+    with on_wires(tmp_path, speed=60.0, faults=faults) as wires:
+        wires.switch_on()
+        wires.wait_until(376.0)
+        status = wires.status()
+        assert status["temperatures"]["usable"] < status["temperatures"]["total"]
+        assert status["estimate"]["imputed"] and status["estimate"]["confidence"] < 1.0
+        held = wires.wait_for_state("HOLD")
+        assert "stale" in held["output"]["reason"] or "confidence" in held["output"]["reason"]
+        frozen = {axis: state["written_um"] for axis, state in held["axes"].items()}
+        while wires.running.time_s < 590.0:
+            status = wires.status()
+            assert status["output"]["state"] == "HOLD", status["output"]
+            assert {axis: state["written_um"] for axis, state in status["axes"].items()} == frozen
+            time.sleep(0.1)
+        wires.wait_for_state("ACTIVE")
+        wires.wait("every sensor", lambda status: status["temperatures"]["usable"] == status["temperatures"]["total"])
+        wires.check_nothing_broke()
+        check_audit(wires.writes(), wires.configuration)
+
+
+def test_a_cnc_that_freezes_or_dies_is_found_again(tmp_path):
+    faults = [
+        {"kind": "frozen_cnc", "at_s": 260, "duration_s": 150},
+        {"kind": "killed_cnc", "at_s": 480, "duration_s": 60},
+    ]
+    with on_wires(tmp_path, speed=60.0, faults=faults) as wires:
+        reference = wires.switch_on()["reference"]["id"]
+        for _ in ("frozen", "killed"):
+            held = wires.wait_for_state("HOLD")
+            assert "CNC" in held["output"]["reason"]
+            assert held["reference"]["id"] == reference
+            status = wires.wait_for_state("ACTIVE")
+            assert link(status, "cnc")["up"] and status["reference"]["id"] == reference
+        wires.check_nothing_broke()
+        assert not [entry for entry in wires.log if entry["event"] == "output.fault"]
+        check_audit(wires.writes(), wires.configuration, unverified=3)
+        with HistoryReader(wires.configuration.history.path) as reader:
+            assert reader.unsettled_writes() == []
+
+
+def test_a_disturbed_displacement_file_and_a_machine_that_stands_still_move_nothing(tmp_path):
+    """The file grows by half rows, is rotated and cut; then the simulator is stopped for a second, twice."""
+    faults = [
+        {"kind": "csv_half_row", "at_s": 180, "duration_s": 60},
+        {"kind": "csv_rotated", "at_s": 270},
+        {"kind": "csv_truncated", "at_s": 390, "amount": 0},
+    ]
+    with on_wires(tmp_path, speed=60.0, faults=faults) as wires:
+        wires.switch_on()
+        wires.wait_until(480.0)
+        wires.wait("the file", lambda status: link(status, "displacement files")["up"])
+        for _ in range(2):
+            wires.running.simulator.send_signal(signal.SIGSTOP)
+            time.sleep(1.3)
+            wires.running.simulator.send_signal(signal.SIGCONT)
+            time.sleep(0.3)
+        assert wires.wait_for_state("ACTIVE")["output"]["alarm"] == ""
+        wires.check_nothing_broke()
+        assert not [entry for entry in wires.log if entry["event"] == "output.fault"]
+        check_audit(wires.writes(), wires.configuration, unverified=4)
+        with HistoryReader(wires.configuration.history.path) as reader:
+            times_s = list(reader.displacements(0.0, 1e11).time_s)
+        assert len(set(times_s)) == len(times_s) >= 6, "a row a minute, each of them once"
