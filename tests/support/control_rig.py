@@ -242,6 +242,19 @@ class Rig:
         return self.nc.guard.applied_um
 
 
+class Bench:
+    """A directory, a clock and a control that outlive one run of the daemon."""
+
+    def __init__(self, directory: Path, **changes: Any) -> None:
+        self.configuration = machine(directory, **changes)
+        self.clock = HandClock()
+        self.nc = MemoryNc(self.configuration, self.clock)
+
+    def rig(self, **changes: Any) -> Rig:
+        content = {"record": record_for(self.configuration)} | changes
+        return Rig(self.configuration, self.nc, self.clock, **content)
+
+
 @contextlib.asynccontextmanager
 async def running(rig: Rig) -> AsyncIterator[Rig]:
     """Keep the rig's link and history alive."""

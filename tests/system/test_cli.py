@@ -54,7 +54,7 @@ def test_a_whole_shift_of_commands(tmp_path):
         first = status["reference"]["id"]
         told("reference", config=config)
         status = wires.wait("the reference", lambda status: status["reference"] and status["reference"]["id"] != first)
-        assert "by hand" in status["reference"]["source"] and "uid" in status["reference"]["source"]
+        assert "hand" in status["reference"]["source"] and "uid" in status["reference"]["source"]
 
         told("disable", "--zero", config=config)
         wires.wait_for_state("OFF")

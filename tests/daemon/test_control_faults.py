@@ -1,0 +1,286 @@
+"""The control task when the output cannot be trusted or the link is lost: nothing is written that should not be."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import structlog
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import (
+    ENABLE,
+    SEQUENCE_A,
+    SEQUENCE_B,
+    Bench,
+    Y,
+    Z,
+    record_for,
+    running,
+)
+
+from config.schema.cnc import OpcUaConfig
+from models.compensation import OperatorRequest
+from models.records import WriteOutcome
+
+ACKNOWLEDGE = OperatorRequest(acknowledge=True)
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path)
+
+
+@pytest.fixture
+async def rig(bench):
+    async with running(bench.rig()) as rig:
+        yield rig
+
+
+async def test_a_foreign_value_is_a_fault_until_it_is_acknowledged(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -10.0, 30)
+    bench.nc.macros.set(Z, 0.002)
+    bench.nc.written.clear()
+    await rig.turn(rig.estimate(0.0, -10.0))
+    assert rig.state == "FAULT"
+    assert f"#{Z} holds 0.002" in rig.control.alarm
+    await rig.follow(0.0, -10.0, 20)
+    assert rig.state == "FAULT" and bench.nc.written == []
+    applied = dict(rig.applied)
+    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    await rig.turn(safe=False)
+    assert rig.control.memory.state == "HOLD" or rig.state == "ACTIVE"
+    assert bench.nc.macros.get(Z) * 1000 == pytest.approx(applied["z"], abs=0.6)
+    await rig.follow(0.0, -10.0, 20)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
+
+
+async def test_a_fault_while_retreating_can_be_left(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -10.0, 30)
+    rig.control.request(OperatorRequest(zero=True), "p")
+    await rig.turn()
+    bench.nc.macros.set(Y, 0.001)
+    await rig.turn()
+    assert rig.state == "FAULT"
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.follow(0.0, -10.0, 40)
+    assert rig.state == "OFF"
+    assert rig.applied["z"] == pytest.approx(0.0, abs=1e-6)
+
+
+async def test_a_read_back_that_differs_is_a_fault(rig, bench):
+    await rig.active()
+    bench.nc.forgets = Z
+    await rig.turn(rig.estimate(0.0, -5.0))
+    assert rig.control.receipt.outcome is WriteOutcome.DIFFERS
+    bench.nc.written.clear()
+    await rig.follow(0.0, -5.0, 10)
+    assert rig.state == "FAULT" and bench.nc.written == []
+    assert "read-back" in rig.control.memory.reason or "holds" in rig.control.memory.reason
+    bench.nc.forgets = None
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.follow(0.0, -5.0, 30)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
+
+
+async def test_a_refused_write_is_a_fault_and_counted(rig, bench):
+    await rig.active()
+    bench.nc.refuses = Z
+    await rig.turn(rig.estimate(0.0, -5.0))
+    bench.nc.written.clear()
+    await rig.follow(0.0, -5.0, 10)
+    assert rig.state == "FAULT" and bench.nc.written == []
+    assert rig.control.writes["refused"] == 1
+    bench.nc.refuses = None
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.follow(0.0, -5.0, 30)
+    assert rig.state == "ACTIVE"
+
+
+async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -5.0, 15)
+    with structlog.testing.capture_logs() as logs:
+        bench.nc.breaks = ZeroDivisionError("nobody expected this")
+        await rig.turn(rig.estimate(0.0, -5.0))
+    assert [entry for entry in logs if entry["event"] == "control.defect"]
+    bench.nc.written.clear()
+    await rig.follow(0.0, -5.0, 10)
+    assert rig.state == "FAULT" and "ZeroDivisionError" in rig.control.alarm
+    assert bench.nc.written == []
+    assert rig.control.session.sample.time.monotonic_s == rig.clock.monotonic_s, "it still polls"
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.follow(0.0, -5.0, 5)
+    assert rig.state == "ACTIVE"
+
+
+@pytest.mark.parametrize("vacant", [SEQUENCE_A, Z, ENABLE, SEQUENCE_B])
+async def test_a_vacant_macro_at_the_start_is_an_alarm_and_nothing_is_written(bench, vacant):
+    bench.nc.macros.set(vacant, None)
+    async with running(bench.rig()) as rig:
+        for _ in range(3):
+            await rig.turn()
+        assert f"#{vacant} is vacant" in rig.control.alarm
+        rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        await rig.turn()
+        assert bench.nc.written == []
+
+
+@pytest.mark.parametrize("vacant", [SEQUENCE_A, Z, ENABLE, SEQUENCE_B])
+async def test_acknowledging_does_not_make_a_vacant_macro_ours(bench, vacant):
+    bench.nc.macros.set(vacant, None)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        rig.control.request(ACKNOWLEDGE, "p")
+        await rig.turn()
+        rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        for _ in range(5):
+            await rig.turn()
+        assert bench.nc.written == []
+        assert rig.state == "FAULT"
+        bench.nc.macros.set(vacant, 0.0)
+        await rig.turn()
+        rig.control.request(ACKNOWLEDGE, "p")
+        await rig.turn()
+        await rig.turn()
+        assert rig.state != "FAULT", rig.control.memory.reason
+
+
+async def test_a_vacant_echo_at_the_start_is_an_alarm_and_nothing_is_written(bench):
+    bench.nc.macros.set(513, None)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert "echo" in rig.control.alarm
+        assert "not been reached" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        await rig.turn()
+        assert bench.nc.written == []
+        bench.nc.macros.set(513, 0.0)
+        await rig.turn()
+        await rig.turn()
+        assert rig.state == "OFF" and rig.control.alarm == ""
+
+
+async def test_power_off_clears_valid_until_and_that_is_no_fault(rig, bench):
+    await rig.active()
+    bench.nc.power_cycle()
+    for _ in range(5):
+        await rig.turn()
+    assert rig.state == "HOLD"
+
+
+async def test_enable_bits_that_nobody_here_has_set_are_a_fault(bench):
+    bench.nc.macros.set(ENABLE, 4.0)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.turn()
+        assert rig.state == "FAULT" and "enable bits" in rig.control.alarm
+        assert bench.nc.written == []
+
+
+@pytest.mark.parametrize("groups", [0, 1, 2])
+async def test_a_link_lost_while_writing_is_no_fault_and_is_made_good(rig, bench, groups):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 5)
+    bench.nc.groups_until_lost = groups
+    clients = len(bench.nc.opened)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    assert rig.link.session is None
+    await rig.connected()
+    assert len(bench.nc.opened) == clients + 1, "a new client"
+    assert bench.nc.opened[-2].closed
+    await rig.follow(0.0, -8.0, 30)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
+    assert rig.control.output_fault is None
+    assert rig.control.writes["sent"] == rig.control.writes["verified"] + 1
+
+
+async def test_a_foreign_value_is_still_seen_after_a_lost_write(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 5)
+    bench.nc.groups_until_lost = 1
+    await rig.turn(rig.estimate(0.0, -8.0))
+    bench.nc.macros.set(Z, 0.0199)
+    await rig.connected()
+    bench.nc.written.clear()
+    await rig.follow(0.0, -8.0, 5)
+    assert rig.state == "FAULT" and bench.nc.written == []
+
+
+async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 20)
+    bench.nc.reachable = False
+    await rig.follow(0.0, -20.0, 10)
+    assert rig.state == "HOLD" and "no link" in rig.control.memory.reason
+    bench.nc.reachable = True
+    await rig.connected()
+    value = bench.nc.macros.get(Z)
+    await rig.turn(rig.estimate(0.0, -20.0))
+    assert abs(bench.nc.macros.get(Z) - value) * 1000 <= 0.51
+    await rig.follow(0.0, -20.0, 40)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(20.0, abs=0.11)
+
+
+async def test_acknowledging_without_a_link_is_not_lost_for_ever(rig, bench):
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    await rig.turn()
+    bench.nc.reachable = False
+    await rig.turn()
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.turn()
+    bench.nc.reachable = True
+    await rig.connected()
+    await rig.turn()
+    assert rig.state == "FAULT"
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.follow(0.0, 0.0, 5)
+    assert rig.state == "ACTIVE"
+
+
+async def test_another_control_behind_the_same_address_is_never_written_to(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 20)
+    bench.nc.reachable = False
+    await rig.turn()
+    bench.nc.identity, bench.nc.reachable = "urn:another-control", True
+    await rig.connected()
+    bench.nc.written.clear()
+    await rig.follow(0.0, -8.0, 5)
+    assert rig.state == "HOLD" and "urn:another-control" in rig.control.memory.reason
+    assert bench.nc.written == []
+
+
+async def test_a_scaled_clock_never_drives_a_control_that_is_not_simulated(bench):
+    bench.nc.macros.set(513, 0.005)  # it applies an offset, so that the output begins in HOLD
+    bench.nc.guard.applied_um["z"] = 5.0
+    bench.nc.identity = "urn:a-real-control"
+    bench.clock.speed = 60.0
+    record = record_for(bench.configuration, cnc_identity="urn:a-real-control")
+    async with running(bench.rig(record=record)) as rig:
+        await rig.turn()
+        assert "clock is simulated" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        rig.control.request(OperatorRequest(zero=True), "p")
+        for _ in range(5):
+            await rig.turn()
+        assert bench.nc.written == []
+
+
+async def test_an_insecure_connection_is_never_written_over(tmp_path):
+    opcua = OpcUaConfig(endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc")
+    bench = Bench(tmp_path, cnc={"opcua": opcua})
+    bench.nc.macros.set(513, 0.005)
+    bench.nc.guard.applied_um["z"] = 5.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert "not secure" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        rig.control.request(OperatorRequest(zero=True), "p")
+        for _ in range(5):
+            await rig.turn()
+        assert bench.nc.written == []

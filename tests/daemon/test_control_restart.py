@@ -1,0 +1,169 @@
+"""The control task after a restart of the daemon: from the echo, with the reference and its baseline."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import (
+    Bench,
+    Z,
+    running,
+)
+
+from daemon.history import HistoryReader
+from models.compensation import OperatorRequest
+from models.records import Reference, WriteOutcome
+
+ACKNOWLEDGE = OperatorRequest(acknowledge=True)
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path)
+
+
+@pytest.fixture
+async def rig(bench):
+    async with running(bench.rig()) as rig:
+        yield rig
+
+
+async def leave(bench, error_um=-10.0):
+    """Run until the output is active with an offset, then end as a crash would: without a word."""
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        await rig.follow(0.0, error_um, 60)
+        assert rig.state == "ACTIVE"
+        return rig.control.reference
+
+
+async def test_a_restart_resumes_from_the_echo_with_the_same_reference(bench):
+    left = await leave(bench)
+    bench.clock.monotonic_s += 30.0
+    value = bench.nc.macros.get(Z)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.state == "HOLD"
+        assert isinstance(rig.asked[0], Reference)
+        assert rig.control.reference.reference_id == left.reference_id
+        for _ in range(30):
+            await rig.turn(rig.estimate(0.0, -10.0))
+            assert bench.nc.macros.get(Z) == pytest.approx(value, abs=0.11e-3), "no step and no creep"
+        assert rig.state == "ACTIVE"
+        await rig.follow(0.0, -12.0, 20)
+        assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
+
+
+async def test_a_restart_keeps_the_baseline_of_the_second_reference(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -10.0, 40)
+        rig.set_reference("r2")
+        await rig.follow(0.0, -3.0, 20)
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -3.0, 20)
+        assert rig.applied["z"] == pytest.approx(13.0, abs=0.11)
+        rig.control.request(OperatorRequest(disable=frozenset({"y", "z"})), "p")
+        await rig.follow(0.0, -3.0, 30)
+        assert rig.applied["z"] == pytest.approx(10.0, abs=0.11), "retreats to that reference's baseline"
+
+
+async def test_what_the_error_did_during_the_outage_is_made_good(bench):
+    await leave(bench)
+    bench.clock.monotonic_s += 30.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -14.0, 20)
+        assert rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+
+
+async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
+    await leave(bench)
+    async with running(bench.rig()) as rig:
+        await rig.control._guarded(rig.control._poll())
+        rig.control.deliver(rig.estimate(0.0, -10.0))
+        await rig.follow(0.0, -10.0, 20)
+        assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
+
+
+async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
+    await leave(bench)
+    async with running(bench.rig()) as rig:
+        rig.history.put_state("rest", None)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -20.0, 3)
+        assert rig.state == "HOLD" and rig.control.reference is None
+        assert "baseline was not stored" in rig.control.notices[-1]
+        assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
+
+
+async def test_acknowledging_where_nothing_is_wrong_changes_nothing(rig):
+    await rig.active()
+    await rig.follow(0.0, -10.0, 10)
+    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    await rig.control._guarded(rig.control._act(None))  # before the next poll
+    await rig.follow(0.0, -10.0, 5)
+    assert rig.state == "ACTIVE"
+
+
+async def test_a_differing_read_back_is_acknowledged_before_the_next_poll(rig, bench):
+    await rig.active()
+    bench.nc.forgets = Z
+    await rig.turn(rig.estimate(0.0, -5.0))
+    bench.nc.forgets = None
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.control._guarded(rig.control._act(None))
+    await rig.control._guarded(rig.control._act(None))
+    await rig.follow(0.0, -5.0, 5)
+    assert rig.state == "ACTIVE"
+
+
+async def test_after_a_long_outage_the_output_holds_without_a_reference(bench):
+    await leave(bench)
+    bench.clock.monotonic_s += 2000.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -20.0, 5)
+        assert rig.control.reference is None
+        assert rig.state in ("HOLD", "RETREAT")
+
+
+async def test_after_a_power_cycle_the_old_reference_is_not_taken_up(bench):
+    await leave(bench)
+    bench.nc.power_cycle()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -20.0, 3)
+        assert rig.control.reference is None
+        assert rig.state == "HOLD"
+        assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
+
+
+async def test_a_foreign_value_written_during_the_outage_is_a_fault(bench):
+    await leave(bench)
+    bench.nc.macros.set(Z, 0.025)
+    bench.nc.written.clear()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -20.0, 3)
+        assert rig.state == "FAULT" and bench.nc.written == []
+
+
+async def test_every_write_is_in_the_audit(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -5.0, 10)
+        sent = rig.control.writes["sent"]
+    with HistoryReader(bench.configuration.history.path) as reader:
+        records = reader.writes(0.0, 1e11)
+        assert len(records) == sent
+        assert all(record.outcome is WriteOutcome.VERIFIED for record in records)
+        assert reader.unsettled_writes() == []
+        assert any(event.kind == "request" and event.person == "a person" for event in reader.events(0.0, 1e11))
