@@ -95,7 +95,7 @@ class ControlSocket:
             if not isinstance(request, dict):
                 raise RequestError("a request is one JSON object")
             return {"ok": True, **await self._handle(request, person)}
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             return {"ok": False, "error": f"the request is not JSON: {error}"}
         except RequestError as error:
             log.warning("request.refused", person=person, why=str(error))

@@ -55,6 +55,8 @@ class Permission:
         """Return why a person's request is refused, '' when it may be taken."""
         if not reached:
             return "the CNC has not been reached yet, so what it applies is unknown"
+        if request.acknowledge and cnc is None:
+            return "there is no link to the CNC, so what it holds is unknown; acknowledge again when the link is back"
         if unknown := sorted((request.enable | request.disable) - set(self._axes)):
             return f"there is no axis {', '.join(unknown)}; axes are {', '.join(self._axes)}"
         if without := sorted(request.enable - self.modelled):

@@ -227,19 +227,19 @@ async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
     assert rig.applied["z"] == pytest.approx(20.0, abs=0.11)
 
 
-async def test_acknowledging_without_a_link_is_not_lost_for_ever(rig, bench):
+async def test_acknowledging_without_a_link_is_refused(rig, bench):
     await rig.active()
     bench.nc.macros.set(Z, 0.002)
     await rig.turn()
     bench.nc.reachable = False
     await rig.turn()
-    rig.control.request(ACKNOWLEDGE, "p")
+    assert "no link to the CNC" in rig.control.request(ACKNOWLEDGE, "p")
     await rig.turn()
     bench.nc.reachable = True
     await rig.connected()
     await rig.turn()
     assert rig.state == "FAULT"
-    rig.control.request(ACKNOWLEDGE, "p")
+    assert rig.control.request(ACKNOWLEDGE, "p") == ""
     await rig.follow(0.0, 0.0, 5)
     assert rig.state == "ACTIVE"
 

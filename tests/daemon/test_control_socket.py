@@ -1,6 +1,7 @@
 """The local socket: answers, refusals, and who asked."""
 
 import asyncio
+import contextlib
 import os
 import stat
 
@@ -53,14 +54,33 @@ async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
         client = ControlClient(tmp_path / "s")
         with pytest.raises(RequestError, match="no axis w"):
             client.ask("enable", axes=["w"])
-        client._socket.sendall(b"\xff{not json\n[1]\n")
-        answers = [client._stream.readline(), client._stream.readline()]
+        client._socket.sendall(b"\xff{not json\n[1]\n" + b"[" * 60_000 + b"\n")
+        answers = [client._stream.readline() for _ in range(3)]
         client.close()
         return answers
 
-    first, second = await serve(tmp_path / "s", handle, work)
+    first, second, deep = await serve(tmp_path / "s", handle, work)
     assert b"not JSON" in first
     assert b"one JSON object" in second
+    assert b"not JSON" in deep
+
+
+async def test_a_line_without_an_end_closes_the_conversation(tmp_path):
+    async def handle(request, person):
+        return {}
+
+    def work():
+        client = ControlClient(tmp_path / "s")
+        with contextlib.suppress(OSError):  # it may hang up while we still talk
+            client._socket.sendall(b"x" * 1_000_000)
+        with pytest.raises(DaemonUnreachableError):
+            client.ask("status")
+        client.close()
+        other = ControlClient(tmp_path / "s")
+        assert other.ask("status") == {}
+        other.close()
+
+    await serve(tmp_path / "s", handle, work)
 
 
 def test_without_a_daemon_the_client_says_what_to_do(tmp_path):
