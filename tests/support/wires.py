@@ -142,7 +142,7 @@ def check_audit(writes: Sequence[WriteRecord], configuration: Configuration, *, 
             value, last = after.compensation_um[axis], before.compensation_um[axis]
             assert value is not None and last is not None
             assert abs(value) <= limits.absolute_bound_um + 1e-9, after
-            if value == before.applied_um[axis] or before.applied_um[axis] is None:
+            if before.applied_um.get(axis) in (None, value):
                 continue  # the command began again at what the tool point already has
             # The step's time is taken before the intent's: a little more than the slew rate may show.
             slack_um = 0.1 * limits.slew_um_per_min
