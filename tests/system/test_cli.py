@@ -61,6 +61,10 @@ def test_a_whole_shift_of_commands(tmp_path):
         told("acknowledge", config=config)
         wires.check_nothing_broke()
 
+        second = toolpoint("run", config=config)
+        assert second.returncode == 2 and "writes this store" in second.stderr
+        assert wires.status()["output"]["state"] == "OFF", "and the first one still answers"
+
         assert told("history", config=config).strip()
         assert len(rows_of(config, tmp_path / "writes.csv")) == wires.status()["writes"]["sent"] + 1
 
