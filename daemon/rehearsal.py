@@ -100,14 +100,18 @@ def _keys(directory: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def folder_for(directory: Path | None) -> Iterator[Path]:
-    """Yield a new or empty folder that stays, or a temporary one that does not."""
+    """Yield a new or empty folder that stays, or a temporary one that does not; raises RehearsalError."""
     if directory is None:
         with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
             yield Path(name)
         return
-    if directory.exists() and any(directory.iterdir()):
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        empty = not any(directory.iterdir())
+    except OSError as error:
+        raise RehearsalError(f"{directory} cannot be used: {error.strerror}; name an empty or a new folder") from error
+    if not empty:
         raise RehearsalError(f"{directory} is not empty; name an empty or a new folder")
-    directory.mkdir(parents=True, exist_ok=True)
     yield directory.resolve()
 
 
@@ -163,7 +167,7 @@ def rehearse(
             if running is not None:
                 _stop(running)
         lead_s *= 2
-    raise RehearsalError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s; see {directory}")
+    raise RehearsalError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
 
 
 def _start(

@@ -13,7 +13,7 @@ from drivers.contract import DriverError
 from drivers.recording_csv import read_recording
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.day import Day
-from drivers.sim.faults import load_faults
+from drivers.sim.faults import Fault, check_targets, load_faults
 from drivers.sim.machine import CfrpMachine
 from drivers.sim.opcua_server import ServerSecurity
 from drivers.sim.program import demo_program
@@ -49,8 +49,8 @@ class Simulation:
         server_key: Path | None = None,
     ) -> None:
         """Run the machine's faces until cancelled; lines speak from simulated time 0 on."""
+        faults = read_faults(faults_path, self.configuration)
         try:
-            faults = load_faults(faults_path) if faults_path is not None else ()
             await run_simulated_machine(
                 self.machine,
                 self.configuration,
@@ -89,6 +89,18 @@ class Simulation:
             report(content | {"channels": machine.channels()} if content.get("final") else content)
 
         return extended
+
+
+def read_faults(path: Path | None, configuration: Configuration) -> tuple[Fault, ...]:
+    """Return the faults of a script that this machine can have; raises SimulationError."""
+    if path is None:
+        return ()
+    try:
+        faults = load_faults(path)
+        check_targets(faults, configuration)
+    except ValueError as error:
+        raise SimulationError(str(error)) from error
+    return faults
 
 
 def simulated_day(configuration: Configuration, clock: ScaledClock, seed: int | None) -> Simulation:

@@ -1,6 +1,8 @@
 """What the commands share: options, configuration, clear refusals, JSON output."""
 
 import json
+import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -28,10 +30,38 @@ config_option = click.option(
     envvar="TOOLPOINT_CONFIG",
     help="Configuration file.",
 )
+
+
+class FiniteFloat(click.FloatRange):
+    """A number between bounds that is neither infinite nor 'nan', which no comparison with a bound refuses."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or fail with a sentence."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+def _writable(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Refuse a destination before the work is done whose result it shall take."""
+    if value is None or value == "-":
+        return value
+    path = Path(value)
+    if path.is_dir():
+        raise click.BadParameter(f"{value} is a folder; name a file")
+    if not path.parent.is_dir():
+        raise click.BadParameter(f"{value}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise click.BadParameter(f"{value} cannot be written (permission denied)")
+    return value
+
+
 json_option = click.option(
     "--json",
     "json_path",
     metavar="FILE",
+    callback=_writable,
     default=None,
     help="Write the result as JSON to FILE, '-' for standard output.",
 )

@@ -10,9 +10,10 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import json_option, write_json
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.rehearsing import rehearsal_folder
 from daemon.demonstration import Trail, result, settle, switch_on, watch
-from daemon.rehearsal import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
+from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
 
 LIVE_PERIOD_S = 0.25
 
@@ -20,11 +21,11 @@ LIVE_PERIOD_S = 0.25
 @click.command()
 @click.option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
 @click.option(
-    "--minutes", type=click.FloatRange(min=0, min_open=True), default=None, help="Simulated minutes (headless: 60)."
+    "--minutes", type=FiniteFloat(min=0, min_open=True), default=None, help="Simulated minutes (headless: 60)."
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0, min_open=True, max=600),
+    type=FiniteFloat(min=0, min_open=True, max=600),
     default=60.0,
     show_default=True,
     help="Simulated seconds per second.",
@@ -58,24 +59,22 @@ def demo(
     Exit status 0 when the run met its own checks, 1 when it did not, 2 for bad usage.
     """
     duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
-    with folder_for(directory) as folder:
+    if faults_path is not None:
+        _check_faults(faults_path)
+    with rehearsal_folder(directory) as folder:
         path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
-        try:
-            with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
-                switch_on(running)
-                if headless:
-                    watch(running, duration_s, lambda status: None, 1.0)
-                else:
-                    _show(running, duration_s)
-                    if math.isinf(duration_s):
-                        return
-                final, status = settle(running)
-        except RehearsalError as error:
-            click.echo(f"{error}; logs are in {folder}", err=True)
-            sys.exit(1)
+        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+            switch_on(running)
+            if headless:
+                watch(running, duration_s, lambda status: None, 1.0)
+            else:
+                _show(running, duration_s)
+                if math.isinf(duration_s):
+                    return
+            final, status = settle(running)
     numbers, failures = result(final, status)
     write_json(json_path, numbers)
     for failure in failures:
@@ -95,6 +94,18 @@ def demo_machine() -> dict[str, Any]:
     content["compensation"]["model_file"] = str(shipped_file("simulated_machine_model.json"))
     content["compensation"]["commissioning_file"] = str(shipped_file("simulated_machine_commissioning.json"))
     return content
+
+
+def _check_faults(path: Path) -> None:
+    """Refuse a fault script that the demo's machine cannot play, before anything starts."""
+    from config.loader import load_configuration
+    from config.machines import shipped_file
+    from daemon.simulation import SimulationError, read_faults
+
+    try:
+        read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
+    except SimulationError as error:
+        refuse(str(error))
 
 
 def _show(running: Rehearsal, until_s: float) -> None:

@@ -1,6 +1,5 @@
 """`toolpoint replay`: play a recording over real wires while the whole daemon runs."""
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,10 @@ from typing import Any
 import click
 
 from config.loader import ConfigurationError
-from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.rehearsing import rehearsal_folder
 from daemon.demonstration import settle, switch_on, watch
-from daemon.rehearsal import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
+from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
 from daemon.replaying import map_of, replay_machine
 from drivers.contract import DriverError
 from drivers.recording_csv import read_recording
@@ -38,13 +38,13 @@ FASTEST = 600.0
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteFloat(min=0, min_open=True),
     default=FASTEST,
     show_default=True,
     help="Simulated seconds per second; more than 600 is taken as 600.",
 )
-@click.option("--from-hours", type=click.FloatRange(min=0), default=None, help="Begin here [h].")
-@click.option("--to-hours", type=click.FloatRange(min=0), default=None, help="End here [h].")
+@click.option("--from-hours", type=FiniteFloat(min=0), default=None, help="Begin here [h].")
+@click.option("--to-hours", type=FiniteFloat(min=0), default=None, help="End here [h].")
 @click.option(
     "--directory",
     type=click.Path(path_type=Path, file_okay=False),
@@ -77,7 +77,7 @@ def replay(
         part = table.between_hours(*hours)
     except (ConfigurationError, DriverError, ValueError) as error:
         refuse(str(error))
-    with folder_for(directory) as folder:
+    with rehearsal_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
             path, _ = write_rehearsal_configuration(machine, folder, speed=speed, http=False)
@@ -88,14 +88,10 @@ def replay(
         arguments += ["--until-s", repr(until_s), "--report-s", "60"]
         if map_path is not None:
             arguments += ["--map", str(map_path.resolve())]
-        try:
-            with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
-                switch_on(running)
-                _follow(running, until_s)
-                final, status = settle(running)
-        except RehearsalError as error:
-            click.echo(f"{error}; logs are in {folder}", err=True)
-            sys.exit(1)
+        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+            switch_on(running)
+            _follow(running, until_s)
+            final, status = settle(running)
     report(recording, final, status, json_path)
 
 

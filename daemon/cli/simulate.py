@@ -8,11 +8,13 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import config_option, read_configuration, refuse
+from config.loader import ConfigurationError
+from daemon.cli.common import FiniteFloat, config_option, read_configuration, refuse
 from daemon.cli.run import parse_simulated_clock
 from daemon.logs import configure_logging
 from daemon.replaying import map_of, parse_hours
 from daemon.simulation import SimulationError, recorded_simulation, simulated_day
+from drivers.contract import DriverError
 
 
 @click.command()
@@ -47,8 +49,16 @@ from daemon.simulation import SimulationError, recorded_simulation, simulated_da
 @click.option(
     "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
 )
-@click.option("--until-s", type=float, default=None, help="Send no cycle that would begin after this time [s].")
-@click.option("--report-s", type=float, default=10.0, show_default=True, help="Time between reports [s].")
+@click.option(
+    "--until-s", type=FiniteFloat(min=0), default=None, help="Send no cycle that would begin after this time [s]."
+)
+@click.option(
+    "--report-s",
+    type=FiniteFloat(min=0, min_open=True),
+    default=10.0,
+    show_default=True,
+    help="Time between reports [s].",
+)
 @click.option(
     "--server-key",
     type=click.Path(path_type=Path, exists=True),
@@ -99,7 +109,7 @@ def simulate(
                 server_key=server_key,
             )
         )
-    except SimulationError as error:
+    except (SimulationError, ConfigurationError, DriverError, ValueError) as error:
         refuse(str(error))
     except KeyboardInterrupt:
         return

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 
 MOST_WARNINGS = 10
 AUTO = "auto"
@@ -47,7 +47,7 @@ def thermal() -> None:
 @click.option("--hours", metavar="A-B", callback=_hours, help="Train on these hours of each recording only.")
 @click.option(
     "--interval-min",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteFloat(min=0.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Interval of the increments [min].",

@@ -1,0 +1,95 @@
+"""Bad usage of the commands that start a simulated machine: refused in a sentence before anything starts."""
+
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from daemon.cli import main
+from daemon.cli.rehearsing import rehearsal_folder
+from daemon.rehearsal import RehearsalError
+
+
+def refused(*arguments):
+    """Run a command that must refuse; return what it says."""
+    finished = subprocess.run(
+        [sys.executable, "-P", "-m", "daemon.cli", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert finished.returncode == 2, (finished.stdout, finished.stderr)
+    assert "Traceback" not in finished.stderr and finished.stdout == ""
+    return finished.stderr
+
+
+@pytest.mark.parametrize("number", ["inf", "-inf", "nan"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("demo", "--headless", "--minutes"),
+        ("demo", "--headless", "--speed"),
+        ("replay", "--speed"),
+        ("replay", "--from-hours"),
+        ("replay", "--to-hours"),
+        ("simulate", "--until-s"),
+        ("simulate", "--report-s"),
+        ("thermal", "train", "--interval-min"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_bad_usage(arguments, number):
+    finished = CliRunner().invoke(main, [*arguments, number])
+    assert finished.exit_code == 2
+    assert arguments[-1] in finished.stderr
+    assert "finite" in finished.stderr or "range" in finished.stderr
+
+
+def test_a_folder_that_is_not_empty_is_refused(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    assert "not empty" in refused("demo", "--headless", "--directory", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    assert "cannot be used" in refused("demo", "--headless", "--directory", tmp_path / "mine.txt" / "below")
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("- {kind: noise\n", "not YAML"),
+        ("- {kind: earthquake, at_s: 1}\n", "earthquake"),
+        ("- {kind: noise, at_s: 1, target: nowhere}\n", "no line is called 'nowhere'"),
+    ],
+)
+def test_a_fault_script_is_read_before_anything_starts(tmp_path, script, words):
+    path = tmp_path / "faults.yaml"
+    path.write_text(script, encoding="utf-8")
+    assert words in refused("demo", "--headless", "--faults", path, "--directory", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_destination_that_cannot_be_written_is_refused_before_the_run(tmp_path):
+    said = refused(
+        "demo", "--headless", "--json", tmp_path / "missing" / "result.json", "--directory", tmp_path / "run"
+    )
+    assert "there is no folder" in said
+    assert "is a folder" in refused("doctor", "--json", tmp_path)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
+    with pytest.raises(SystemExit) as ended, rehearsal_folder(None) as folder:
+        (folder / "daemon.log").write_text("".join(f"line {number}\n" for number in range(9)), encoding="utf-8")
+        (folder / "simulator.log").write_text("port taken\n", encoding="utf-8")
+        raise RehearsalError("the daemon ended with status 3")
+    said = capsys.readouterr().err
+    assert ended.value.code == 1 and not folder.exists()
+    assert "status 3" in said and "line 4" in said and "line 8" in said and "port taken" in said
+    assert "line 3" not in said and str(folder) not in said
+
+
+def test_a_run_that_breaks_off_names_the_folder_that_stays(tmp_path, capsys):
+    with pytest.raises(SystemExit), rehearsal_folder(tmp_path / "run"):
+        raise RehearsalError("the daemon ended with status 3")
+    assert str(tmp_path / "run") in capsys.readouterr().err
+    assert (tmp_path / "run").is_dir()
