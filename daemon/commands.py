@@ -8,6 +8,9 @@ from daemon.control_socket import RequestError
 from daemon.status import StatusBoard
 from models.compensation import OperatorRequest
 
+KEYS = {"enable": {"axes"}, "disable": {"axes", "zero"}}
+"""What a command takes beside its name; the others take nothing."""
+
 
 class CommandDesk:
     """Turns requests from the socket into requests to the tasks."""
@@ -19,14 +22,14 @@ class CommandDesk:
 
     async def handle(self, request: dict[str, Any], person: str) -> dict[str, Any]:
         """Answer one request; raises RequestError with the reason for a refusal."""
+        _check_keys(request)
         match request.get("command"):
             case "status":
                 return self._board.picture()
             case "enable":
                 self._submit(OperatorRequest(enable=self._named(request)), person)
             case "disable":
-                zero = request.get("zero", False)
-                self._submit(OperatorRequest(disable=self._named(request), zero=bool(zero)), person)
+                self._submit(OperatorRequest(disable=self._named(request), zero=_zero(request)), person)
             case "acknowledge":
                 self._submit(OperatorRequest(acknowledge=True), person)
             case "reference":
@@ -46,4 +49,23 @@ class CommandDesk:
             return frozenset(self._control.modelled if request["command"] == "enable" else self._axes)
         if not isinstance(axes, list) or not all(isinstance(axis, str) for axis in axes):
             raise RequestError("axes must be a list of axis names")
+        if not axes:
+            raise RequestError("axes is an empty list; name axes, or leave it out to mean all of them")
         return frozenset(axes)
+
+
+def _check_keys(request: dict[str, Any]) -> None:
+    command = request.get("command")
+    known = KEYS.get(command, set()) if isinstance(command, str) else set()
+    if unknown := sorted(set(request) - known - {"command"}):
+        takes = ", ".join(sorted(known)) or "nothing else"
+        raise RequestError(f"the command {command!r} does not know {', '.join(unknown)}; it takes {takes}")
+
+
+def _zero(request: dict[str, Any]) -> bool:
+    zero = request.get("zero", False)
+    if not isinstance(zero, bool):
+        raise RequestError(f"zero must be true or false, not {zero!r}")
+    if zero and request.get("axes") is not None:
+        raise RequestError("zero retreats every axis; name no axes with it")
+    return zero

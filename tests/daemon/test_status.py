@@ -110,6 +110,12 @@ async def test_commands_are_taken_or_refused_in_words(board):
         ({"command": "enable", "axes": "z"}, "list of axis names"),
         ({"command": "enable", "axes": [1]}, "list of axis names"),
         ({"command": "enable", "axes": ["w"]}, "no axis w"),
+        ({"command": "enable", "axes": []}, "empty list"),
+        ({"command": "enable", "zero": True}, "does not know zero; it takes axes"),
+        ({"command": "acknowledge", "axes": ["z"]}, "takes nothing else"),
+        ({"command": "disable", "zero": "false"}, "true or false"),
+        ({"command": "disable", "zero": 1}, "true or false"),
+        ({"command": "disable", "zero": True, "axes": ["z"]}, "every axis"),
     ):
         with pytest.raises(RequestError, match=words):
             await desk.handle(request, "p")
