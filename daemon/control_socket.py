@@ -1,6 +1,7 @@
 """The local socket: commands to a running daemon, one JSON object a line, peer identity known."""
 
 import asyncio
+import errno
 import grp
 import json
 import os
@@ -20,6 +21,9 @@ LONGEST_REQUEST = 65536
 HANG_UP_S = 1.0
 """Open conversations get this long to end when the socket is closed [s]."""
 
+PROBE_S = 1.0
+"""Somebody who serves the socket already takes a connection within this [s]."""
+
 Handler = Callable[[dict[str, Any], str], Awaitable[dict[str, Any]]]
 
 
@@ -38,6 +42,32 @@ def peer_name(connection: socket.socket) -> str:
     return f"{name} (uid {uid}, pid {pid})"
 
 
+def clear_the_way(path: Path) -> None:
+    """Remove a socket that nobody serves any more; raises OSError when somebody answers there."""
+    if not path.is_socket():
+        path.unlink(missing_ok=True)
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(PROBE_S)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            path.unlink(missing_ok=True)
+            return
+        except (TimeoutError, BlockingIOError):
+            pass  # nobody takes the connection at once, but somebody listens
+    raise OSError(errno.EADDRINUSE, "another daemon serves this socket; stop it, or give this one a socket of its own")
+
+
+def identity(path: Path) -> tuple[int, int] | None:
+    """Return device and inode of a file, None when it is gone."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 class ControlSocket:
     """Serves the socket; every request is answered with one line."""
 
@@ -50,10 +80,11 @@ class ControlSocket:
     async def run(self) -> None:
         """Serve until cancelled."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._path.unlink(missing_ok=True)
+        await asyncio.to_thread(clear_the_way, self._path)
         old_mask = os.umask(0o177)
         try:
             server = await asyncio.start_unix_server(self._serve, self._path, limit=LONGEST_REQUEST)
+            made = identity(self._path)
         finally:
             os.umask(old_mask)
         if self._group is not None:
@@ -63,7 +94,8 @@ class ControlSocket:
             async with server:
                 await server.serve_forever()
         finally:
-            self._path.unlink(missing_ok=True)
+            if made is not None and identity(self._path) == made:
+                self._path.unlink(missing_ok=True)
             await self._hang_up()
 
     async def _hang_up(self) -> None:

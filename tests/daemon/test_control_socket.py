@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import os
+import socket
 import stat
+import time
 
 import pytest
 
@@ -106,3 +108,59 @@ async def test_an_open_conversation_does_not_hinder_the_end(tmp_path):
         await asyncio.to_thread(client.ask, "status")
     client.close()
     assert complaints == []
+
+
+async def test_a_socket_that_is_served_is_not_taken_away(tmp_path):
+    async def handle(request, person):
+        return {"first": True}
+
+    path = tmp_path / "s"
+
+    def second():
+        return asyncio.run(ControlSocket(path, None, handle).run())
+
+    def work():
+        with pytest.raises(OSError, match="another daemon serves this socket"):
+            second()
+        client = ControlClient(path)
+        answer = client.ask("status")
+        client.close()
+        return answer
+
+    assert await serve(path, handle, work) == {"first": True}
+    assert not path.exists()
+
+
+async def test_a_socket_that_a_dead_daemon_left_is_replaced(tmp_path):
+    async def handle(request, person):
+        return {}
+
+    path = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+
+    def work():
+        for _ in range(500):
+            with contextlib.suppress(DaemonUnreachableError):
+                client = ControlClient(path)
+                answer = client.ask("status")
+                client.close()
+                return answer
+            time.sleep(0.01)
+        return None
+
+    assert await serve(path, handle, work) == {}
+
+
+async def test_only_its_own_file_is_removed_at_the_end(tmp_path):
+    async def handle(request, person):
+        return {}
+
+    path = tmp_path / "s"
+
+    def work():
+        path.rename(tmp_path / "moved")  # keeps the inode in use, so that the next file has another one
+        path.touch()
+
+    await serve(path, handle, work)
+    assert path.exists()
