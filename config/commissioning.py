@@ -4,20 +4,38 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from config.schema.base import Section
 from config.schema.cnc import MacroMapConfig
+
+LEAST_PROOF_UM = 2.0
+"""A smaller offset proves neither sign nor scale [um]."""
+PROOF_TOLERANCE = 0.2
+"""Share by which the measured movement may differ from what sign and scale say."""
 
 
 class CommissionedAxis(Section):
     """One axis that a person has seen moving the right way."""
 
-    sign: int = Field(description="+1 or -1: direction in which a positive macro value moved the tool point")
-    scale: float = Field(gt=0, description="movement over macro value, 1 when they agree")
+    sign: Literal[-1, 1] = Field(description="+1 or -1: direction in which a positive macro value moved the tool point")
+    scale: float = Field(ge=0.2, le=5.0, description="movement over macro value, 1 when they agree")
     written_um: float = Field(description="offset that was written [um]")
     measured_um: float = Field(description="movement that was measured [um]")
+
+    @model_validator(mode="after")
+    def _proved(self) -> "CommissionedAxis":
+        if abs(self.written_um) < LEAST_PROOF_UM:
+            raise ValueError(f"written_um {self.written_um:g} is too small to prove anything ({LEAST_PROOF_UM:g} um)")
+        expected_um = self.sign * self.scale * self.written_um
+        if abs(self.measured_um - expected_um) > PROOF_TOLERANCE * abs(expected_um):
+            raise ValueError(
+                f"sign and scale make {expected_um:g} um of {self.written_um:g} um written, "
+                f"but {self.measured_um:g} um were measured"
+            )
+        return self
 
 
 class CommissioningRecord(Section):
@@ -47,6 +65,8 @@ def load_commissioning(path: Path) -> CommissioningRecord:
         return CommissioningRecord.model_validate_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise CommissioningError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise CommissioningError(f"{path}: this is no record: byte {error.start} is not UTF-8 text") from error
     except ValidationError as error:
         first = error.errors()[0]
         raise CommissioningError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error

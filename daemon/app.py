@@ -23,6 +23,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.jobs import housekeeping_scheduler
 from daemon.limits import commissioned_factors
 from daemon.macro_block import MacroBlock
+from daemon.model_file import read_model
 from daemon.notify import ServiceManager
 from daemon.resume import load_resume_point
 from daemon.status import StatusBoard
@@ -33,8 +34,7 @@ from daemon.web import serve_metrics
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 from models.records import Reference, TemperatureCycle
-from models.thermal.artifact import model_from_json
-from models.thermal.model import ModelError, ThermalModel
+from models.thermal.model import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -54,18 +54,8 @@ def load_model(configuration: Configuration) -> tuple[ThermalModel | None, str]:
     path = configuration.compensation.model_file
     if path is None:
         return None, "no thermal model is configured (compensation.model_file)"
-    try:
-        model = model_from_json(path.read_text(encoding="utf-8"), source=str(path))
-    except OSError as error:
-        return None, f"{path}: the thermal model cannot be read ({error.strerror})"
-    except ModelError as error:
-        return None, str(error)
-    if foreign := sorted(set(model.sensor_ids) - set(configuration.temperatures.sensor_ids)):
-        return None, f"{path}: the model needs sensors that this machine does not have: {foreign[:10]}"
-    wanted = {axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate}
-    if lacking := sorted(wanted - set(model.channels)):
-        return None, f"{path}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
-    return model, ""
+    wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
+    return read_model(path, configuration.temperatures.sensor_ids, wanted)
 
 
 def load_record(path: Path | None) -> CommissioningRecord | None:
@@ -111,6 +101,7 @@ class Daemon:
             self._history,
             self._telemetry,
             commissioning=record,
+            model_id=model.model_id if model is not None else None,
             model_obstacle=obstacle,
             resume=self._resume,
             ask_reference=inbox.put_nowait,
@@ -226,7 +217,7 @@ class Daemon:
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros
-        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, known)
+        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, self.control.limits, known)
 
     # --- what the tasks call back --------------------------------------------------------
 

@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from daemon.history.writer import HistoryWriter
-from daemon.macro_block import LAST_SEQUENCE, Echo, MacroBlock
+from daemon.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
 from drivers.contract import Cnc, FatalDriverError
+from models.compensation import OutputLimits
 from models.records import (
     CncSample,
     CompensationCommand,
@@ -32,6 +33,7 @@ class CncSession:
         clock: Clock,
         history: HistoryWriter,
         telemetry: Telemetry,
+        limits: OutputLimits,
         known: dict[int, tuple[float, ...]] | None,
     ) -> None:
         self.cnc = cnc
@@ -39,6 +41,7 @@ class CncSession:
         self._clock = clock
         self._history = history
         self._telemetry = telemetry
+        self._limits = limits
         self._acceptable = known
         self._sequence = 0
         self._enabled = False
@@ -71,7 +74,7 @@ class CncSession:
         problems = self._block.differences(self._acceptable, sample.macros)
         if not problems:
             self._narrow(sample.macros)
-        return problems
+        return problems + self._block.implausible_echo(sample.macros, self._limits)
 
     def forgive(self) -> list[str]:
         """Take what the CNC holds now as known: a person has acknowledged. Return what is vacant and stays a fault."""
@@ -79,7 +82,8 @@ class CncSession:
             return []
         found = {number: self._seen.get(number) for number in self._block.ours}
         self._acceptable = {number: () if value is None else (value,) for number, value in found.items()}
-        return self._block.vacant(found)
+        bound = replace(self._limits, step_um=np.full(len(self._limits.axes), np.inf))
+        return self._block.vacant(found) + self._block.implausible_echo(self._seen, bound)
 
     def _narrow(self, found: Mapping[int, float | None]) -> None:
         ours = {number: found.get(number) for number in self._block.ours}
@@ -93,7 +97,7 @@ class CncSession:
             problems.append("enable bits are set in the CNC, and this daemon has no record of having set them")
         if not problems:
             self._narrow(sample.macros)
-        return problems
+        return problems + self._block.implausible_echo(sample.macros, self._limits)
 
     async def write(self, command: CompensationCommand, *, validity_s: float, trace: Trace, cause: str) -> Receipt:
         """Write the block first to last, read it back, and leave intent and outcome in the audit."""
@@ -103,6 +107,8 @@ class CncSession:
         self._sequence = self._sequence % LAST_SEQUENCE + 1
         stopped = not any(command.enable)
         valid_until_s = 0.0 if stopped else clock_s + validity_s
+        if np.any(np.abs(command.compensation_um) > self._limits.absolute_bound_um + ECHO_SLACK_UM):
+            raise FatalDriverError(f"{command.compensation_um} um is outside the absolute bound; nothing was sent")
         groups = self._block.encode(command, sequence=self._sequence, valid_until_s=valid_until_s)
         macros = tuple(pair for group in groups for pair in group)
         intent = self._history.write_intent(command, macros, cause)
@@ -119,6 +125,7 @@ class CncSession:
             raise
         self._acceptable = {number: (value,) for number, value in macros}
         problems = self._block.differences(self._acceptable, found)
+        problems += self._block.implausible_echo(found, self._limits)
         self.echo = self._block.echo(found)
         self._enabled = self._block.enabled(found)
         self._seen = found

@@ -13,13 +13,14 @@ import structlog
 
 from config.commissioning import CommissioningRecord
 from config.schema import Configuration
+from daemon.alarm import alarm_of
 from daemon.cnc_link import CncLink
 from daemon.cnc_session import CncSession
 from daemon.history.writer import HistoryWriter
 from daemon.limits import axis_sources, output_limits
 from daemon.permission import Permission, in_words
 from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
-from daemon.resume import ResumePoint, reference_to_state, rest_to_state, with_rest
+from daemon.resume import ResumePoint, reference_to_state, rest_to_state, wanted_at_start, with_rest
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
@@ -65,6 +66,7 @@ class ControlTask:
         telemetry: Telemetry,
         *,
         commissioning: CommissioningRecord | None,
+        model_id: str | None,
         model_obstacle: str,
         resume: ResumePoint,
         ask_reference: Callable[[ReferenceRequest | Reference], None],
@@ -77,6 +79,7 @@ class ControlTask:
         self._telemetry = telemetry
         self._permission = Permission(configuration, clock, commissioning, model_obstacle)
         self._resume = resume
+        self._model_id = model_id
         self._ask_reference = ask_reference
         self._on_tick = on_tick
         self.limits = output_limits(configuration)
@@ -93,7 +96,8 @@ class ControlTask:
         self.phase = Phase.CUTTING
         self.command: CompensationCommand | None = None
         self.receipt: Receipt | None = None
-        self.output_fault: str | None = None
+        self.output_fault: str | None = resume.fault
+        self._needs_person = ""
         self.notices: list[str] = []
         self.alarm = ""
         self.writes = {"sent": 0, "verified": 0, "refused": 0}
@@ -244,11 +248,12 @@ class ControlTask:
     def _start_from(self, session: CncSession) -> None:
         """Begin from the CNC's echo, not from zero and not from the store."""
         assert session.echo is not None
+        wanted, self._needs_person = wanted_at_start(self._resume, session.echo.applied_um)
         try:
             self.memory = initial_memory(
                 now_s=self._clock.now().monotonic_s,
                 applied_um=session.echo.applied_um,
-                wanted=self._resume.wanted,
+                wanted=wanted,
             )
         except ValueError as error:
             self.alarm = str(error)
@@ -258,7 +263,7 @@ class ControlTask:
         reference = self._resume.reference
         if reference is not None and sample is not None and not end_of_reference(reference, sample):
             try:
-                self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference)
+                self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference, self._model_id)
             except ValueError as error:
                 self._notice(str(error))
                 return
@@ -279,7 +284,8 @@ class ControlTask:
         self._watch(before, self.memory, inputs.now_s, obstacle)
         session = self.session
         if session is not None and command.write and self._due(session, command, estimate):
-            trace = estimate.trace if estimate is not None else self._tick_trace()
+            now = self._clock.now()
+            trace = estimate.trace if estimate is not None else Trace(first_byte=now, last_byte=now)
             await self._write(session, command, trace, estimate)
         self._telemetry.output(command, inputs.applied_um)
 
@@ -290,7 +296,6 @@ class ControlTask:
         trace: Trace,
         estimate: ThermalErrorEstimate | None,
     ) -> None:
-        self.writes["sent"] += 1
         try:
             receipt = await session.write(
                 command,
@@ -302,6 +307,8 @@ class ControlTask:
             self.writes["refused"] += 1
             self._raise_fault(f"a write was refused: {error}")
             return
+        finally:
+            self.writes["sent"] += 1
         self.receipt = receipt
         if receipt.outcome is not WriteOutcome.VERIFIED:
             self._raise_fault(f"read-back differs: {receipt.detail}")
@@ -333,6 +340,9 @@ class ControlTask:
             self._event("request", in_words(request), person)
         if request.acknowledge and self.output_fault is not None and session is not None:
             self.output_fault = "; ".join(session.forgive()) or None
+            self._history.put_state("fault", self.output_fault)
+        if request.enable or request.disable or request.zero:
+            self._needs_person = ""
         enabled = self._wanted_axes()
         return OutputInputs(
             now_s=now_s,
@@ -361,7 +371,8 @@ class ControlTask:
 
     def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
         session = self.session
-        return self._permission.refusals(session.cnc if session is not None else None, axes)
+        refusals = self._permission.refusals(session.cnc if session is not None else None, axes)
+        return (*refusals, self._needs_person) if self._needs_person else refusals
 
     # --- saying what happened ------------------------------------------------------------
 
@@ -373,18 +384,14 @@ class ControlTask:
         counts_anew = after.baseline_um is not before.baseline_um or after.offset_um is not before.offset_um
         if after.reference_id is not None and counts_anew:
             self._history.put_state("rest", rest_to_state(after, self.limits.axes))
-        frozen_s = now_s - after.since_s
+        echo = self.session.echo if self.session is not None else None
         alarm_after_s = self._configuration.compensation.output.alarm_after_s
-        if after.state is OutputState.FAULT:
-            self.alarm = f"FAULT: {after.reason}; `toolpoint acknowledge` clears it"
-        elif after.state is OutputState.HOLD and frozen_s > alarm_after_s:
-            self.alarm = f"held for {frozen_s:.0f} s: {obstacle or after.reason}"
-        else:
-            self.alarm = ""
+        self.alarm = alarm_of(after, echo, now_s=now_s, alarm_after_s=alarm_after_s, obstacle=obstacle)
 
     def _raise_fault(self, reason: str) -> None:
         if self.output_fault is None:
             self._event("fault", reason, "daemon")
+            self._history.put_state("fault", reason)
         self.output_fault = reason
 
     def _notice(self, text: str) -> None:
@@ -394,7 +401,3 @@ class ControlTask:
     def _event(self, kind: str, text: str, person: str) -> None:
         log.info(f"output.{kind}", text=text, person=person)
         self._history.event(kind, text, person)
-
-    def _tick_trace(self) -> Trace:
-        now = self._clock.now()
-        return Trace(first_byte=now, last_byte=now)

@@ -54,7 +54,9 @@ def settle(running: Rehearsal) -> tuple[dict[str, Any], dict[str, Any]]:
 def result(final: dict[str, Any], status: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return the demonstration's numbers and every check of its own that failed."""
     errors = {}
-    for axis, truth in final["truth"].items():
+    untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
+    for axis in status["axes"]:
+        truth = final["truth"].get(axis, untouched)
         modelled = status["axes"][axis]["estimate_from"] is not None
         without, compensated = truth["uncompensated_max_um"], truth["compensated_max_um"]
         if not modelled or without <= JUDGED_FROM_UM:
@@ -90,12 +92,14 @@ def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, 
         failures.append("nothing was written")
     if writes["verified"] != writes["sent"]:
         failures.append(f"{writes['sent'] - writes['verified']} writes were not verified")
+    if status["output"]["state"] == "FAULT":
+        failures.append(f"the output ended in FAULT: {status['output']['reason']}")
     for axis, state in status["axes"].items():
         applied, bound = state["applied_um"], state["bound_um"]
         if applied is None or abs(applied) > bound + 1e-6:
             failures.append(f"axis {axis}: {applied} um applied, bound {bound} um")
-        if state["wanted"] and axis not in status["written_axes"]:
-            failures.append(f"axis {axis} is switched on but was never written")
+        if state["estimate_from"] is not None and not (state["wanted"] and axis in status["written_axes"]):
+            failures.append(f"axis {axis} was switched on, but is {'never written' if state['wanted'] else 'off now'}")
     for axis, error in numbers["error_um"].items():
         if error["verdict"] == "failed":
             failures.append(

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.schema.cnc import MacroMapConfig
+from models.compensation import OutputLimits
 from models.records import CompensationCommand, FloatArray
 
+ECHO_SLACK_UM = 0.05
+"""Allowed between the echo and what explains it [um]."""
 LAST_SEQUENCE = 999_999
 """Sequence numbers run from 1 to here and start again."""
 
@@ -86,6 +89,25 @@ class MacroBlock:
             for number, value in ours.items()
             if value is None and number != self._map.valid_until
         ]
+
+    def implausible_echo(self, macros: Mapping[int, float | None], limits: OutputLimits) -> list[str]:
+        """Return what the guard cannot have applied: more than the bound, or more than a step from what is written."""
+        echo = self.echo(macros)
+        written_um = self._um_per_unit * [macros.get(self._map.values[axis]) or 0.0 for axis in self._axes]
+        problems = []
+        for i, axis in enumerate(self._axes):
+            applied_um = echo.applied_um[i]
+            if abs(applied_um) > limits.absolute_bound_um[i] + ECHO_SLACK_UM:
+                problems.append(
+                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "
+                    f"the bound is {limits.absolute_bound_um[i]:g} um"
+                )
+            elif abs(applied_um - written_um[i]) > limits.step_um[i] + ECHO_SLACK_UM:
+                problems.append(
+                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
+                    f"{written_um[i]:.3f} um, and the guard's step is {limits.step_um[i]:g} um"
+                )
+        return problems
 
     def enabled(self, macros: Mapping[int, float | None]) -> bool:
         """Whether any enable bit is set."""

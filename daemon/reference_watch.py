@@ -7,6 +7,11 @@ from models.records import CncRun, CncSample, Phase, Reference
 CLOCK_STEP_S = 1.0
 """The CNC's clock going back by more than this means that it was switched off [s]."""
 
+CLOCK_GAP_REAL_S = 2.0
+"""After a silence as long as this the CNC's clock is held against ours [s of the wall clock]."""
+CLOCK_DRIFT = 0.02
+"""Share of the elapsed time by which two clocks may differ."""
+
 
 def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int]) -> Phase:
     """Return what the machine is doing; everything that is not known to be harmless is cutting."""
@@ -27,6 +32,8 @@ def positioning_passed(
         return False
     if previous is None:
         return False
+    if previous.run in (CncRun.RESET, CncRun.STOP):
+        return True
     return (previous.program, previous.sequence_number) != (sample.program, sample.sequence_number)
 
 
@@ -34,7 +41,12 @@ def power_cycled(previous: CncSample | None, sample: CncSample) -> bool:
     """Whether the control was switched off between two samples."""
     if previous is None:
         return False
-    return sample.power_on_count != previous.power_on_count or sample.clock_s < previous.clock_s - CLOCK_STEP_S
+    if sample.power_on_count != previous.power_on_count or sample.clock_s < previous.clock_s - CLOCK_STEP_S:
+        return True
+    if sample.time.real_s - previous.time.real_s < CLOCK_GAP_REAL_S:
+        return False
+    elapsed_s = sample.time.monotonic_s - previous.time.monotonic_s
+    return sample.clock_s - previous.clock_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
 
 
 def end_of_reference(reference: Reference, sample: CncSample) -> str:

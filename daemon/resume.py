@@ -9,9 +9,10 @@ import structlog
 
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
+from daemon.macro_block import ECHO_SLACK_UM
 from drivers.clock import Clock
 from models.compensation import OutputMemory
-from models.records import Instant, Reference
+from models.records import FloatArray, Instant, Reference
 
 log = structlog.get_logger(__name__)
 
@@ -23,8 +24,24 @@ class ResumePoint:
     wanted: tuple[bool, ...]
     reference: Reference | None
     known_macros: dict[int, tuple[float, ...]] | None
+    resumable: bool = True
+    """The outage was short enough to go on as before."""
+    fault: str | None = None
+    """The latched FAULT that nobody has acknowledged."""
     rest: dict[str, Any] | None = None
     """Where the output stood when the reference was set, from `rest_to_state`."""
+
+
+def wanted_at_start(resume: ResumePoint, applied_um: FloatArray) -> tuple[tuple[bool, ...], str]:
+    """Return which axes are switched on at the start, and why a person must speak before they follow.
+
+    After too long an outage only what still carries an offset stays switched on, and is held.
+    """
+    if resume.resumable:
+        return resume.wanted, ""
+    carried = tuple(bool(abs(um) > ECHO_SLACK_UM) for um in applied_um)
+    why = "the daemon was away too long to go on by itself: `toolpoint enable` or `toolpoint disable`"
+    return carried, why if any(carried) else ""
 
 
 def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
@@ -38,7 +55,11 @@ def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
 
 
 def with_rest(
-    memory: OutputMemory, rest: dict[str, Any] | None, axes: Sequence[str], reference: Reference
+    memory: OutputMemory,
+    rest: dict[str, Any] | None,
+    axes: Sequence[str],
+    reference: Reference,
+    model_id: str | None,
 ) -> OutputMemory:
     """Return the memory with the stored baseline of a reference that is taken up again.
 
@@ -47,11 +68,16 @@ def with_rest(
     Raises
     ------
     ValueError
-        When no baseline is stored for this reference, or for other axes.
+        When no baseline is stored for this reference, or for other axes, or for another model.
 
     """
     if rest is None or rest["reference_id"] != reference.reference_id or set(rest["baseline_um"]) != set(axes):
         raise ValueError(f"the reference of {reference.source} is not taken up again: its baseline was not stored")
+    if rest["model_id"] not in (None, model_id):
+        raise ValueError(
+            f"the reference of {reference.source} is not taken up again: it belongs to model {rest['model_id']}, "
+            f"the model is now {model_id}"
+        )
     return replace(
         memory,
         reference_id=rest["reference_id"],
@@ -102,7 +128,9 @@ def load_resume_point(configuration: Configuration, history: HistoryWriter, cloc
     if stored and not resumable:
         log.warning("reference.too_old", outage_s=outage_s)
     return ResumePoint(
-        wanted=tuple(bool(wanted.get(axis, False)) and resumable for axis in axes),
+        wanted=tuple(bool(wanted.get(axis, False)) for axis in axes),
+        resumable=resumable,
+        fault=history.get_state("fault"),
         reference=reference,
         known_macros=history.last_written_macros(),
         rest=history.get_state("rest"),

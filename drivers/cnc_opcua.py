@@ -206,7 +206,7 @@ class OpcUaCnc:
                 raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(group)} writes")
             for (number, value), status in zip(group, statuses, strict=True):
                 if not status.is_good():
-                    raise LinkError(
+                    raise FatalDriverError(
                         f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
                     )
 

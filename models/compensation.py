@@ -279,6 +279,8 @@ def _follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemor
             offset_um=np.zeros_like(memory.offset_um),
             command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
         )
+    if memory.model_id is None:
+        return replace(memory, model_id=inputs.model_id)
     if inputs.model_id != memory.model_id and inputs.model_id is not None:
         error = np.where(np.isfinite(inputs.thermal_error_um), inputs.thermal_error_um, 0.0)
         offset = memory.command_um - (memory.baseline_um - error)

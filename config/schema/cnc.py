@@ -104,9 +104,11 @@ class MacroMapConfig(Section):
     echo_time: MacroNumber = Field(description="CNC clock when the guard last ran [s]", examples=[514])
     echo_status: MacroNumber = Field(description="what the guard did: 0 applied, else its refusal", examples=[515])
     echo_guard_version: MacroNumber = Field(description="version of the guard macro", examples=[516])
-    unit_um: float = Field(1000.0, gt=0, description="micrometres per unit of the value macros (1000: mm)")
+    unit_um: float = Field(
+        1000.0, ge=0.01, le=25400.0, description="micrometres per unit of the value macros (1000: mm)"
+    )
     tolerance: float = Field(
-        1e-6, ge=1e-8, description="largest difference between written and read back, in the macros' unit"
+        1e-6, ge=1e-8, le=1e-3, description="largest difference between written and read back, in the macros' unit"
     )
 
     @model_validator(mode="after")
@@ -121,6 +123,10 @@ class MacroMapConfig(Section):
                 problems.append((key, f"#{number} lies outside `writable` ({', '.join(self.writable)})"))
         if set(self.values) != set(self.echo_applied):
             problems.append((("echo_applied",), f"must name the same axes as `values`: {sorted(self.values)}"))
+        if uncommon := sorted(n for n in self.allowed if not (100 <= n <= 199 or 500 <= n <= 999)):
+            problems.append(
+                (("writable",), f"only common variables (#100-#199, #500-#999) are ours, not #{uncommon[0]}")
+            )
         if not 100 <= self.valid_until <= 199:
             problems.append((("valid_until",), "must be one of #100-#199, which power-off clears"))
         if problems:

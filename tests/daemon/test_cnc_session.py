@@ -15,6 +15,7 @@ from daemon.cnc_session import CncSession
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from daemon.limits import output_limits
 from daemon.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.contract import FatalDriverError, LinkError
@@ -38,7 +39,8 @@ class Desk:
         self.block = MacroBlock(self.configuration.cnc.macros, AXES, {})
 
     def session(self, known=None) -> CncSession:
-        return CncSession(self.nc.open(), self.block, self.clock, self.history, Telemetry(), known)
+        limits = output_limits(self.configuration)
+        return CncSession(self.nc.open(), self.block, self.clock, self.history, Telemetry(), limits, known)
 
     async def write(self, session, z_um=3.0, enable=(False, False, True)):
         now = self.clock.now()
@@ -154,10 +156,11 @@ async def test_after_a_lost_write_the_next_session_accepts_old_or_new_and_nothin
 async def test_many_lost_writes_do_not_widen_what_is_accepted(desk):
     session = desk.session()
     await session.poll()
-    for z_um in range(1, 50):
-        desk.nc.groups_until_lost = z_um % 3
+    for number in range(1, 50):
+        z_um = number / 10
+        desk.nc.groups_until_lost = number % 3
         with pytest.raises(LinkError):
-            await desk.write(session, float(z_um))
+            await desk.write(session, z_um)
         session = desk.session(session.known)
         assert await session.poll() == []
         assert all(len(values) == 1 for values in session.known.values())

@@ -13,7 +13,14 @@ from control_rig import HandClock, machine
 
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.resume import load_resume_point, reference_from_state, reference_to_state, rest_to_state, with_rest
+from daemon.resume import (
+    load_resume_point,
+    reference_from_state,
+    reference_to_state,
+    rest_to_state,
+    wanted_at_start,
+    with_rest,
+)
 from models.compensation import initial_memory
 from models.records import Reference
 
@@ -71,7 +78,11 @@ def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed)
     leave(configuration, clock)
     clock.monotonic_s += outage_s
     point = load_resume_point(configuration, history_of(configuration, clock), clock)
-    assert point.wanted == ((False, True, True) if resumed else (False, False, False))
+    assert point.wanted == (False, True, True)
+    assert point.resumable == resumed
+    carried, why = wanted_at_start(point, np.array([0.0, 0.0, 5.0]))
+    assert carried == ((False, True, True) if resumed else (False, False, True))
+    assert (why == "") == resumed
     assert (point.reference is not None) == resumed
 
 
@@ -94,7 +105,7 @@ def memory():
 def test_the_baseline_comes_back_with_its_reference(clock):
     rest = rest_to_state(memory(), AXES)
     fresh = initial_memory(now_s=9.0, applied_um=np.array([0.0, -4.0, 9.0]), wanted=(False, True, True))
-    taken = with_rest(fresh, rest, AXES, reference(clock))
+    taken = with_rest(fresh, rest, AXES, reference(clock), "m")
     assert (taken.reference_id, taken.model_id) == ("r1", "m")
     assert taken.baseline_um.tolist() == [0.0, -1.0, 2.0] and taken.offset_um.tolist() == [0.0, 0.5, 0.25]
     assert taken.command_um.tolist() == [0.0, -4.0, 9.0], "the command still begins at the echo"
@@ -105,4 +116,4 @@ def test_without_the_baseline_of_this_reference_it_is_not_taken_up(clock):
     fresh = initial_memory(now_s=9.0, applied_um=np.zeros(3), wanted=(False,) * 3)
     for wrong in (None, {**rest, "reference_id": "r0"}, rest_to_state(memory(), ("x", "y", "w"))):
         with pytest.raises(ValueError, match="baseline was not stored"):
-            with_rest(fresh, wrong, AXES, reference(clock))
+            with_rest(fresh, wrong, AXES, reference(clock), "m")

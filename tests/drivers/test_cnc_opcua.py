@@ -117,7 +117,7 @@ async def test_groups_arrive_in_their_order(cnc: OpcUaCnc, nc: ScriptedNc) -> No
 
 async def test_nothing_follows_a_refused_group(cnc: OpcUaCnc, nc: ScriptedNc) -> None:
     del nc.macros.values[502]
-    with pytest.raises(LinkError, match=r"#502 = -0\.002: BadNotWritable"):
+    with pytest.raises(FatalDriverError, match=r"#502 = -0\.002: BadNotWritable"):
         await cnc.write_macros(GROUPS)
     assert (500, 1.0) in nc.macros.written
     assert 505 not in dict(nc.macros.written)

@@ -147,6 +147,7 @@ class Rig:
             self.history,
             self.telemetry,
             commissioning=record,
+            model_id="made-up",
             model_obstacle=model_obstacle,
             resume=self.resume,
             ask_reference=self.asked.append,
@@ -158,7 +159,7 @@ class Rig:
 
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self.resume.known_macros
-        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, known)
+        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, self.control.limits, known)
 
     async def connected(self, *, timeout_s: float = FOREVER_S) -> None:
         """Return when the supervisor has opened a session."""

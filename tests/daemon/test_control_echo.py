@@ -1,0 +1,111 @@
+"""What the control says that it applies is believed only as far as the guard can have done it."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import ENABLE, Bench, Z, running
+
+from models.compensation import OperatorRequest
+from models.records import WriteOutcome
+
+ECHO_Z = 513
+ACKNOWLEDGE = OperatorRequest(acknowledge=True)
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path)
+
+
+@pytest.mark.parametrize("echo_mm", [0.025, 0.5, -0.031])
+async def test_an_echo_that_the_block_cannot_explain_is_a_fault_at_the_start(bench, echo_mm):
+    bench.nc.macros.set(ECHO_Z, echo_mm)
+    async with running(bench.rig()) as rig:
+        for _ in range(5):
+            await rig.turn(safe=False)
+        assert rig.state == "FAULT" and "axis z" in rig.control.alarm
+        assert bench.nc.written == []
+        assert bench.nc.macros.get(ENABLE) == 0.0
+
+
+async def test_a_foreign_echo_never_becomes_the_baseline(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        bench.nc.macros.set(ECHO_Z, 0.025)
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        bench.nc.written.clear()
+        rig.set_reference("r2")
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        assert rig.state == "FAULT"
+        assert bench.nc.written == []
+        assert abs(rig.applied["z"]) < 0.01
+
+
+async def test_nobody_can_acknowledge_an_echo_beyond_the_bound(bench):
+    bench.nc.macros.set(ECHO_Z, 0.5)
+    async with running(bench.rig()) as rig:
+        await rig.turn(safe=False)
+        await rig.turn(safe=False)
+        rig.control.request(ACKNOWLEDGE, "p")
+        await rig.turn(safe=False)
+        assert rig.state == "FAULT" and bench.nc.written == []
+
+
+async def test_a_restart_does_not_clear_a_fault(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -10.0, 30)
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        bench.nc.macros.set(Z, 0.002)
+        await rig.turn()
+        assert rig.state == "FAULT"
+    bench.nc.macros.set(Z, rig.control.session.known[Z][0] if rig.control.session else 0.002)
+    bench.nc.written.clear()
+    async with running(bench.rig()) as again:
+        await again.follow(0.0, -10.0, 10)
+        assert again.state == "FAULT" and bench.nc.written == []
+        again.control.request(ACKNOWLEDGE, "p")
+        await again.turn(safe=False)
+        assert again.state == "HOLD"
+    async with running(bench.rig()) as third:
+        await third.turn()
+        assert third.state != "FAULT", "acknowledged once is acknowledged"
+
+
+async def test_another_model_does_not_take_the_old_reference_up(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -10.0, 30)
+        rest = rig.history.get_state("rest")
+        rig.history.put_state("rest", rest | {"model_id": "another"})
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    async with running(bench.rig()) as again:
+        await again.follow(0.0, -10.0, 5)
+        assert again.state == "HOLD"
+        assert any("belongs to model another" in notice for notice in again.control.notices)
+
+
+async def test_a_control_that_refuses_a_write_is_a_fault_and_counted(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        bench.nc.refuses = Z
+        await rig.follow(0.0, -10.0, 5)
+        assert rig.state == "FAULT" and "refused" in rig.control.alarm
+        assert rig.control.writes["refused"] == 1
+        await rig.history.flushed()
+
+
+async def test_a_guard_that_does_not_apply_raises_the_alarm(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        bench.nc.macros.set(515, 3.0)
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        assert rig.state == "ACTIVE" and "status 3" in rig.control.alarm
+
+
+def test_outcomes_are_named():
+    assert WriteOutcome.REFUSED.name == "REFUSED"
