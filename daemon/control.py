@@ -103,8 +103,6 @@ class ControlTask:
         self.writes = {"sent": 0, "verified": 0, "refused": 0}
         self.written_axes: set[str] = set()
 
-    # --- what others hand in -------------------------------------------------------------
-
     def deliver(self, item: ThermalErrorEstimate | Reference | str) -> None:
         """Take an estimate, a new reference, or the thermal task's refusal of one."""
         if isinstance(item, ThermalErrorEstimate):
@@ -373,8 +371,6 @@ class ControlTask:
         session = self.session
         refusals = self._permission.refusals(session.cnc if session is not None else None, axes)
         return (*refusals, self._needs_person) if self._needs_person else refusals
-
-    # --- saying what happened ------------------------------------------------------------
 
     def _watch(self, before: OutputMemory, after: OutputMemory, now_s: float, obstacle: str) -> None:
         if after.state is not before.state:
