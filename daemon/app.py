@@ -21,6 +21,7 @@ from daemon.control_socket import ControlSocket
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.jobs import housekeeping_scheduler
+from daemon.last_block import LastBlock
 from daemon.limits import commissioned_factors
 from daemon.macro_block import MacroBlock
 from daemon.model_file import read_model
@@ -91,7 +92,8 @@ class Daemon:
         axes = tuple(configuration.compensation.axes)
         self._block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
         self._alive_real_s = float("-inf")
-        self._resume = load_resume_point(configuration, self._history, clock)
+        self._last_block = LastBlock.beside(configuration.history.path)
+        self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
         self._link = CncLink(lambda: registry.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
         self.control = ControlTask(
@@ -151,6 +153,7 @@ class Daemon:
                 scheduler.shutdown(wait=False)
             self._history.event("daemon", "stopped", "daemon")
             await asyncio.to_thread(self._history.close)
+            self._last_block.close()
 
     # --- links ---------------------------------------------------------------------------
 
@@ -217,7 +220,8 @@ class Daemon:
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros
-        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, self.control.limits, known)
+        limits, last_block = self.control.limits, self._last_block
+        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, limits, known, last_block)
 
     # --- what the tasks call back --------------------------------------------------------
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from daemon.history.writer import HistoryWriter
+from daemon.last_block import LastBlock
 from daemon.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
@@ -35,6 +36,7 @@ class CncSession:
         telemetry: Telemetry,
         limits: OutputLimits,
         known: dict[int, tuple[float, ...]] | None,
+        last_block: LastBlock,
     ) -> None:
         self.cnc = cnc
         self._block = block
@@ -43,6 +45,7 @@ class CncSession:
         self._telemetry = telemetry
         self._limits = limits
         self._acceptable = known
+        self._last_block = last_block
         self._sequence = 0
         self._enabled = False
         self._seen: Mapping[int, float | None] = {}
@@ -113,6 +116,7 @@ class CncSession:
         macros = tuple(pair for group in groups for pair in group)
         intent = self._history.write_intent(command, macros, cause)
         self._expect_old_or_new(macros)
+        self._last_block.keep(self._acceptable or {})
         try:
             await self.cnc.write_macros(groups)
             trace = replace(trace, written=self._clock.now())

@@ -9,6 +9,7 @@ import structlog
 
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
+from daemon.last_block import LastBlock
 from daemon.macro_block import ECHO_SLACK_UM
 from drivers.clock import Clock
 from models.compensation import OutputMemory
@@ -115,7 +116,9 @@ def reference_from_state(state: dict[str, Any], clock: Clock) -> Reference:
     )
 
 
-def load_resume_point(configuration: Configuration, history: HistoryWriter, clock: Clock) -> ResumePoint:
+def load_resume_point(
+    configuration: Configuration, history: HistoryWriter, clock: Clock, last_block: LastBlock
+) -> ResumePoint:
     """Read from the store what was switched on, the reference, and what the macros may hold."""
     axes = tuple(configuration.compensation.axes)
     wanted = history.get_state("wanted") or {}
@@ -127,11 +130,21 @@ def load_resume_point(configuration: Configuration, history: HistoryWriter, cloc
     reference = reference_from_state(stored, clock) if stored and resumable else None
     if stored and not resumable:
         log.warning("reference.too_old", outage_s=outage_s)
+    known, kept = history.last_written_macros(), last_block.load()
+    if kept is not None and (lost := _not_in(known or {}, kept)):
+        log.warning("audit.gap", macros=lost)
+        history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
     return ResumePoint(
         wanted=tuple(bool(wanted.get(axis, False)) for axis in axes),
         resumable=resumable,
         fault=history.get_state("fault"),
         reference=reference,
-        known_macros=history.last_written_macros(),
+        known_macros=kept if kept is not None else known,
         rest=history.get_state("rest"),
     )
+
+
+def _not_in(known: dict[int, tuple[float, ...]], kept: dict[int, tuple[float, ...]]) -> str:
+    """Return in words the macros whose last value the audit does not know."""
+    lost = {number: values[-1] for number, values in kept.items() if values and values[-1] not in known.get(number, ())}
+    return ", ".join(f"#{number} {value:g}" for number, value in lost.items())

@@ -1,5 +1,6 @@
 """One connected CNC: what is accepted as ours, and what the audit says of a write."""
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from daemon.cnc_session import CncSession
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from daemon.last_block import LastBlock
 from daemon.limits import output_limits
 from daemon.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.telemetry import Telemetry
@@ -36,11 +38,13 @@ class Desk:
             clock=self.clock,
             machine=MachineLayout.from_configuration(self.configuration),
         )
+        self.last_block = LastBlock(directory / "last-block")
         self.block = MacroBlock(self.configuration.cnc.macros, AXES, {})
 
     def session(self, known=None) -> CncSession:
         limits = output_limits(self.configuration)
-        return CncSession(self.nc.open(), self.block, self.clock, self.history, Telemetry(), limits, known)
+        cnc, telemetry = self.nc.open(), Telemetry()
+        return CncSession(cnc, self.block, self.clock, self.history, telemetry, limits, known, self.last_block)
 
     async def write(self, session, z_um=3.0, enable=(False, False, True)):
         now = self.clock.now()
@@ -164,6 +168,20 @@ async def test_many_lost_writes_do_not_widen_what_is_accepted(desk):
         session = desk.session(session.known)
         assert await session.poll() == []
         assert all(len(values) == 1 for values in session.known.values())
+
+
+@pytest.mark.parametrize("groups", [0, 1, 2, None])
+async def test_a_daemon_killed_before_its_audit_was_committed_knows_its_block(desk, groups):
+    first = desk.session()
+    await first.poll()
+    await desk.write(first, 1.0)
+    desk.nc.groups_until_lost = groups
+    with contextlib.suppress(LinkError):
+        await desk.write(first, 2.0)
+    second = desk.session(desk.last_block.load())  # and no audit at all
+    assert await second.poll() == []
+    desk.nc.macros.set(Z, 0.0015)
+    assert any(f"#{Z} holds 0.0015" in problem for problem in await second.poll())
 
 
 async def test_a_value_that_is_not_kept_is_seen_in_the_read_back(desk):

@@ -11,8 +11,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import HandClock, machine
 
+from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from daemon.last_block import LastBlock
 from daemon.resume import (
     load_resume_point,
     reference_from_state,
@@ -41,6 +43,10 @@ def history_of(configuration, clock):
     return HistoryWriter(
         configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
     )
+
+
+def block_of(configuration):
+    return LastBlock.beside(configuration.history.path)
 
 
 def reference(clock):
@@ -77,7 +83,7 @@ def test_a_reference_survives_the_store_with_its_age_and_its_gaps(clock):
 def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed):
     leave(configuration, clock)
     clock.monotonic_s += outage_s
-    point = load_resume_point(configuration, history_of(configuration, clock), clock)
+    point = load_resume_point(configuration, history_of(configuration, clock), clock, block_of(configuration))
     assert point.wanted == (False, True, True)
     assert point.resumable == resumed
     carried, why = wanted_at_start(point, np.array([0.0, 0.0, 5.0]))
@@ -87,7 +93,7 @@ def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed)
 
 
 def test_a_new_store_leaves_nothing(configuration, clock):
-    point = load_resume_point(configuration, history_of(configuration, clock), clock)
+    point = load_resume_point(configuration, history_of(configuration, clock), clock, block_of(configuration))
     assert (point.wanted, point.reference, point.known_macros, point.rest) == ((False,) * 3, None, None, None)
 
 
@@ -117,3 +123,37 @@ def test_without_the_baseline_of_this_reference_it_is_not_taken_up(clock):
     for wrong in (None, {**rest, "reference_id": "r0"}, rest_to_state(memory(), ("x", "y", "w"))):
         with pytest.raises(ValueError, match="baseline was not stored"):
             with_rest(fresh, wrong, AXES, reference(clock), "m")
+
+
+def test_what_was_kept_before_the_write_counts_more_than_the_audit(configuration, clock):
+    leave(configuration, clock)
+    kept = {500: (7.0, 8.0), 503: (0.001, 0.0012)}
+    block_of(configuration).keep(kept)
+    history = history_of(configuration, clock)
+    assert load_resume_point(configuration, history, clock, block_of(configuration)).known_macros == kept
+    history.start()
+    history.close()
+    with HistoryReader(configuration.history.path) as reader:
+        gaps = [event.text for event in reader.events(0.0, 1e11) if event.kind == "audit gap"]
+    assert len(gaps) == 1 and "#500 8" in gaps[0] and "#503 0.0012" in gaps[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"00000000 {}\n", b"garbage", b"\xff" * 5000])
+def test_a_broken_file_is_as_good_as_none(configuration, content):
+    path = configuration.history.path.with_name(configuration.history.path.name + ".last-block")
+    path.write_bytes(content)
+    assert block_of(configuration).load() is None
+
+
+def test_a_shorter_line_over_a_longer_one_is_read_as_what_it_is(configuration):
+    block = block_of(configuration)
+    block.keep({500: (1.0, 2.0, 3.0), 501: (0.123456789,)})
+    block.keep({500: (4.0,)})
+    block.close()
+    assert block.load() == {500: (4.0,)}
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    block = LastBlock(tmp_path / "missing" / "last-block")
+    block.keep({500: (1.0,)})
+    assert block.load() is None

@@ -20,6 +20,7 @@ from daemon.cnc_session import CncSession
 from daemon.control import ControlTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from daemon.last_block import LastBlock
 from daemon.limits import commissioned_factors
 from daemon.macro_block import MacroBlock
 from daemon.resume import ResumePoint, load_resume_point
@@ -138,7 +139,9 @@ class Rig:
         self.ticks = 0
         axes = tuple(configuration.compensation.axes)
         self.block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
-        self.resume = resume if resume is not None else load_resume_point(configuration, self.history, clock)
+        self.last_block = LastBlock.beside(configuration.history.path)
+        loaded = load_resume_point(configuration, self.history, clock, self.last_block)
+        self.resume = resume if resume is not None else loaded
         self.link = CncLink(nc.open, self._open_session)
         self.control = ControlTask(
             configuration,
@@ -159,7 +162,8 @@ class Rig:
 
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self.resume.known_macros
-        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, self.control.limits, known)
+        limits, last_block = self.control.limits, self.last_block
+        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, limits, known, last_block)
 
     async def connected(self, *, timeout_s: float = FOREVER_S) -> None:
         """Return when the supervisor has opened a session."""
