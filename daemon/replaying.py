@@ -9,6 +9,7 @@ import numpy as np
 from config.commissioning import macro_map_digest
 from config.recording_map import RecordingMap, load_recording_map, usual_map
 from config.schema.cnc import MacroMapConfig
+from daemon.model_file import read_model
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.recording_csv import read_header
 from models.dataset import Recording
@@ -34,6 +35,19 @@ def parse_hours(text: str) -> tuple[float, float]:
 def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
     """Return the given map, or the usual one for the recording's column names."""
     return load_recording_map(map_path) if map_path is not None else usual_map(read_header(recording))
+
+
+def check_model(path: Path, recording: Recording) -> None:
+    """Raise ValueError, saying why, for a model that cannot be read or was not made for these columns."""
+    names = recording.temperature_names
+    model, obstacle = read_model(path, range(1, len(names) + 1), recording.displacement_names)
+    if model is None:
+        raise ValueError(obstacle)
+    for sensor_id, name in zip(model.sensor_ids, model.sensor_names, strict=True):
+        if name != names[sensor_id - 1]:
+            raise ValueError(
+                f"{path}: sensor {sensor_id} of the model is {name}, of the recording {names[sensor_id - 1]}"
+            )
 
 
 def replay_machine(recording: Recording, model_file: Path, record_file: Path) -> dict[str, Any]:

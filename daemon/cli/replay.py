@@ -11,7 +11,7 @@ from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.rehearsing import rehearsal_folder
 from daemon.demonstration import settle, switch_on, watch
 from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
-from daemon.replaying import map_of, replay_machine
+from daemon.replaying import check_model, map_of, replay_machine
 from drivers.contract import DriverError
 from drivers.recording_csv import read_recording
 from drivers.sim.recorded import LEAD_IN_S
@@ -75,6 +75,7 @@ def replay(
         last_h = float(table.time_s[-1] - table.time_s[0]) / 3600.0
         hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
         part = table.between_hours(*hours)
+        check_model(model_path, part)
     except (ConfigurationError, DriverError, ValueError) as error:
         refuse(str(error))
     with rehearsal_folder(directory) as folder:

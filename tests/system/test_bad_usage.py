@@ -1,13 +1,16 @@
 """Bad usage of the commands that start a simulated machine: refused in a sentence before anything starts."""
 
+import math
 import subprocess
 import sys
 
 import pytest
 from click.testing import CliRunner
 
+from config.commissioning import CommissioningError, load_commissioning
 from daemon.cli import main
 from daemon.cli.rehearsing import rehearsal_folder
+from daemon.model_file import read_model
 from daemon.rehearsal import RehearsalError
 
 
@@ -93,3 +96,44 @@ def test_a_run_that_breaks_off_names_the_folder_that_stays(tmp_path, capsys):
         raise RehearsalError("the daemon ended with status 3")
     assert str(tmp_path / "run") in capsys.readouterr().err
     assert (tmp_path / "run").is_dir()
+
+
+def recording_and_model(folder, names=("T1", "T2"), channels=("Y1", "Z1")):
+    """Write a recording; train a model on it; return both paths."""
+    path = folder / "warm_up.csv"
+    rows = [",".join(("time", *names, *channels))]
+    for minute in range(120):
+        first, second = 20.0 + 5.0 * (1 - math.exp(-minute / 30)), 20.0 + 3.0 * (1 - math.exp(-minute / 50))
+        values = (first, second, *(factor * (first - 20.0) + second - 20.0 for factor in range(2, 2 + len(channels))))
+        rows.append(",".join([str(60 * minute), *(f"{value:.5f}" for value in values)]))
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    model = folder / "model.json"
+    trained = CliRunner().invoke(main, ["thermal", "train", str(path), "-o", str(model)])
+    assert trained.exit_code == 0, trained.stderr
+    return path, model
+
+
+def test_a_replay_refuses_a_model_that_is_none(tmp_path):
+    recording, model = recording_and_model(tmp_path)
+    for content, words in ((b"\xff\xfe", "UTF-8"), (model.read_bytes()[:-40], "not JSON")):
+        (tmp_path / "broken.json").write_bytes(content)
+        said = refused("replay", recording, "--model", tmp_path / "broken.json", "--directory", tmp_path / "run")
+        assert "broken.json" in said and words in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_replay_refuses_a_model_of_other_columns(tmp_path):
+    recording, model = recording_and_model(tmp_path)
+    text = recording.read_text(encoding="utf-8")
+    for columns, words in (("T2,T1,Y1,Z1", "sensor 1 of the model is T1"), ("T1,T2,X1,Z1", "has no channel X1")):
+        (tmp_path / "other.csv").write_text(text.replace("T1,T2,Y1,Z1", columns, 1), encoding="utf-8")
+        assert words in refused("replay", tmp_path / "other.csv", "--model", model, "--directory", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_binary_files_are_named_as_such(tmp_path):
+    path = tmp_path / "binary.json"
+    path.write_bytes(b"\x80\x81")
+    assert "not UTF-8" in read_model(path, (), ())[1]
+    with pytest.raises(CommissioningError, match="not UTF-8"):
+        load_commissioning(path)
