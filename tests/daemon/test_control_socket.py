@@ -117,7 +117,7 @@ async def test_a_socket_that_is_served_is_not_taken_away(tmp_path):
     path = tmp_path / "s"
 
     def second():
-        return asyncio.run(ControlSocket(path, None, handle).run())
+        asyncio.run(asyncio.wait_for(ControlSocket(path, None, handle).run(), 10))
 
     def work():
         with pytest.raises(OSError, match="another daemon serves this socket"):
