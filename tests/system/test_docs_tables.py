@@ -103,6 +103,7 @@ def test_the_demo_prints_the_keys_that_are_documented() -> None:
         "writes": {"sent": 1, "verified": 1, "refused": 0},
         "latency_s": {"feedback": delay, "total": delay},
         "written_axes": ["z"],
+        "output": {"state": "ACTIVE", "reason": "following the estimate"},
     }
     numbers, failures = result(final, status)
     assert failures == []

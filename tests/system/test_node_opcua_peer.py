@@ -177,7 +177,7 @@ async def test_driver_against_node_opcua_as_server(node_server: NodeServer, keys
     assert await cnc.read_macros([500, 503, 505]) == {500: 1.0, 503: 0.0105, 505: 1.0}
     written = [json.loads(await node_server.line()) for group in GROUPS for _ in group]
     assert written == [[number, value] for group in GROUPS for number, value in group]
-    with pytest.raises(LinkError, match=r"refused macro variable #510 = 1\.0: Bad"):
+    with pytest.raises(FatalDriverError, match=r"refused macro variable #510 = 1\.0: Bad"):
         await cnc.write_macros([[(510, 1.0)]])
     await asyncio.sleep(0.01)
     assert (await cnc.read([])).clock_s > sample.clock_s
