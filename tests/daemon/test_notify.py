@@ -43,6 +43,7 @@ def test_an_abstract_address_is_understood():
 def test_without_a_service_manager_nothing_happens(tmp_path):
     ServiceManager({}).ready("x")
     ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "nobody")}).watchdog("x")
+    assert list(tmp_path.iterdir()) == []
 
 
 async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(listener, tmp_path):
