@@ -41,7 +41,7 @@ docs: $(VENV)/.installed
 
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.
 simulated-model: $(VENV)/.installed
-	$(BIN)/python -P -m daemon.simulated_model
+	$(BIN)/python -P -m daemon.rehearsal.simulated_model
 
 # Everything that an installation without a network needs, in dist/bundle.
 bundle: $(VENV)/.installed

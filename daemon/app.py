@@ -13,25 +13,25 @@ from config.commissioning import CommissioningError, CommissioningRecord, load_c
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon import registry
-from daemon.cnc_link import CncLink
-from daemon.cnc_session import CncSession
-from daemon.commands import CommandDesk
-from daemon.control import ControlTask
-from daemon.control_socket import ControlSocket
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.jobs import housekeeping_scheduler
-from daemon.last_block import LastBlock
-from daemon.limits import commissioned_factors
-from daemon.macro_block import MacroBlock
 from daemon.model_file import read_model
-from daemon.notify import ServiceManager
-from daemon.resume import load_resume_point
-from daemon.status import StatusBoard
+from daemon.operation.commands import CommandDesk
+from daemon.operation.control_socket import ControlSocket
+from daemon.operation.notify import ServiceManager
+from daemon.operation.status import StatusBoard
+from daemon.operation.web import serve_metrics
+from daemon.output.cnc_link import CncLink
+from daemon.output.cnc_session import CncSession
+from daemon.output.control import ControlTask
+from daemon.output.last_block import LastBlock
+from daemon.output.limits import commissioned_factors
+from daemon.output.macro_block import MacroBlock
+from daemon.output.resume import load_resume_point
 from daemon.supervisor import Backoff, LinkHealth, keep_alive
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest, ThermalTask
-from daemon.web import serve_metrics
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 from models.records import Reference, TemperatureCycle

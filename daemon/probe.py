@@ -11,7 +11,7 @@ from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon import registry
 from daemon.app import load_model
-from daemon.macro_block import MacroBlock
+from daemon.output.macro_block import MacroBlock
 from drivers.clock import Clock
 from drivers.contract import DriverError
 

@@ -12,8 +12,8 @@ import yaml
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.rehearsing import rehearsal_folder
-from daemon.demonstration import Trail, result, settle, switch_on, watch
-from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.rehearsal.demonstration import Trail, result, settle, switch_on, watch
+from daemon.rehearsal.processes import Rehearsal, rehearse, write_rehearsal_configuration
 
 LIVE_PERIOD_S = 0.25
 
@@ -100,7 +100,7 @@ def _check_faults(path: Path) -> None:
     """Refuse a fault script that the demo's machine cannot play, before anything starts."""
     from config.loader import load_configuration
     from config.machines import shipped_file
-    from daemon.simulation import SimulationError, read_faults
+    from daemon.rehearsal.simulation import SimulationError, read_faults
 
     try:
         read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
@@ -112,7 +112,7 @@ def _show(running: Rehearsal, until_s: float) -> None:
     from rich.console import Console
     from rich.live import Live
 
-    from daemon.view import status_view, truth_panel
+    from daemon.operation.view import status_view, truth_panel
 
     trail = Trail()
     port = running.configuration.service.http_port

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from daemon.cli.common import config_option, json_option, read_configuration, write_json
-from daemon.control_socket import ControlClient, DaemonUnreachableError, RequestError
+from daemon.operation.control_socket import ControlClient, DaemonUnreachableError, RequestError
 
 NOT_DONE = 1
 """Exit status when the daemon refused or could not be reached."""
@@ -50,7 +50,7 @@ def status(config_path: Path, socket_path: Path | None, json_path: str | None) -
         return
     from rich.console import Console
 
-    from daemon.view import status_view
+    from daemon.operation.view import status_view
 
     Console().print(status_view(picture))
 
@@ -64,7 +64,7 @@ def monitor(config_path: Path, socket_path: Path | None) -> None:
 
     from rich.live import Live
 
-    from daemon.view import status_view
+    from daemon.operation.view import status_view
 
     with daemon_at(config_path, socket_path) as client, Live(status_view(client.ask("status")), screen=True) as live:
         try:

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from daemon.cli.common import refuse
-from daemon.control_socket import DaemonUnreachableError
-from daemon.rehearsal import RehearsalError, folder_for
+from daemon.operation.control_socket import DaemonUnreachableError
+from daemon.rehearsal.processes import RehearsalError, folder_for
 
 BROKEN_OFF = 1
 """Exit status when the run could not be brought to its end."""

@@ -9,9 +9,9 @@ import click
 from config.loader import ConfigurationError
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.rehearsing import rehearsal_folder
-from daemon.demonstration import settle, switch_on, watch
-from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
-from daemon.replaying import check_model, map_of, replay_machine
+from daemon.rehearsal.demonstration import settle, switch_on, watch
+from daemon.rehearsal.processes import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.rehearsal.replaying import check_model, map_of, replay_machine
 from drivers.contract import DriverError
 from drivers.recording_csv import read_recording
 from drivers.sim.recorded import LEAD_IN_S

@@ -8,7 +8,7 @@ import click
 from daemon.app import Daemon
 from daemon.cli.common import config_option, read_configuration, refuse
 from daemon.history.database import HistoryError
-from daemon.logs import configure_logging
+from daemon.operation.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 
 

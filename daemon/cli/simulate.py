@@ -11,9 +11,9 @@ import click
 from config.loader import ConfigurationError
 from daemon.cli.common import FiniteFloat, config_option, read_configuration, refuse
 from daemon.cli.run import parse_simulated_clock
-from daemon.logs import configure_logging
-from daemon.replaying import map_of, parse_hours
-from daemon.simulation import SimulationError, recorded_simulation, simulated_day
+from daemon.operation.logs import configure_logging
+from daemon.rehearsal.replaying import map_of, parse_hours
+from daemon.rehearsal.simulation import SimulationError, recorded_simulation, simulated_day
 from drivers.contract import DriverError
 
 

@@ -12,9 +12,9 @@ import click
 from rich.console import Console
 
 from daemon.cli.demo import demo_machine
-from daemon.demonstration import Trail, switch_on, watch
-from daemon.rehearsal import folder_for, rehearse, write_rehearsal_configuration
-from daemon.view import status_view, truth_panel
+from daemon.operation.view import status_view, truth_panel
+from daemon.rehearsal.demonstration import Trail, switch_on, watch
+from daemon.rehearsal.processes import folder_for, rehearse, write_rehearsal_configuration
 
 OUTPUT = Path(__file__).with_name("demo.svg")
 WIDTH = 120

@@ -20,8 +20,8 @@ from pathlib import Path
 import psutil
 
 from daemon.cli.demo import demo_machine
-from daemon.demonstration import switch_on, watch
-from daemon.rehearsal import rehearse, write_rehearsal_configuration
+from daemon.rehearsal.demonstration import switch_on, watch
+from daemon.rehearsal.processes import rehearse, write_rehearsal_configuration
 
 SETTLING_S = 30.0
 """The reference is set by hand after this long, so that estimates begin [s]."""

@@ -12,13 +12,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, HandClock, Z, machine
 from memory_cnc import MemoryNc
 
-from daemon.cnc_session import CncSession
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.last_block import LastBlock
-from daemon.limits import output_limits
-from daemon.macro_block import LAST_SEQUENCE, MacroBlock
+from daemon.output.cnc_session import CncSession
+from daemon.output.last_block import LastBlock
+from daemon.output.limits import output_limits
+from daemon.output.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.contract import FatalDriverError, LinkError
 from models.records import CompensationCommand, OutputState, Trace, WriteOutcome

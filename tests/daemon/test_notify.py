@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.notify import ServiceManager
+from daemon.operation.notify import ServiceManager
 
 
 @pytest.fixture

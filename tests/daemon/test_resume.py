@@ -14,8 +14,8 @@ from control_rig import HandClock, machine
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.last_block import LastBlock
-from daemon.resume import (
+from daemon.output.last_block import LastBlock
+from daemon.output.resume import (
     load_resume_point,
     reference_from_state,
     reference_to_state,

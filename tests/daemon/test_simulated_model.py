@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from config.machines import shipped_file
-from daemon.simulated_model import (
+from daemon.rehearsal.simulated_model import (
     CHANNELS,
     MODEL_NAME,
     TRAINING_SEEDS,
@@ -13,7 +13,7 @@ from daemon.simulated_model import (
     published_sensors,
     simulated_recording,
 )
-from daemon.simulation import DEMO_SEED
+from daemon.rehearsal.simulation import DEMO_SEED
 from drivers.sim.program import PartProgram, demo_program, rotation_program
 from models.thermal.artifact import model_from_json
 from models.thermal.model import ThermalModel

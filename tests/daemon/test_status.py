@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.commands import CommandDesk
-from daemon.control_socket import RequestError
-from daemon.status import StatusBoard, without_nan
+from daemon.operation.commands import CommandDesk
+from daemon.operation.control_socket import RequestError
+from daemon.operation.status import StatusBoard, without_nan
 from daemon.thermal import ThermalTask
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle, Trace

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from daemon.view import sparkline, status_view, truth_panel
+from daemon.operation.view import sparkline, status_view, truth_panel
 
 AXIS = {
     "estimate_from": "Z1",

@@ -7,8 +7,8 @@ import urllib.request
 
 import pytest
 
+from daemon.operation.web import serve_metrics
 from daemon.telemetry import Telemetry
-from daemon.web import serve_metrics
 
 
 def free_port():

@@ -15,15 +15,15 @@ from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
-from daemon.cnc_link import CncLink
-from daemon.cnc_session import CncSession
-from daemon.control import ControlTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.last_block import LastBlock
-from daemon.limits import commissioned_factors
-from daemon.macro_block import MacroBlock
-from daemon.resume import ResumePoint, load_resume_point
+from daemon.output.cnc_link import CncLink
+from daemon.output.cnc_session import CncSession
+from daemon.output.control import ControlTask
+from daemon.output.last_block import LastBlock
+from daemon.output.limits import commissioned_factors
+from daemon.output.macro_block import MacroBlock
+from daemon.output.resume import ResumePoint, load_resume_point
 from daemon.supervisor import Backoff, keep_alive
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest

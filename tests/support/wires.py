@@ -13,11 +13,11 @@ import yaml
 
 from config.schema import Configuration
 from daemon.cli.demo import demo_machine
-from daemon.control_socket import ControlClient, DaemonUnreachableError
-from daemon.demonstration import switch_on
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
-from daemon.rehearsal import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.operation.control_socket import ControlClient, DaemonUnreachableError
+from daemon.rehearsal.demonstration import switch_on
+from daemon.rehearsal.processes import Rehearsal, rehearse, write_rehearsal_configuration
 from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)

@@ -11,7 +11,7 @@ from config.commissioning import CommissioningError, load_commissioning
 from daemon.cli import main
 from daemon.cli.rehearsing import rehearsal_folder
 from daemon.model_file import read_model
-from daemon.rehearsal import RehearsalError
+from daemon.rehearsal.processes import RehearsalError
 
 
 def refused(*arguments):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.demonstration import result
+from daemon.rehearsal.demonstration import result
 from daemon.telemetry import Telemetry
 from drivers.sim.faults import FaultKind
 from drivers.sim.safe_point import GuardStatus

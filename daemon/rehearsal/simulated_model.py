@@ -1,4 +1,4 @@
-"""Fits the model that ships for the simulated machine: `python -m daemon.simulated_model`.
+"""Fits the model that ships for the simulated machine: `python -m daemon.rehearsal.simulated_model`.
 
 It is trained like any other model, on recordings: of simulated days whose parameters differ from
 each other, from those of the days it is judged on and from the demo's, and of test programmes, not
@@ -17,7 +17,7 @@ import numpy as np
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema.temperatures import SensorConfig
-from daemon.simulation import DEMO_SEED
+from daemon.rehearsal.simulation import DEMO_SEED
 from daemon.training import write_model
 from drivers.sim.day import Day
 from drivers.sim.program import (

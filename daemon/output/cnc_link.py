@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import structlog
 
-from daemon.cnc_session import CncSession
+from daemon.output.cnc_session import CncSession
 from daemon.supervisor import LinkHealth
 from drivers.contract import Cnc, LinkError
 

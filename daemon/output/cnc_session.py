@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from daemon.history.writer import HistoryWriter
-from daemon.last_block import LastBlock
-from daemon.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroBlock
+from daemon.output.last_block import LastBlock
+from daemon.output.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroBlock
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
 from drivers.contract import Cnc, FatalDriverError

@@ -21,7 +21,7 @@ from drivers.sim.recorded import RecordedMachine
 from drivers.sim.runner import run_simulated_machine
 
 DEMO_SEED = 1000
-"""The demo's day; the shipped model was fitted on other days (`daemon.simulated_model`)."""
+"""The demo's day; the shipped model was fitted on other days (`daemon.rehearsal.simulated_model`)."""
 
 Report = Callable[[dict[str, Any]], None]
 

@@ -13,14 +13,14 @@ import structlog
 
 from config.commissioning import CommissioningRecord
 from config.schema import Configuration
-from daemon.alarm import alarm_of
-from daemon.cnc_link import CncLink
-from daemon.cnc_session import CncSession
 from daemon.history.writer import HistoryWriter
-from daemon.limits import axis_sources, output_limits
-from daemon.permission import Permission, in_words
-from daemon.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
-from daemon.resume import ResumePoint, reference_to_state, rest_to_state, wanted_at_start, with_rest
+from daemon.output.alarm import alarm_of
+from daemon.output.cnc_link import CncLink
+from daemon.output.cnc_session import CncSession
+from daemon.output.limits import axis_sources, output_limits
+from daemon.output.permission import Permission, in_words
+from daemon.output.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
+from daemon.output.resume import ResumePoint, reference_to_state, rest_to_state, wanted_at_start, with_rest
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock

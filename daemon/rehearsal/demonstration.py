@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from daemon.control_socket import RequestError
-from daemon.rehearsal import Rehearsal, RehearsalError
+from daemon.operation.control_socket import RequestError
+from daemon.rehearsal.processes import Rehearsal, RehearsalError
 
 JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from config.schema import Configuration
-from daemon.control import ControlTask
+from daemon.output.control import ControlTask
 from daemon.supervisor import LinkHealth
 from daemon.telemetry import PUBLISHED_DELAY_S, Telemetry
 from daemon.thermal import ThermalTask

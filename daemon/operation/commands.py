@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from daemon.control import ControlTask
-from daemon.control_socket import RequestError
-from daemon.status import StatusBoard
+from daemon.operation.control_socket import RequestError
+from daemon.operation.status import StatusBoard
+from daemon.output.control import ControlTask
 from models.compensation import OperatorRequest
 
 KEYS = {"enable": {"axes"}, "disable": {"axes", "zero"}}

@@ -21,7 +21,7 @@ import yaml
 
 from config.loader import load_configuration
 from config.schema import Configuration
-from daemon.control_socket import ControlClient, DaemonUnreachableError
+from daemon.operation.control_socket import ControlClient, DaemonUnreachableError
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.opcua_certificates import create_application_certificate
 

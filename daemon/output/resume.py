@@ -9,8 +9,8 @@ import structlog
 
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
-from daemon.last_block import LastBlock
-from daemon.macro_block import ECHO_SLACK_UM
+from daemon.output.last_block import LastBlock
+from daemon.output.macro_block import ECHO_SLACK_UM
 from drivers.clock import Clock
 from models.compensation import OutputMemory
 from models.records import FloatArray, Instant, Reference

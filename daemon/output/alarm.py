@@ -1,6 +1,6 @@
 """What a person at the machine must be told about the output."""
 
-from daemon.macro_block import Echo
+from daemon.output.macro_block import Echo
 from models.compensation import OutputMemory
 from models.records import OutputState
 

@@ -1,0 +1,1 @@
+"""The output: from estimate and CNC sample to the verified macro write."""

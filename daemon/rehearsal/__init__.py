@@ -1,0 +1,1 @@
+"""The daemon beside a simulated machine or a recording, on real wires."""
