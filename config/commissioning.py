@@ -55,7 +55,7 @@ class CommissioningError(Exception):
 
 def macro_map_digest(macros: MacroMapConfig) -> str:
     """Return a digest of everything that decides what a written value does."""
-    content = macros.model_dump(mode="json", exclude={"writable", "tolerance"})
+    content = macros.model_dump(mode="json", exclude={"writable", "tolerance", "request", "safe_flag"})
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -81,6 +81,25 @@ class OpcUaConfig(Section):
     )
 
 
+class RequestMacrosConfig(Section):
+    """The handshake: macros through which the NC program asks the daemon for something."""
+
+    counter: MacroNumber = Field(
+        description="raised by one by the NC after the other macros of the request are set", examples=[520]
+    )
+    kind: MacroNumber = Field(description="1 reference, 2 probe, 3 tool change", examples=[521])
+    axis: MacroNumber = Field(
+        description="which axis, counted from 1 in the order of compensation.axes; 0: all", examples=[522]
+    )
+    value_mm: MacroNumber = Field(
+        description="probe: measured deviation, actual minus nominal [mm]; tool change: tool number", examples=[523]
+    )
+    acknowledge: MacroNumber = Field(
+        description="written by the daemon: the counter when the request was taken, minus the counter when refused",
+        examples=[524],
+    )
+
+
 class MacroMapConfig(Section):
     """The block of macro variables that carries compensation to the CNC, and its echo."""
 
@@ -104,6 +123,12 @@ class MacroMapConfig(Section):
     echo_time: MacroNumber = Field(description="CNC clock when the guard last ran [s]", examples=[514])
     echo_status: MacroNumber = Field(description="what the guard did: 0 applied, else its refusal", examples=[515])
     echo_guard_version: MacroNumber = Field(description="version of the guard macro", examples=[516])
+    request: RequestMacrosConfig | None = Field(
+        None, description="handshake with the NC program; none: sequence numbers alone set the reference"
+    )
+    safe_flag: MacroNumber | None = Field(
+        None, description="set to 1 by the NC program while the tool is at a safe point, else 0", examples=[517]
+    )
     unit_um: float = Field(
         1000.0, ge=0.01, le=25400.0, description="micrometres per unit of the value macros (1000: mm)"
     )
@@ -119,7 +144,7 @@ class MacroMapConfig(Section):
             if number in seen:
                 problems.append((key, f"#{number} is used twice: it is {seen[number]} already"))
             seen.setdefault(number, ".".join(str(step) for step in key))
-            if not str(key[0]).startswith("echo") and number not in self.allowed:
+            if _written_by_us(key) and number not in self.allowed:
                 problems.append((key, f"#{number} lies outside `writable` ({', '.join(self.writable)})"))
         if set(self.values) != set(self.echo_applied):
             problems.append((("echo_applied",), f"must name the same axes as `values`: {sorted(self.values)}"))
@@ -145,7 +170,14 @@ class MacroMapConfig(Section):
             (("echo_time",), self.echo_time),
             (("echo_status",), self.echo_status),
             (("echo_guard_version",), self.echo_guard_version),
+            *((("request", name), number) for name, number in self.request_macros.items()),
+            *([(("safe_flag",), self.safe_flag)] if self.safe_flag is not None else []),
         ]
+
+    @property
+    def request_macros(self) -> dict[str, int]:
+        """Macro of each part of the handshake, by its key; empty without a handshake."""
+        return self.request.model_dump() if self.request is not None else {}
 
     @cached_property
     def allowed(self) -> frozenset[int]:
@@ -154,7 +186,7 @@ class MacroMapConfig(Section):
 
     @cached_property
     def block(self) -> tuple[int, ...]:
-        """All macro variables that are polled: ours first, then the echo."""
+        """All macro variables that are polled: ours first, then the echo, the handshake and the flag."""
         return (
             self.sequence_a,
             *self.values.values(),
@@ -165,7 +197,18 @@ class MacroMapConfig(Section):
             self.echo_time,
             self.echo_status,
             self.echo_guard_version,
+            *self.request_macros.values(),
+            *([self.safe_flag] if self.safe_flag is not None else []),
         )
+
+
+def _written_by_us(key: KeyPath) -> bool:
+    """Whether the daemon writes this macro; the others are the NC's."""
+    return (
+        not str(key[0]).startswith("echo")
+        and key[0] != "safe_flag"
+        and (key[0] != "request" or key[1] == "acknowledge")
+    )
 
 
 class CncConfig(Section):
