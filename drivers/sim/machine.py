@@ -4,6 +4,8 @@ Signs: everything is the tool point relative to the work along the axis. An appl
 +10 um moves the tool point by +10 um, so it cancels an error of -10 um. At work positioning (the
 start of a positioning block) the NC's part zero is set with the machine as it then is, so both
 series of the truth are 0 there: compensated = uncompensated + applied - applied at positioning.
+What is applied moves the tool point through the machine's wiring, which may be wrong on purpose; the
+displacement sensors see it move, as they would on a machine.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,11 +22,12 @@ from drivers.sim.nc import NumericalControl, RunCode
 from drivers.sim.program import PartProgram
 from drivers.sim.safe_point import SafePointApplication
 from drivers.sim.sensors import RotationJump
-from drivers.sim.structure import Structure
+from drivers.sim.structure import CHANNELS, Structure
+from drivers.sim.wiring import AXES, STRAIGHT, Wiring
 from models.records import FloatArray
 
-AXES = ("x", "y", "z")
-"""Linear axes of the machine."""
+CHANNEL_AXES = {channel: channel[0].lower() for channel in CHANNELS}
+"""Axis along which each displacement channel measures."""
 GUARD_PERIOD_S = 1.0
 """In a safe point the block of macro variables is read on entry and then once in this time [s]."""
 TOOL_LENGTH_MM = 150.0
@@ -48,6 +51,7 @@ class CfrpMachine:
         tool_expansion_um_per_m_k: float = TOOL_EXPANSION_UM_PER_M_K,
         structure: Structure | None = None,
         rotation_jump: RotationJump | None = None,
+        wiring: Wiring = STRAIGHT,
     ) -> None:
         if unknown := sorted(set(axes) - set(AXES)):
             raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
@@ -71,6 +75,7 @@ class CfrpMachine:
         self.guard = SafePointApplication(macro_map, axes)
         self._tool_m = tool_length_mm * 1e-3
         self._tool_um_per_m_k = tool_expansion_um_per_m_k
+        self._wiring = wiring
         self._zero: tuple[FloatArray, dict[str, float]] | None = None
         self._next_guard_s = np.inf
         self.initialise_macros()
@@ -106,19 +111,21 @@ class CfrpMachine:
         return self.body.sensors.pick(self.body.register_codes(), sensor_ids)
 
     def displacement_um(self) -> dict[str, float]:
-        """Return the displacement sensors' readings by channel [um]."""
-        return self.body.displacement_um()
+        """Return the displacement sensors' readings by channel [um]; they see what the compensation does."""
+        moved_um = self._wiring.moved_um(self.guard.applied_um)
+        return {channel: um + moved_um[CHANNEL_AXES[channel]] for channel, um in self.body.displacement_um().items()}
 
     def truth(self) -> dict[str, AxisTruth]:
         """Return the tool point's true error per axis; empty before the first work positioning."""
         if self._zero is None:
             return {}
-        zero_um, applied_then_um = self._zero
+        zero_um, moved_then_um = self._zero
+        moved_um = self._wiring.moved_um(self.guard.applied_um)
         error_um = self._tool_point_um() - zero_um
         cutting = self.body.block.kind == "cut"
         truth: dict[str, AxisTruth] = {}
         for axis, uncompensated_um in zip(AXES, error_um.tolist(), strict=True):
-            change_um = self.guard.applied_um.get(axis, 0.0) - applied_then_um.get(axis, 0.0)
+            change_um = moved_um[axis] - moved_then_um[axis]
             truth[axis] = AxisTruth(
                 uncompensated_um=uncompensated_um, compensated_um=uncompensated_um + change_um, cutting=cutting
             )
@@ -135,7 +142,7 @@ class CfrpMachine:
         elif self._nc.run != RunCode.RESET:
             self._nc.run = RunCode.STOP
         if block.kind == "positioning":
-            self._zero = (self._tool_point_um(), dict(self.guard.applied_um))
+            self._zero = (self._tool_point_um(), self._wiring.moved_um(self.guard.applied_um))
         self._next_guard_s = np.inf
         if block.kind == "safe":
             self._next_guard_s = self.body.time_s

@@ -78,6 +78,11 @@ def demo_program() -> PartProgram:
     return PartProgram(number=1000, blocks=tuple(blocks), repeat_from=1)
 
 
+def standing_program() -> PartProgram:
+    """Return O9100: stands at a safe point (N900) for ever, spindle off, and has the guard run again and again."""
+    return PartProgram(number=9100, blocks=(Block(sequence_number=SAFE, kind="safe", duration_s=HOUR_S),))
+
+
 def rotation_program(
     *, speed_rpm: float = 12000.0, hours: float = 2.0, idle_hours: float = 3.0, idle_reduction: bool = False
 ) -> PartProgram:

@@ -1,0 +1,68 @@
+"""What is applied moves the tool point as the machine is wired, and the displacement sensors see it."""
+
+import pytest
+
+from config.loader import load_configuration
+from config.machines import shipped_file
+from drivers.sim.day import Day
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.program import standing_program
+from drivers.sim.wiring import STRAIGHT, Wiring
+
+MACHINE = load_configuration(shipped_file("cfrpmt.yaml"))
+MACROS = MACHINE.cnc.macros
+
+
+def standing(wiring: Wiring = STRAIGHT) -> CfrpMachine:
+    return CfrpMachine(
+        Day.draw(7, start="cold"),
+        standing_program(),
+        MACHINE.temperatures.sensors,
+        MACROS,
+        MACHINE.compensation.axes,
+        wiring=wiring,
+    )
+
+
+def ask(machine: CfrpMachine, **um: float) -> None:
+    """Put a valid block into the NC that enables every axis."""
+    macros = machine.nc.macros
+    for axis, number in MACROS.values.items():
+        macros.set(number, um.get(axis, 0.0) / MACROS.unit_um)
+    macros.set(MACROS.enable, 7.0)
+    macros.set(MACROS.valid_until, machine.nc.clock_s + 60.0)
+    macros.set(MACROS.sequence_a, 1.0)
+    macros.set(MACROS.sequence_b, 1.0)
+
+
+def test_a_machine_that_stands_takes_a_block_over_within_seconds() -> None:
+    machine = standing()
+    ask(machine, z=4.0)
+    machine.advance(3.0)
+    assert machine.guard.applied_um == {"x": 0.0, "y": 0.0, "z": 4.0}
+    assert (machine.nc.sequence_number, machine.nc.spindle_speed_rpm) == (900, 0.0)
+    machine.advance(7200.0)
+    assert machine.nc.sequence_number == 900
+
+
+@pytest.mark.parametrize(
+    ("wiring", "moved"),
+    [
+        (STRAIGHT, {"X": 0.0, "Y1": 0.0, "Z1": 4.0}),
+        (Wiring(um_per_um={"z": {"z": -1.0}}), {"X": 0.0, "Y1": 0.0, "Z1": -4.0}),
+        (Wiring(um_per_um={"z": {"y": 1.0}, "y": {"z": 1.0}}), {"X": 0.0, "Y1": 4.0, "Z1": 0.0}),
+        (Wiring(um_per_um={"z": {"z": 25.4}}), {"X": 0.0, "Y1": 0.0, "Z1": 101.6}),
+    ],
+)
+def test_the_sensors_see_what_the_compensation_does(wiring: Wiring, moved: dict[str, float]) -> None:
+    left, compensated = standing(), standing(wiring)
+    ask(compensated, z=4.0)
+    for machine in (left, compensated):
+        machine.advance(3.0)
+    before, after = left.displacement_um(), compensated.displacement_um()
+    assert {channel: after[channel] - before[channel] for channel in moved} == pytest.approx(moved, abs=1e-9)
+
+
+def test_an_axis_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="not w"):
+        Wiring(um_per_um={"z": {"w": 1.0}})
