@@ -100,14 +100,34 @@ class OutputConfig(Section):
         return self
 
 
+class ReleaseConfig(Section):
+    """What a thermal model must fulfil before it is released, and who may do it."""
+
+    largest_band_um: float | None = Field(
+        None,
+        gt=0,
+        description="a wider prediction band of a channel in use refuses a model [um]; none: the axis' absolute bound",
+        examples=[10.0],
+    )
+    automatic: bool = Field(
+        False, description="the release service may release a proposal without a person (`model release --by-policy`)"
+    )
+
+
 class CompensationConfig(Section):
     """From estimate to command."""
 
     model_file: Path | None = Field(
         None,
-        description="thermal model (JSON); without it nothing is estimated",
-        examples=["/etc/toolpoint/model.json"],
+        description="released thermal model (JSON), in a directory that the daemon cannot write; "
+        "without it nothing is estimated",
+        examples=["/var/lib/toolpoint-models/model.json"],
     )
+    allow_writable_model_directory: bool = Field(
+        False,
+        description="load a model that the daemon could write or that nobody released, all the same (shown everywhere)",
+    )
+    release: ReleaseConfig = Field(default_factory=ReleaseConfig, description="release of thermal models")
     commissioning_file: Path | None = Field(
         None,
         description="record of the commissioning of this machine; without it nothing is enabled",

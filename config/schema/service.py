@@ -12,6 +12,16 @@ LONGEST_SOCKET_PATH = 107
 """Bytes that Linux takes for the path of a local socket."""
 
 
+class BackupConfig(Section):
+    """Back-ups that the daemon makes by itself."""
+
+    directory: Path = Field(
+        description="the back-ups are kept here; carry them to another disk", examples=["/var/lib/toolpoint/backups"]
+    )
+    every_hours: float = Field(24.0, ge=0.1, le=744, description="time between back-ups [h]")
+    keep: int = Field(7, ge=1, le=1000, description="so many of its back-ups are kept; older ones are removed")
+
+
 class HistoryConfig(Section):
     """The SQLite store."""
 
@@ -22,6 +32,7 @@ class HistoryConfig(Section):
     keep_displacements_days: Days = Field(3650.0, description="displacements are kept this long [d]")
     keep_estimates_days: Days = Field(730.0, description="estimates are kept this long [d]")
     keep_writes_days: Days = Field(3650.0, description="the audit of writes is kept this long [d]")
+    backup: BackupConfig | None = Field(None, description="regular back-ups; none: only those that a person makes")
 
 
 class ServiceConfig(Section):

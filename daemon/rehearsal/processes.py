@@ -61,6 +61,7 @@ def write_rehearsal_configuration(
         "security": _keys(directory) if secure else None,
     }
     base["cnc"]["stale_after_s"] = max(3.0, speed)
+    base["compensation"]["allow_writable_model_directory"] = True
     output = base["compensation"].setdefault("output", {})
     output["validity_s"] = min(max(30.0, speed), 100.0)
     output["stale_after_s"] = min(max(60.0, speed), 300.0)
