@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import os
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -15,6 +17,26 @@ LEAST_PROOF_UM = 2.0
 """A smaller offset proves neither sign nor scale [um]."""
 PROOF_TOLERANCE = 0.2
 """Share by which the measured movement may differ from what sign and scale say."""
+RECORD_FORMAT = 2
+"""Format that is written. Format 1 named no guard version, so it permits nothing once the guard has spoken."""
+READING_SLACK_UM = 0.01
+"""Rounding of the readings in the record [um]."""
+
+
+class AxisReadings(Section):
+    """What the instrument showed before the offset, with it, and back at zero."""
+
+    source: str = Field(description="who or what read: a person, or a displacement channel")
+    before_um: float = Field(description="reading at zero, before [um]")
+    at_offset_um: float = Field(description="reading with the offset applied [um]")
+    after_um: float = Field(description="reading back at zero [um]")
+    noise_um: float | None = Field(None, ge=0, description="standard deviation of the samples, where a channel read")
+    samples: int = Field(1, ge=1, description="samples per reading")
+
+    @property
+    def moved_um(self) -> float:
+        """Movement against the mean of both zeros, which takes a steady drift out [um]."""
+        return self.at_offset_um - 0.5 * (self.before_um + self.after_um)
 
 
 class CommissionedAxis(Section):
@@ -24,6 +46,10 @@ class CommissionedAxis(Section):
     scale: float = Field(ge=0.2, le=5.0, description="movement over macro value, 1 when they agree")
     written_um: float = Field(description="offset that was written [um]")
     measured_um: float = Field(description="movement that was measured [um]")
+    readings: AxisReadings | None = Field(None, description="what the instrument showed")
+    others_um: dict[str, float] = Field(
+        default_factory=dict, description="movement of the axes that were not commanded, as far as observed [um]"
+    )
 
     @model_validator(mode="after")
     def _proved(self) -> "CommissionedAxis":
@@ -35,22 +61,37 @@ class CommissionedAxis(Section):
                 f"sign and scale make {expected_um:g} um of {self.written_um:g} um written, "
                 f"but {self.measured_um:g} um were measured"
             )
+        if self.readings is not None and abs(self.readings.moved_um - self.measured_um) > READING_SLACK_UM:
+            raise ValueError(
+                f"the readings make a movement of {self.readings.moved_um:g} um, measured_um says {self.measured_um:g}"
+            )
         return self
 
 
 class CommissioningRecord(Section):
-    """Who saw which axes of which control move, and through which macros."""
+    """Who saw which axes of which control move, through which macros and which guard."""
 
-    format_version: int = Field(1, ge=1, le=1)
-    cnc_identity: str
-    macro_map_sha256: str
-    person: str
-    date: str
+    format_version: int = Field(RECORD_FORMAT, ge=1, le=RECORD_FORMAT)
+    cnc_identity: str = Field(description="what the control calls itself")
+    macro_map_sha256: str = Field(description="digest of the macro map, `macro_map_digest`")
+    guard_version: int | None = Field(None, description="version that the guard echoed")
+    guard_program_sha256: str | None = Field(None, description="digest of the guard program's text, where it was given")
+    person: str = Field(min_length=1, description="who read the instrument and answers for it")
+    date: str = Field(description="day of the commissioning, ISO 8601")
+    machine: str = Field("", description="name of the machine in its configuration")
+    instrument: str = Field("", description="what the movement was measured with")
+    software: str = Field("", description="version of Toolpoint that made the record")
     axes: dict[str, CommissionedAxis]
+
+    @model_validator(mode="after")
+    def _guard_named(self) -> "CommissioningRecord":
+        if self.format_version > 1 and self.guard_version is None:
+            raise ValueError("guard_version is missing; a record of format 2 names the guard it was made with")
+        return self
 
 
 class CommissioningError(Exception):
-    """The record cannot be read; the text says why."""
+    """The record cannot be read or written; the text says why."""
 
 
 def macro_map_digest(macros: MacroMapConfig) -> str:
@@ -72,16 +113,70 @@ def load_commissioning(path: Path) -> CommissioningRecord:
         raise CommissioningError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
+def save_commissioning(record: CommissioningRecord, path: Path) -> None:
+    """Write a record whole or not at all; raises CommissioningError, and the old file then stands."""
+    text = json.dumps(record.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+    temporary = ""
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fchmod(file.fileno(), 0o644)
+            os.fsync(file.fileno())
+        Path(temporary).replace(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise CommissioningError(f"{path}: the record cannot be written ({error.strerror})") from error
+
+
+ADVICE = "run `toolpoint commission`"
+
+
 def commissioning_obstacle(
-    record: CommissioningRecord | None, *, cnc_identity: str, macros: MacroMapConfig, axes: Sequence[str]
+    record: CommissioningRecord | None,
+    *,
+    cnc_identity: str,
+    macros: MacroMapConfig,
+    axes: Sequence[str],
+    guard_version: float | None = None,
 ) -> str:
-    """Return why these axes may not be compensated, '' when the record covers them."""
+    """Return why these axes may not be compensated, '' when the record covers them.
+
+    `guard_version` is what the guard echoes; None where it has not been heard.
+    """
     if record is None:
-        return "this machine has no commissioning record, so nobody has proved sign and scale"
+        return f"this machine has no commissioning record, so nobody has proved sign and scale: {ADVICE}"
     if record.cnc_identity != cnc_identity:
-        return f"the commissioning record is for {record.cnc_identity!r}, this control is {cnc_identity!r}"
+        return (
+            f"the commissioning record is for {record.cnc_identity!r}, this control is {cnc_identity!r}: "
+            f"{ADVICE} on this control, or name its own record (compensation.commissioning_file)"
+        )
     if record.macro_map_sha256 != macro_map_digest(macros):
-        return "the macro map has changed since the commissioning"
+        return (
+            "the macro map has changed since the commissioning, so the record proves nothing about it: "
+            f"take the change of cnc.macros back, or {ADVICE} again"
+        )
     if missing := [axis for axis in axes if axis not in record.axes]:
-        return f"not commissioned: axis {', '.join(missing)}"
+        return f"not commissioned: axis {', '.join(missing)}; {ADVICE} for it"
+    return "" if guard_version is None else _guard_obstacle(record, guard_version)
+
+
+def _guard_obstacle(record: CommissioningRecord, guard_version: float) -> str:
+    if record.guard_version is None:
+        return (
+            f"the commissioning record is of format {record.format_version} and does not say which guard it was made "
+            f"with, the control runs version {guard_version:g}: {ADVICE} again"
+        )
+    if record.guard_version != guard_version:
+        return (
+            f"the control runs guard version {guard_version:g}, the commissioning was made with version "
+            f"{record.guard_version}: load that version again, or {ADVICE} with the new one"
+        )
     return ""

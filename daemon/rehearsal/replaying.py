@@ -12,6 +12,7 @@ from config.schema.cnc import MacroMapConfig
 from daemon.model_file import read_model
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.recording_csv import read_header
+from drivers.sim.safe_point import GUARD_VERSION
 from models.dataset import Recording
 
 MOST_CHANNELS = 20
@@ -110,6 +111,7 @@ def _commissioning(macros: dict[str, Any]) -> dict[str, Any]:
     return {
         "cnc_identity": SIMULATED_CNC_IDENTITY,
         "macro_map_sha256": macro_map_digest(MacroMapConfig.model_validate(macros)),
+        "guard_version": GUARD_VERSION,
         "person": "replay of a recording on the simulated control",
         "date": "2026-01-01",
         "axes": dict.fromkeys(macros["values"], axis),
