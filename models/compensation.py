@@ -7,11 +7,21 @@ is the whole state machine: for each state the conditions that leave it, the fir
 Sign: thermal error is actual minus nominal; compensation is minus the error, after the limits.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
 
+from models.baseline import (
+    follow_confidence,
+    follow_reference,
+    follow_tool,
+    request_um,
+    rest_of_tool,
+    take_probe,
+    weight_of,
+)
+from models.output import OutputInputs, OutputLimits, OutputMemory
 from models.records import CompensationCommand, FloatArray, OutputState, Phase
 
 LONGEST_INTERVAL_S = 30.0
@@ -20,93 +30,13 @@ ZERO_UM = 1e-6
 """An applied value smaller than this is zero [um]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputLimits:
-    """What bounds the output, per axis and in time."""
-
-    axes: tuple[str, ...]
-    absolute_bound_um: FloatArray
-    slew_um_per_min: FloatArray
-    step_um: FloatArray
-    """Largest distance between what is written and what the guard has applied [um]."""
-    deadband_um: FloatArray
-    stale_after_s: float
-    hold_limit_s: float
-    min_confidence: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OperatorRequest:
-    """What a person asked for since the last step."""
-
-    enable: frozenset[str] = frozenset()
-    disable: frozenset[str] = frozenset()
-    zero: bool = False
-    """Disable every axis and retreat to zero, not to the baseline."""
-    acknowledge: bool = False
-
-
-NO_REQUEST = OperatorRequest()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputInputs:
-    """Everything that one step may depend on."""
-
-    now_s: float
-    """Monotonic time [s]."""
-    phase: Phase
-    link: bool
-    """The CNC answered lately and may be written to."""
-    applied_um: FloatArray
-    """The guard's echo per axis [um]; NaN where it is unknown."""
-    thermal_error_um: FloatArray
-    """Estimated error per axis since the reference [um]; NaN where there is none."""
-    estimate_age_s: float
-    """Age of the estimate [s], inf when there is none."""
-    confidence: float
-    in_domain: bool
-    reference_id: str | None
-    """The valid reference; None when there is none."""
-    estimate_reference_id: str | None
-    """The reference that the estimate is relative to."""
-    model_id: str | None = None
-    output_fault: str | None = None
-    """Why the output is not trusted (read-back differs, foreign value, exception)."""
-    refusals: tuple[str, ...] = ()
-    """What stands against ACTIVE: no model, no commissioning record, insecure link, ..."""
-    request: OperatorRequest = NO_REQUEST
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputMemory:
-    """What the output remembers from step to step."""
-
-    state: OutputState
-    since_s: float
-    reason: str
-    last_s: float
-    command_um: FloatArray
-    """Last value commanded [um]."""
-    baseline_um: FloatArray
-    """What was applied when the reference was set [um]."""
-    reference_id: str | None
-    model_id: str | None
-    offset_um: FloatArray
-    """Added to the request so that a change of model moves nothing [um]."""
-    wanted: tuple[bool, ...]
-    """Axes that a person switched on."""
-    to_zero: bool = False
-    """The retreat goes to zero even while the reference is valid."""
-    limits_hit: tuple[str, ...] = field(default=())
-
-
 class Condition(StrEnum):
     """What may leave a state."""
 
     OUTPUT_FAULT = "output not trusted"
     WANTED = "an axis is switched on"
     NONE_WANTED = "every axis is switched off"
+    ZERO_FIRST = "the offset is taken out before work is positioned"
     READY = "reference, model, input and links are good"
     BAD_INPUT = "input is not good"
     HELD_TOO_LONG = "held for longer than the limit"
@@ -122,16 +52,19 @@ TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
     OutputState.ARMED: (
         (Condition.OUTPUT_FAULT, OutputState.FAULT),
         (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
         (Condition.READY, OutputState.ACTIVE),
     ),
     OutputState.ACTIVE: (
         (Condition.OUTPUT_FAULT, OutputState.FAULT),
         (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
         (Condition.BAD_INPUT, OutputState.HOLD),
     ),
     OutputState.HOLD: (
         (Condition.OUTPUT_FAULT, OutputState.FAULT),
         (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
         (Condition.READY, OutputState.ACTIVE),
         (Condition.HELD_TOO_LONG, OutputState.RETREAT),
     ),
@@ -207,11 +140,19 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
 
     """
     memory = _heed_requests(memory, inputs, limits)
-    memory = _follow_reference(memory, inputs)
+    memory = follow_tool(follow_reference(memory, inputs), inputs)
+    memory = follow_confidence(take_probe(memory, inputs), inputs, limits)
     memory = _change_state(memory, inputs, limits)
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)
-    memory = replace(memory, command_um=command, last_s=max(inputs.now_s, memory.last_s), limits_hit=hit)
+    error = inputs.thermal_error_um if memory.reference_id == inputs.estimate_reference_id else memory.error_um
+    memory = replace(
+        memory,
+        command_um=command,
+        last_s=max(inputs.now_s, memory.last_s),
+        limits_hit=hit,
+        error_um=_last_finite(error, memory.error_um),
+    )
     enable = _enable_bits(memory, inputs)
     return memory, CompensationCommand(
         axes=limits.axes,
@@ -247,6 +188,9 @@ def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     wanted = np.array(memory.wanted, dtype=bool)
     if not np.all(np.isfinite(inputs.thermal_error_um[wanted])):
         return "an axis that is switched on has no estimate"
+    in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
+    if in_cut and weight_of(inputs.confidence, limits) < memory.weight:
+        return f"confidence fell to {inputs.confidence:.2f} within a cut: frozen until the next safe point"
     return ""
 
 
@@ -263,31 +207,6 @@ def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLim
     return replace(memory, wanted=wanted, to_zero=memory.to_zero and not any(wanted))
 
 
-def _follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
-    """Make what is applied the baseline of a new reference; keep the output where it is."""
-    known = bool(np.all(np.isfinite(inputs.applied_um)))
-    if inputs.reference_id != memory.reference_id:
-        if inputs.reference_id is None:
-            return replace(memory, reference_id=None)
-        if not (known and inputs.link):
-            return memory
-        return replace(
-            memory,
-            reference_id=inputs.reference_id,
-            model_id=inputs.model_id,
-            baseline_um=inputs.applied_um.copy(),
-            offset_um=np.zeros_like(memory.offset_um),
-            command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
-        )
-    if memory.model_id is None:
-        return replace(memory, model_id=inputs.model_id)
-    if inputs.model_id != memory.model_id and inputs.model_id is not None:
-        error = np.where(np.isfinite(inputs.thermal_error_um), inputs.thermal_error_um, 0.0)
-        offset = memory.command_um - (memory.baseline_um - error)
-        return replace(memory, model_id=inputs.model_id, offset_um=offset)
-    return memory
-
-
 def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     obstacle = why_not_ready(memory, inputs, limits)
     known = bool(np.all(np.isfinite(inputs.applied_um)))
@@ -295,8 +214,9 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     any_wanted = any(memory.wanted)
     holds = {
         Condition.OUTPUT_FAULT: inputs.output_fault is not None,
-        Condition.WANTED: any_wanted and inputs.link and known,
+        Condition.WANTED: any_wanted and inputs.link and known and not inputs.zero_first,
         Condition.NONE_WANTED: not any_wanted,
+        Condition.ZERO_FIRST: inputs.zero_first,
         Condition.READY: not obstacle and any_wanted,
         Condition.BAD_INPUT: bool(obstacle),
         Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
@@ -334,15 +254,14 @@ def _enter(
 
 def _request(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     """Return where each axis should go [um], before any limit."""
-    rest = memory.baseline_um if memory.reference_id is not None and not memory.to_zero else 0.0
-    retreat = np.zeros_like(memory.command_um) + rest
+    to_zero = memory.to_zero or inputs.zero_first or memory.reference_id is None
+    retreat = np.zeros_like(memory.command_um) if to_zero else rest_of_tool(memory, inputs)[0]
     if memory.state is OutputState.RETREAT:
         return retreat
     if memory.state is OutputState.OFF:
         return np.zeros_like(memory.command_um)
-    if memory.state is OutputState.ACTIVE:
-        follow = memory.baseline_um + memory.offset_um - inputs.thermal_error_um
-        request = np.where(memory.wanted, follow, retreat)
+    if memory.state is OutputState.ACTIVE and not memory.settling:
+        request = np.where(memory.wanted, request_um(memory, inputs), retreat)
         return np.where(np.isfinite(request), request, memory.command_um)
     frozen = memory.command_um.copy()
     if memory.state is OutputState.FAULT:
@@ -386,3 +305,11 @@ def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]
         return (False,) * len(memory.wanted)
     carries = (np.abs(inputs.applied_um) > ZERO_UM) | (memory.command_um != 0.0) | ~np.isfinite(inputs.applied_um)
     return tuple(bool(on or busy) for on, busy in zip(memory.wanted, carries, strict=True))
+
+
+def _last_finite(error_um: FloatArray | None, before_um: FloatArray | None) -> FloatArray | None:
+    """Return the latest estimate per axis, the one before where there is none now."""
+    if error_um is None:
+        return before_um
+    before = np.zeros_like(error_um) if before_um is None else before_um
+    return np.where(np.isfinite(error_um), error_um, before)

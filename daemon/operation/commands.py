@@ -6,7 +6,7 @@ from typing import Any
 from daemon.operation.control_socket import RequestError
 from daemon.operation.status import StatusBoard
 from daemon.output.control import ControlTask
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 
 KEYS = {"enable": {"axes"}, "disable": {"axes", "zero"}}
 """What a command takes beside its name; the others take nothing."""

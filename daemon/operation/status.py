@@ -8,7 +8,7 @@ import numpy as np
 from config.schema import Configuration
 from daemon.output.control import ControlTask
 from daemon.supervisor import LinkHealth
-from daemon.telemetry import PUBLISHED_DELAY_S, Telemetry
+from daemon.telemetry import Telemetry
 from daemon.thermal import ThermalTask
 from drivers.clock import Clock
 from models.quality import Quality, describe
@@ -68,12 +68,7 @@ class StatusBoard:
             "estimates": thermal.estimates,
             "writes": dict(control.writes),
             "written_axes": sorted(control.written_axes),
-            "latency_s": {
-                "feedback": self._telemetry.feedback.summary(),
-                "total": self._telemetry.total.summary(),
-                "line_time": self._telemetry.line_time.summary(),
-                "published": PUBLISHED_DELAY_S,
-            },
+            "latency_s": self._telemetry.picture(),
             "history": {"acknowledged": dict(self.acknowledged), "problem": self.history_problem},
         }
         cleaned = without_nan(picture)

@@ -1,7 +1,7 @@
 """What a person at the machine must be told about the output."""
 
 from daemon.output.macro_block import Echo
-from models.compensation import OutputMemory
+from models.output import OutputMemory
 from models.records import OutputState
 
 GUARD_CONTENT = (0, 1)

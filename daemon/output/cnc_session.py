@@ -14,7 +14,7 @@ from daemon.output.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroB
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
 from drivers.contract import Cnc, FatalDriverError
-from models.compensation import OutputLimits
+from models.output import OutputLimits
 from models.records import (
     CncSample,
     CompensationCommand,

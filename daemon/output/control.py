@@ -26,15 +26,8 @@ from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
 from drivers.contract import DriverError, FatalDriverError, LinkError
 from models.axis_map import axis_errors_um
-from models.compensation import (
-    NO_REQUEST,
-    OperatorRequest,
-    OutputInputs,
-    OutputMemory,
-    initial_memory,
-    step,
-    why_not_ready,
-)
+from models.compensation import initial_memory, step, why_not_ready
+from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
     CncSample,
     CompensationCommand,

@@ -7,7 +7,7 @@ import numpy as np
 from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from models.axis_map import AxisSource, ToolTerm
-from models.compensation import OutputLimits
+from models.output import OutputLimits
 
 
 def output_limits(configuration: Configuration) -> OutputLimits:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.schema.cnc import MacroMapConfig
-from models.compensation import OutputLimits
+from models.output import OutputLimits
 from models.records import CompensationCommand, FloatArray
 
 ECHO_SLACK_UM = 0.05

@@ -6,7 +6,7 @@ from config.commissioning import CommissioningRecord, commissioning_obstacle
 from config.schema import Configuration
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY, Cnc
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 
 
 class Permission:
@@ -27,23 +27,35 @@ class Permission:
         self._axes = tuple(axes)
         self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
 
-    def refusals(self, cnc: Cnc | None, axes: frozenset[str]) -> tuple[str, ...]:
-        """Return what stands against compensating these axes, the most fundamental first."""
-        of_control = () if cnc is None else self._obstacles_of_control(cnc, axes)
+    def refusals(self, cnc: Cnc | None, axes: frozenset[str], guard_version: float | None = None) -> tuple[str, ...]:
+        """Return what stands against compensating these axes, the most fundamental first.
+
+        `guard_version` is what the guard echoes, None where it has not been heard.
+        """
+        of_control = () if cnc is None else self._obstacles_of_control(cnc, axes, guard_version)
         return tuple(obstacle for obstacle in (self._model_obstacle, *of_control) if obstacle)
 
     def prohibition(self, cnc: Cnc) -> str:
         """Return why nothing at all may be written to this control, not even a retreat, '' when it may."""
         return next((obstacle for obstacle in self._obstacles_of_control(cnc, frozenset()) if obstacle), "")
 
-    def _obstacles_of_control(self, cnc: Cnc, axes: frozenset[str]) -> Iterator[str]:
+    def _obstacles_of_control(
+        self, cnc: Cnc, axes: frozenset[str], guard_version: float | None = None
+    ) -> Iterator[str]:
         if self._clock.speed != 1.0 and cnc.identity != SIMULATED_CNC_IDENTITY:
-            yield "the clock is simulated but the control is not"
+            yield "the clock is simulated but the control is not: run without --simulated-clock"
+        record_file = self._configuration.compensation.commissioning_file
+        if self._commissioning is None and record_file is not None:
+            yield (
+                f"the commissioning record {record_file} could not be read when the daemon started, so there is no "
+                "commissioning record: `toolpoint commission --check` says why; start the daemon again afterwards"
+            )
         yield commissioning_obstacle(
             self._commissioning,
             cnc_identity=cnc.identity,
             macros=self._configuration.cnc.macros,
             axes=sorted(axes),
+            guard_version=guard_version,
         )
         if not cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
             yield (
@@ -51,7 +63,9 @@ class Permission:
                 "or set cnc.opcua.allow_insecure_writes: true"
             )
 
-    def objection(self, request: OperatorRequest, cnc: Cnc | None, *, reached: bool) -> str:
+    def objection(
+        self, request: OperatorRequest, cnc: Cnc | None, *, reached: bool, guard_version: float | None = None
+    ) -> str:
         """Return why a person's request is refused, '' when it may be taken."""
         if not reached:
             return "the CNC has not been reached yet, so what it applies is unknown"
@@ -64,7 +78,7 @@ class Permission:
                 f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
                 "so it stays disabled"
             )
-        refusals = self.refusals(cnc, request.enable) if request.enable else ()
+        refusals = self.refusals(cnc, request.enable, guard_version) if request.enable else ()
         return refusals[0] if refusals else ""
 
 

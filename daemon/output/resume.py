@@ -12,7 +12,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.output.last_block import LastBlock
 from daemon.output.macro_block import ECHO_SLACK_UM
 from drivers.clock import Clock
-from models.compensation import OutputMemory
+from models.output import OutputMemory
 from models.records import FloatArray, Instant, Reference
 
 log = structlog.get_logger(__name__)

@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import ENABLE, Bench, Z, running
 
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 from models.records import WriteOutcome
 
 ECHO_Z = 513

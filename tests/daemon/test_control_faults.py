@@ -20,7 +20,7 @@ from control_rig import (
 )
 
 from config.schema.cnc import OpcUaConfig
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 from models.records import WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

@@ -14,7 +14,7 @@ from control_rig import (
 )
 
 from daemon.history import HistoryReader
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 from models.records import Reference, WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

@@ -27,7 +27,7 @@ from memory_cnc import MemoryNc
 
 from daemon.thermal import ReferenceRequest
 from drivers.clock import SystemClock
-from models.compensation import OperatorRequest
+from models.output import OperatorRequest
 from models.records import CncRun
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

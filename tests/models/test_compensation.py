@@ -11,13 +11,11 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from models.compensation import (
     LONGEST_INTERVAL_S,
     TRANSITIONS,
-    OperatorRequest,
-    OutputInputs,
-    OutputLimits,
     initial_memory,
     step,
     why_not_ready,
 )
+from models.output import OperatorRequest, OutputInputs, OutputLimits
 from models.records import OutputState, Phase
 
 AXES = ("y", "z")

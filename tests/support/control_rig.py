@@ -29,7 +29,8 @@ from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
-from models.compensation import OperatorRequest
+from drivers.sim.safe_point import GUARD_VERSION
+from models.output import OperatorRequest
 from models.records import Instant, Reference, ThermalErrorEstimate, Trace
 
 SENSOR_IDS = (1, 2, 3, 11, 12)
@@ -108,6 +109,7 @@ def record_for(configuration: Configuration, **changes: Any) -> CommissioningRec
     content = {
         "cnc_identity": SIMULATED_CNC_IDENTITY,
         "macro_map_sha256": macro_map_digest(configuration.cnc.macros),
+        "guard_version": GUARD_VERSION,
         "person": "a test",
         "date": "2026-01-01",
         "axes": {

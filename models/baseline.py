@@ -1,0 +1,290 @@
+"""Where the request counts from: the baseline of a reference, of a tool setting, and of a probe value.
+
+request = baseline + offset - weight (estimate - estimate at the tool setting)
+
+Setting a reference, setting a tool and changing the model never move the output; a probe value
+does, and the limits of `models.compensation` bound how fast.
+"""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from models.output import OutputInputs, OutputLimits, OutputMemory, ToolRest
+from models.records import FloatArray, OutputState, Phase
+
+SETTLED_UM = 1e-3
+"""The CNC holds a value when what was read back differs by less than this [um]."""
+
+
+def follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Make what is applied the baseline of a new reference; keep the output where it is.
+
+    While the CNC does not yet hold the new command, the guard may still apply the old one: what
+    it then applied is the baseline, because moving back would be a second step on the part.
+
+    Parameters
+    ----------
+    memory
+        From the previous step.
+    inputs
+        What is known now.
+
+    Returns
+    -------
+    OutputMemory
+        With the reference of the inputs, or the old one while the echo is unknown.
+
+    """
+    if inputs.reference_id != memory.reference_id:
+        return _new_reference(memory, inputs)
+    if memory.reference_id is None:
+        return memory
+    if memory.settling:
+        return _settle(memory, inputs)
+    return _follow_model(memory, inputs)
+
+
+def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Keep what is applied as the baseline of a tool on the axes that were set with it.
+
+    Parameters
+    ----------
+    memory
+        After `follow_reference`.
+    inputs
+        `tool_setting` tells the axes, `tool_number` the tool [-].
+
+    Returns
+    -------
+    OutputMemory
+        Unchanged without a setting, without a valid reference, or without an echo.
+
+    """
+    axes = inputs.tool_setting
+    if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
+        return memory
+    error = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
+    before = memory.tools.get(inputs.tool_number)
+    unset = np.full_like(memory.command_um, np.nan)
+    chosen = np.array(axes, dtype=bool)
+    rest = ToolRest(
+        baseline_um=np.where(chosen, inputs.applied_um, before.baseline_um if before else unset),
+        error_um=np.where(chosen, error, before.error_um if before else 0.0),
+    )
+    command = np.where(chosen, inputs.applied_um, memory.command_um)
+    return replace(
+        memory,
+        tools=MappingProxyType({**memory.tools, inputs.tool_number: rest}),
+        offset_um=np.where(chosen, 0.0, memory.offset_um),
+        command_um=memory.command_um if memory.state is OutputState.FAULT else command,
+        settling=memory.state is not OutputState.FAULT,
+    )
+
+
+def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray, FloatArray]:
+    """Return where the request counts from with the tool in the spindle.
+
+    Parameters
+    ----------
+    memory, inputs
+        `inputs.tool_number` selects the tool's setting.
+
+    Returns
+    -------
+    baseline_um, error_um : shape (n_axes,)
+        Baseline [um], and the estimate that belongs to it [um].
+
+    """
+    tool = memory.tools.get(inputs.tool_number)
+    if tool is None:
+        return memory.baseline_um, np.zeros_like(memory.baseline_um)
+    own = np.isfinite(tool.baseline_um)
+    return np.where(own, tool.baseline_um, memory.baseline_um), np.where(own, tool.error_um, 0.0)
+
+
+def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
+    """Return what follows from the estimate.
+
+    Parameters
+    ----------
+    memory, inputs
+        Baselines, offset and weight; the estimate [um].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_axes,)
+        baseline + offset - weight (estimate - estimate at the setting) [um]; NaN without an estimate.
+
+    """
+    baseline, error = rest_of_tool(memory, inputs)
+    request: FloatArray = baseline + memory.offset_um - memory.weight * (inputs.thermal_error_um - error)
+    return request
+
+
+def probe_objection(
+    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, obstacle: str, probe_um: FloatArray
+) -> str:
+    """Return why a probe value cannot correct the estimate, '' when it can.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.compensation.step`.
+    obstacle
+        What stands against following the estimate, '' when nothing does.
+    probe_um : shape (n_axes,)
+        Deviation per axis, actual minus nominal [um]; NaN where not probed.
+
+    Returns
+    -------
+    str
+        A sentence, or ''.
+
+    """
+    probed = np.isfinite(probe_um)
+    if not probed.any():
+        return "no axis was probed"
+    if obstacle:
+        return f"the estimate cannot be corrected: {obstacle}"
+    if not np.all(np.isfinite(inputs.thermal_error_um[probed])):
+        return "the axis has no estimate"
+    correction = inputs.applied_um - probe_um - request_um(memory, inputs)
+    for axis, change in zip(limits.axes, correction, strict=True):
+        if abs(change) > limits.probe_bound_um:
+            return (
+                f"axis {axis}: the probe value would correct the estimate by {abs(change):.1f} um, "
+                f"more than the bound of {limits.probe_bound_um:g} um"
+            )
+    return ""
+
+
+def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Let the request cancel a probe's deviation from now on.
+
+    Parameters
+    ----------
+    memory, inputs
+        `inputs.probe_um` is what is left with what is applied now [um]; `probe_objection` was asked before.
+
+    Returns
+    -------
+    OutputMemory
+        With the offset that makes the request `applied - deviation` on the probed axes.
+
+    """
+    if inputs.probe_um is None or memory.reference_id is None:
+        return memory
+    correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
+    known = np.isfinite(correction)
+    return replace(memory, offset_um=memory.offset_um + np.where(known, correction, 0.0))
+
+
+def weight_of(confidence: float, limits: OutputLimits) -> float:
+    """Return the share of the estimate that a confidence is worth.
+
+    Parameters
+    ----------
+    confidence
+        0..1 [-].
+    limits
+        0 at `min_confidence`, 1 from `full_confidence` on, linear between.
+
+    Returns
+    -------
+    float
+        0..1 [-].
+
+    """
+    if confidence >= limits.full_confidence:
+        return 1.0
+    span = limits.full_confidence - limits.min_confidence
+    return float(np.clip((confidence - limits.min_confidence) / span, 0.0, 1.0)) if span > 0 else 0.0
+
+
+def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    """Renew the weight of the estimate between cuts; within a cut it stays.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.compensation.step`.
+
+    Returns
+    -------
+    OutputMemory
+        With the weight of the confidence now, except while the output follows or holds in a cut.
+
+    """
+    cutting = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
+    if cutting or inputs.confidence < limits.min_confidence:
+        return memory
+    return replace(memory, weight=weight_of(inputs.confidence, limits))
+
+
+def _new_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    if inputs.reference_id is None:
+        return replace(memory, reference_id=None, settling=False, error_um=None, tools=MappingProxyType({}))
+    if not (inputs.link and np.all(np.isfinite(inputs.applied_um))):
+        return memory
+    return replace(
+        memory,
+        reference_id=inputs.reference_id,
+        model_id=inputs.model_id,
+        baseline_um=inputs.applied_um.copy(),
+        offset_um=np.zeros_like(memory.offset_um),
+        command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
+        settling=memory.state is not OutputState.FAULT,
+        error_um=np.zeros_like(memory.command_um),
+        tools=_tools_since(memory, inputs.tool_number),
+    )
+
+
+def _tools_since(memory: OutputMemory, in_spindle: int) -> MappingProxyType[int, ToolRest]:
+    """Return the tool settings counted from a new reference; the tool in the spindle begins with it."""
+    if memory.error_um is None:
+        return MappingProxyType({})
+    since = memory.error_um
+    others = {number: rest for number, rest in memory.tools.items() if number != in_spindle}
+    return MappingProxyType({n: replace(rest, error_um=rest.error_um - since) for n, rest in others.items()})
+
+
+def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    if memory.state is OutputState.FAULT or not inputs.link:
+        return memory
+    applied = inputs.applied_um
+    if not np.all(np.isfinite(applied)):
+        return memory
+    moved = np.abs(applied - memory.command_um) > SETTLED_UM
+    if moved.any():
+        return replace(_rest_at(memory, inputs, moved), command_um=np.where(moved, applied, memory.command_um))
+    held = inputs.written_um is None or bool(np.all(np.abs(inputs.written_um - memory.command_um) <= SETTLED_UM))
+    silent = memory.state is OutputState.OFF
+    return replace(memory, settling=not (held or silent))
+
+
+def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.bool_]) -> OutputMemory:
+    """Return the memory with the baseline moved to what the guard applied meanwhile."""
+    tool = memory.tools.get(inputs.tool_number)
+    own = np.isfinite(tool.baseline_um) if tool is not None else np.zeros(len(moved), dtype=bool)
+    tools = dict(memory.tools)
+    if tool is not None:
+        tools[inputs.tool_number] = replace(
+            tool, baseline_um=np.where(moved & own, inputs.applied_um, tool.baseline_um)
+        )
+    baseline = np.where(moved & ~own, inputs.applied_um, memory.baseline_um)
+    return replace(memory, baseline_um=baseline, tools=MappingProxyType(tools))
+
+
+def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    if memory.model_id is None:
+        return replace(memory, model_id=inputs.model_id)
+    if inputs.model_id == memory.model_id or inputs.model_id is None:
+        return memory
+    unmoved = replace(memory, offset_um=np.zeros_like(memory.offset_um))
+    request = request_um(unmoved, inputs)
+    baseline, _ = rest_of_tool(memory, inputs)
+    offset = memory.command_um - np.where(np.isfinite(request), request, baseline)
+    return replace(memory, model_id=inputs.model_id, offset_um=offset)
