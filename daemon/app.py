@@ -12,10 +12,8 @@ import structlog
 from config.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon import registry
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.jobs import housekeeping_scheduler
 from daemon.model_file import read_model
 from daemon.operation.commands import CommandDesk
 from daemon.operation.control_socket import ControlSocket
@@ -29,6 +27,7 @@ from daemon.output.last_block import LastBlock
 from daemon.output.limits import commissioned_factors
 from daemon.output.macro_block import MacroBlock
 from daemon.output.resume import load_resume_point
+from daemon.registry import PARTS, Parts
 from daemon.supervisor import Backoff, LinkHealth, keep_alive
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest, ThermalTask
@@ -73,8 +72,9 @@ def load_record(path: Path | None) -> CommissioningRecord | None:
 class Daemon:
     """One machine's daemon."""
 
-    def __init__(self, configuration: Configuration, clock: Clock) -> None:
+    def __init__(self, configuration: Configuration, clock: Clock, parts: Parts = PARTS) -> None:
         self._configuration = configuration
+        self._parts = parts
         self._clock = clock
         self._telemetry = Telemetry()
         self._service_manager = ServiceManager()
@@ -94,7 +94,7 @@ class Daemon:
         self._alive_real_s = float("-inf")
         self._last_block = LastBlock.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
-        self._link = CncLink(lambda: registry.open_cnc(configuration, clock), self._open_session)
+        self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
         self.control = ControlTask(
             configuration,
@@ -128,7 +128,7 @@ class Daemon:
         configuration = self._configuration
         self._history.start()
         self._history.event("daemon", "started", "daemon")
-        scheduler = housekeeping_scheduler(self._history, configuration.history)
+        scheduler = self._parts.housekeeping(self._history, configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:
                 loop = asyncio.get_running_loop()
@@ -194,7 +194,7 @@ class Daemon:
         health = self._line_health[line.name]
 
         async def attempt() -> None:
-            source = registry.open_temperature_source(self._configuration, line, self._clock)
+            source = self._parts.open_temperature_source(self._configuration, line, self._clock)
             try:
                 async for cycle in source.cycles():
                     health.up = True
@@ -206,7 +206,7 @@ class Daemon:
         await self._keep(health, attempt)
 
     async def _follow_displacements(self) -> None:
-        source = registry.open_displacement_source(
+        source = self._parts.open_displacement_source(
             self._configuration, self._clock, self._history.last_displacement_utc_s()
         )
         try:

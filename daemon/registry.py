@@ -1,7 +1,11 @@
 """Which driver serves which part of the configuration. The only place that names drivers."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
+from daemon.jobs import Housekeeping, housekeeping_scheduler
 from drivers.clock import Clock
 from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
@@ -25,3 +29,19 @@ def open_displacement_source(
 def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
     """Return a new, unconnected CNC."""
     return OpcUaCnc(configuration.cnc, clock)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """What a daemon is composed of at its edges; a rehearsal may put others there."""
+
+    open_temperature_source: Callable[[Configuration, LineConfig, Clock], TemperatureSource] = open_temperature_source
+    open_displacement_source: Callable[[Configuration, Clock, float | None], DisplacementSource] = (
+        open_displacement_source
+    )
+    open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc
+    housekeeping: Housekeeping = housekeeping_scheduler
+
+
+PARTS = Parts()
+"""The parts of the product."""

@@ -1,8 +1,6 @@
-"""One LATSIS line on a serial port: a reader thread and the assembler of its cycles."""
+"""One LATSIS line on a serial port: a reader and the assembler of its cycles."""
 
 import asyncio
-import contextlib
-import threading
 from collections import deque
 from collections.abc import AsyncIterator, Sequence
 
@@ -10,8 +8,7 @@ from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock
 from drivers.contract import LinkError
 from drivers.latsis_cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler, LineStatistics
-from drivers.latsis_pacing import ReadPacer
-from drivers.serial_port import SerialPort, StopSignal
+from drivers.latsis_reader import LineReader, PortReader
 from models.records import Instant, TemperatureCycle
 
 DEAD_LINE_PERIODS = 3.0
@@ -29,8 +26,8 @@ MAX_BACKLOG_READS = 20_000
 class LatsisSerialSource:
     """A LATSIS line (`drivers.contract.TemperatureSource`), to be used once.
 
-    Time-outs of the protocol are seconds of the given clock. The reader thread alone touches the port:
-    it opens it, stamps the bytes as soon as they are read, and closes it.
+    Time-outs of the protocol are seconds of the given clock. The reader alone touches the port: it opens
+    it, stamps the bytes as soon as they are read, and closes it.
     """
 
     def __init__(
@@ -40,7 +37,9 @@ class LatsisSerialSource:
         clock: Clock,
         *,
         dead_line_periods: float = DEAD_LINE_PERIODS,
+        reader: LineReader | None = None,
     ) -> None:
+        """Prepare the source; `reader` brings the bytes, by default from the line's port."""
         self.name = line.name
         self._line = line
         self._clock = clock
@@ -50,12 +49,11 @@ class LatsisSerialSource:
         self._earliest_end = 0
         self._last_frame = self._last_bytes = clock.now()
         self._wake = asyncio.Event()
-        self._ended = asyncio.Event()
         self._check_due = False
         self._pass_check: asyncio.TimerHandle | None = None
         self._line_check: asyncio.TimerHandle | None = None
-        self._stop: StopSignal | None = None
-        self._thread: threading.Thread | None = None
+        self._reader = PortReader(line, clock) if reader is None else reader
+        self._started = False
         self._closed = False
 
     @property
@@ -86,22 +84,37 @@ class LatsisSerialSource:
         for timer in (self._pass_check, self._line_check):
             if timer is not None:
                 timer.cancel()
-        if self._thread is None or self._stop is None:
-            return
-        self._stop.set()
-        await self._ended.wait()
-        self._thread.join()
+        if self._started:
+            await self._reader.stop()
+
+    # --- what the reader calls, from whatever thread it lives in ---------------------------
+
+    @property
+    def earliest_end(self) -> int:
+        """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
+        return self._earliest_end
+
+    def put(self, data: bytes, arrived: Instant) -> None:
+        """Queue bytes; raises LinkError when nobody takes them."""
+        if len(self._inbox) > MAX_BACKLOG_READS:
+            raise LinkError(f"line {self.name}: nobody has taken its bytes for {MAX_BACKLOG_READS} reads")
+        self._inbox.append((data, arrived))
+
+    def fail(self, error: Exception) -> None:
+        """Queue what went wrong: it is raised again in `cycles`, after the bytes before it."""
+        self._inbox.append(error)
+
+    def wake(self) -> None:
+        """Have the queue looked at; to be called in the event loop."""
+        self._wake.set()
 
     def _start(self) -> None:
-        if self._closed or self._thread is not None:
+        if self._closed or self._started:
             raise RuntimeError(f"line {self.name}: a source is used once; build a new one to open the line again")
         loop = asyncio.get_running_loop()
         self._last_frame = self._last_bytes = self._clock.now()
-        self._stop = StopSignal()
-        self._thread = threading.Thread(
-            target=self._read_port, args=(loop, self._stop), name=f"latsis-{self.name}", daemon=True
-        )
-        self._thread.start()
+        self._started = True
+        self._reader.start(self)
         self._on_line_timer(loop)
 
     def _on_line_timer(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -168,38 +181,3 @@ class LatsisSerialSource:
             f"({self._assembler.last_error or 'no line end'}): check `baud` ({self._line.baud}) "
             f"and the frame grammar (profile {self._line.profile})"
         )
-
-    def _read_port(self, loop: asyncio.AbstractEventLoop, stop: StopSignal) -> None:
-        """Body of the reader thread."""
-        port: SerialPort | None = None
-        try:
-            port = SerialPort(self._line.port, self._line.baud, f"line {self.name}", stop)
-            self._read_until(loop, port, stop)
-        except Exception as error:
-            # Whatever it is, the consumer gets it: it is raised again in `cycles`.
-            self._inbox.append(error)
-        finally:
-            if port is not None:
-                port.close()
-            stop.release()
-            with contextlib.suppress(RuntimeError):  # the loop has been closed meanwhile
-                loop.call_soon_threadsafe(self._on_thread_end)
-
-    def _read_until(self, loop: asyncio.AbstractEventLoop, port: SerialPort, stop: StopSignal) -> None:
-        pacer = ReadPacer(self._line.baud, self._clock.speed)
-        while not stop.is_set():
-            data = port.read()
-            arrived = self._clock.now()
-            if not data:
-                continue
-            if len(self._inbox) > MAX_BACKLOG_READS:
-                raise LinkError(f"line {self.name}: nobody has taken its bytes for {MAX_BACKLOG_READS} reads")
-            self._inbox.append((data, arrived))
-            loop.call_soon_threadsafe(self._wake.set)
-            pause_s = pacer.pause_real_s(len(data), arrived, self._earliest_end)
-            if pause_s > 0:
-                stop.wait(pause_s)
-
-    def _on_thread_end(self) -> None:
-        self._ended.set()
-        self._wake.set()
