@@ -14,7 +14,6 @@ from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.model_file import read_model
 from daemon.operation.commands import CommandDesk
 from daemon.operation.control_socket import ControlSocket
 from daemon.operation.notify import ServiceManager
@@ -28,13 +27,14 @@ from daemon.output.limits import commissioned_factors
 from daemon.output.macro_block import MacroBlock
 from daemon.output.resume import load_resume_point
 from daemon.registry import PARTS, Parts
+from daemon.release.loading import load_released
+from daemon.release.reach import own_account
 from daemon.supervisor import Backoff, LinkHealth, keep_alive
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest, ThermalTask
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 from models.records import Reference, TemperatureCycle
-from models.thermal.model import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -47,15 +47,6 @@ ALIVE_PERIOD_S = 10.0
 
 class StartError(Exception):
     """The daemon cannot start; the text says why and what to do."""
-
-
-def load_model(configuration: Configuration) -> tuple[ThermalModel | None, str]:
-    """Return the thermal model, or why there is none that fits this machine."""
-    path = configuration.compensation.model_file
-    if path is None:
-        return None, "no thermal model is configured (compensation.model_file)"
-    wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
-    return read_model(path, configuration.temperatures.sensor_ids, wanted)
 
 
 def load_record(path: Path | None) -> CommissioningRecord | None:
@@ -85,7 +76,8 @@ class Daemon:
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
         )
-        model, obstacle = load_model(configuration)
+        self._loaded = load_released(configuration, own_account())
+        model, obstacle = self._loaded.model, self._loaded.obstacle
         if obstacle:
             log.error("model.missing", problem=obstacle)
         record = load_record(configuration.compensation.commissioning_file)
@@ -121,6 +113,7 @@ class Daemon:
         self._socket_health, self._web_health = LinkHealth("local socket"), LinkHealth("metrics")
         self._healths = healths
         self.board = StatusBoard(configuration, clock, self.thermal, self.control, self._telemetry, healths)
+        self.board.model = self._loaded.picture()
         self._commands = CommandDesk(self.board, self.control, axes)
 
     async def run(self) -> None:
@@ -128,6 +121,7 @@ class Daemon:
         configuration = self._configuration
         self._history.start()
         self._history.event("daemon", "started", "daemon")
+        self._history.event("model", self._loaded.in_words(), "daemon")
         scheduler = self._parts.housekeeping(self._history, configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:

@@ -9,15 +9,16 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, packages_distributions, version
 from pathlib import Path
 
-from daemon.probe import Finding
+from config.loader import ConfigurationError, load_configuration
+from daemon.probe import Finding, model_finding
 
 OUR_PACKAGES = ("models", "drivers", "config", "daemon")
 SAFE_SQLITE = (3, 51, 3)
 """From here on SQLite's WAL is safe with several writers; the daemon has one writer, so older ones serve too."""
 
 
-def examine() -> Iterator[Finding]:
-    """Yield one finding per subject."""
+def examine(config_path: Path | None = None) -> Iterator[Finding]:
+    """Yield one finding per subject; those of a machine only where its configuration is given."""
     yield Finding(
         subject="python", passed=sys.version_info >= (3, 11), detail=f"{sys.version.split()[0]} at {sys.executable}"
     )
@@ -36,6 +37,8 @@ def examine() -> Iterator[Finding]:
     )
     yield _serial_ports()
     yield _clock()
+    if config_path is not None:
+        yield _model(config_path)
 
 
 def _requirements() -> Finding:
@@ -93,6 +96,14 @@ def _serial_ports() -> Finding:
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     detail = f"no permission for {', '.join(closed)}; join the group dialout" if closed else ", ".join(ports)
     return Finding(subject="serial ports", passed=not closed, detail=detail)
+
+
+def _model(config_path: Path) -> Finding:
+    """Look at the model as the daemon's account will: out of its reach, released, unchanged."""
+    try:
+        return model_finding(load_configuration(config_path))
+    except ConfigurationError as error:
+        return Finding(subject="thermal model", passed=False, detail=str(error))
 
 
 def _clock() -> Finding:

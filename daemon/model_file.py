@@ -10,15 +10,24 @@ from models.thermal.model import ModelError, ThermalModel
 def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -> tuple[ThermalModel | None, str]:
     """Return the model, or why it cannot serve a machine with these sensors that needs these channels."""
     try:
-        model = model_from_json(path.read_text(encoding="utf-8"), source=str(path))
+        content = path.read_bytes()
     except OSError as error:
         return None, f"{path}: the thermal model cannot be read ({error.strerror})"
+    return model_from_text(content, str(path), sensor_ids, channels)
+
+
+def model_from_text(
+    content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str]
+) -> tuple[ThermalModel | None, str]:
+    """Return the model that a file's bytes hold, or why it cannot serve such a machine."""
+    try:
+        model = model_from_json(content.decode("utf-8"), source=source)
     except UnicodeDecodeError as error:
-        return None, f"{path}: this is no thermal model: byte {error.start} is not UTF-8 text"
+        return None, f"{source}: this is no thermal model: byte {error.start} is not UTF-8 text"
     except ModelError as error:
         return None, str(error)
     if foreign := sorted(set(model.sensor_ids) - set(sensor_ids)):
-        return None, f"{path}: the model needs sensors that this machine does not have: {foreign[:10]}"
+        return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):
-        return None, f"{path}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
+        return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
     return model, ""

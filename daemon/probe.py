@@ -10,8 +10,9 @@ from config.commissioning import CommissioningError, commissioning_obstacle, loa
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon import registry
-from daemon.app import load_model
 from daemon.output.macro_block import MacroBlock
+from daemon.release.loading import load_released
+from daemon.release.reach import account_of_daemon
 from drivers.clock import Clock
 from drivers.contract import DriverError
 
@@ -30,7 +31,7 @@ class Finding:
 
 async def probe(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
     """Try everything; nothing is written to the CNC."""
-    yield _model(configuration)
+    yield model_finding(configuration)
     yield _record(configuration)
     if not devices:
         return
@@ -41,13 +42,13 @@ async def probe(configuration: Configuration, clock: Clock, *, devices: bool) ->
     yield await _attempt("cnc", lambda: _cnc(configuration, clock))
 
 
-def _model(configuration: Configuration) -> Finding:
-    model, obstacle = load_model(configuration)
-    if model is None:
-        return Finding(subject="thermal model", passed=False, detail=obstacle)
-    return Finding(
-        subject="thermal model", passed=True, detail=f"{model.model_id}, channels {', '.join(model.channels)}"
-    )
+def model_finding(configuration: Configuration) -> Finding:
+    """Return what the daemon's account will find of its model."""
+    found = load_released(configuration, account_of_daemon(configuration.history.path))
+    if found.model is None:
+        return Finding(subject="thermal model", passed=False, detail=found.obstacle)
+    channels = ", ".join(found.model.channels)
+    return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
 
 
 def _record(configuration: Configuration) -> Finding:

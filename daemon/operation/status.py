@@ -44,6 +44,7 @@ class StatusBoard:
         self.displacement: DisplacementSample | None = None
         self.acknowledged: dict[str, int] = {}
         self.history_problem = ""
+        self.model: dict[str, Any] = {}
 
     def picture(self) -> dict[str, Any]:
         """Return everything at once, with None where a number is not known."""
@@ -56,6 +57,7 @@ class StatusBoard:
             "output": self._output(now.monotonic_s),
             "axes": self._axes(),
             "reference": self._reference(now.monotonic_s),
+            "model": self.model,
             "estimate": self._estimate(),
             "cnc": self._cnc(),
             "links": [
@@ -86,6 +88,7 @@ class StatusBoard:
             "limits_hit": list(memory.limits_hit) if memory else [],
             "notices": control.notices[-5:],
             "insecure_writes": self._configuration.cnc.opcua.allow_insecure_writes,
+            "writable_model_directory": self._configuration.compensation.allow_writable_model_directory,
         }
 
     def _axes(self) -> dict[str, Any]:

@@ -76,6 +76,8 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append(f"\n{output['alarm']}", style="bold red")
     if output["insecure_writes"]:
         line.append("\nwrites go over an insecure connection (allow_insecure_writes)", style="yellow")
+    if output["writable_model_directory"]:
+        line.append("\nany model is loaded, released or not (allow_writable_model_directory)", style="yellow")
     return Panel(line, title=f"Toolpoint · {picture['machine']}", title_align="left")
 
 

@@ -13,10 +13,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import SENSOR_IDS, HandClock, machine
 
 from config.machines import shipped_file
-from daemon.app import load_model
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from daemon.release.loading import load_released
+from daemon.release.reach import own_account
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRequest, ThermalTask
 from models.quality import Quality, Reason
@@ -244,11 +245,15 @@ async def test_without_a_model_there_are_references_but_no_estimates(tmp_path):
 def test_a_model_for_sensors_that_do_not_exist_is_refused(tmp_path):
     configuration = machine(tmp_path)
     compensation = configuration.compensation.model_copy(
-        update={"model_file": shipped_file("simulated_machine_model.json")}
+        update={
+            "model_file": shipped_file("simulated_machine_model.json"),
+            "allow_writable_model_directory": True,
+        }
     )
-    found, obstacle = load_model(configuration.model_copy(update={"compensation": compensation}))
-    assert found is None
-    assert "simulated_machine_model.json" in obstacle and "sensors that this machine does not have" in obstacle
+    found = load_released(configuration.model_copy(update={"compensation": compensation}), own_account())
+    assert found.model is None
+    assert "simulated_machine_model.json" in found.obstacle
+    assert "sensors that this machine does not have" in found.obstacle
 
 
 async def test_every_cycle_and_estimate_is_in_the_store(tmp_path):

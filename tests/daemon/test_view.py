@@ -30,6 +30,7 @@ PICTURE = {
         "limits_hit": [],
         "notices": [],
         "insecure_writes": True,
+        "writable_model_directory": True,
     },
     "axes": {"z": AXIS, "x": AXIS | {"estimate_from": None}},
     "reference": {"id": "r", "source": "O1000 N100", "age_s": 90.0, "set_utc_s": 0.0},

@@ -1,0 +1,49 @@
+"""The record beside a released thermal model: which file, who released it, and what it replaced."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from config.schema.base import Section
+
+
+class PreviousRelease(Section):
+    """The release that was active before."""
+
+    number: int = Field(ge=1)
+    model_id: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class ReleaseRecord(Section):
+    """Proof that somebody released exactly this file."""
+
+    format_version: int = Field(1, ge=1, le=1)
+    number: int = Field(ge=1, description="releases of one machine count from 1")
+    action: Literal["release", "rollback"]
+    model_id: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="of the file's bytes")
+    person: str = Field(min_length=1)
+    released: str = Field(description="date and time in UTC, ISO 8601")
+    source: str = Field(description="the file that was released, or the release that was gone back to")
+    note: str = ""
+    checks: list[str] = Field(description="what was checked and found good, in words")
+    previous: PreviousRelease | None = None
+
+
+class ReleaseRecordError(Exception):
+    """The record cannot be read; the text says why."""
+
+
+def load_release_record(path: Path) -> ReleaseRecord:
+    """Read a record; raises ReleaseRecordError naming file and key."""
+    try:
+        return ReleaseRecord.model_validate_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ReleaseRecordError(f"{path}: the release record cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ReleaseRecordError(f"{path}: this is no release record: byte {error.start} is not UTF-8 text") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ReleaseRecordError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error

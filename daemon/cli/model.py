@@ -1,0 +1,132 @@
+"""`toolpoint model`: release thermal models, list them, go back to an earlier one."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+
+if TYPE_CHECKING:
+    from config.release_record import ReleaseRecord
+
+REFUSED = 1
+"""Exit status when a model is refused."""
+note_option = click.option("--note", default="", help="Why, for the record.")
+
+
+@click.group()
+def model() -> None:
+    """Released thermal models: who released which, and the way back.
+
+    Run these as an account that may write the folder of compensation.model_file. The daemon's may
+    not. The daemon takes a newly released model up when it is started or reloaded.
+    """
+
+
+@model.command("release")
+@click.argument("proposal", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
+@note_option
+@config_option
+@json_option
+def release_command(
+    proposal: Path | None, by_policy: bool, note: str, config_path: Path, json_path: str | None
+) -> None:
+    """Check PROPOSAL (a model's file, or its name among the proposals) and make it the active model.
+
+    Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands.
+    """
+    from daemon.release.releasing import person_now, proposals_folder, release, release_by_policy
+    from daemon.release.shelf import ReleaseError
+
+    if (proposal is None) != by_policy:
+        raise click.UsageError("name one PROPOSAL, or let --by-policy choose one")
+    configuration = read_configuration(config_path)
+    try:
+        if proposal is None:
+            record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
+        else:
+            waiting = proposals_folder(configuration) / proposal
+            path = waiting if not proposal.exists() and waiting.exists() else proposal
+            record = release(configuration, path, person=person_now(), note=note)
+    except ReleaseError as error:
+        click.echo(str(error), err=True)
+        sys.exit(REFUSED)
+    if record is None:
+        click.echo("no proposal that the policy lets through; `toolpoint model list` shows what waits", err=True)
+        write_json(json_path, None)
+        return
+    _done(record, json_path)
+
+
+@model.command()
+@click.option("--to", "number", type=click.IntRange(min=1), help="The release to go back to (else the one before).")
+@note_option
+@config_option
+@json_option
+def rollback(number: int | None, note: str, config_path: Path, json_path: str | None) -> None:
+    """Make an earlier release the active model again, under a new number."""
+    from daemon.release import releasing
+    from daemon.release.shelf import ReleaseError
+
+    configuration = read_configuration(config_path)
+    try:
+        record = releasing.rollback(configuration, person=releasing.person_now(), to=number, note=note)
+    except ReleaseError as error:
+        click.echo(str(error), err=True)
+        sys.exit(REFUSED)
+    _done(record, json_path)
+
+
+def _done(record: "ReleaseRecord", json_path: str | None) -> None:
+    click.echo(
+        f"release {record.number}: {record.model_id}, sha256 {record.sha256[:12]}, by {record.person}; the daemon "
+        "takes it up with `systemctl reload toolpoint`, or at its next start",
+        err=True,
+    )
+    write_json(json_path, record.model_dump(mode="json"))
+
+
+@model.command("list")
+@config_option
+@json_option
+def list_command(config_path: Path, json_path: str | None) -> None:
+    """Show every release, which one is active, and the proposals that wait."""
+    from daemon.release.releasing import proposals, shelf_of
+    from daemon.release.shelf import ReleaseError
+
+    configuration = read_configuration(config_path)
+    try:
+        shelf = shelf_of(configuration)
+        active = shelf.active()
+    except ReleaseError as error:
+        refuse(str(error))
+    records, waiting = shelf.records(), proposals(configuration)
+    number = active.number if active is not None else None
+    write_json(
+        json_path,
+        {
+            "active": number,
+            "releases": [record.model_dump(mode="json") for record in records],
+            "proposals": [
+                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "obstacle": p.obstacle}
+                for p in waiting
+            ],
+        },
+    )
+    if json_path is not None:
+        return
+    for record in records:
+        mark = "*" if record.number == number else " "
+        click.echo(
+            f"{mark} {record.number:4d}  {record.released}  {record.action:8}  {record.model_id}  "
+            f"{record.sha256[:12]}  {record.person}  {record.note}".rstrip()
+        )
+    if not records:
+        click.echo("no model has been released")
+    for proposal in waiting:
+        click.echo(
+            f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.obstacle}".rstrip()
+        )
