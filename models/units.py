@@ -1,7 +1,11 @@
 """The only place where units are converted."""
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
+
+Length = TypeVar("Length", float, npt.NDArray[np.float64])
 
 TMP102_DEGC_PER_LSB = 0.0625
 """Resolution of the TMP102 (12 and 13 bit) [degC]."""
@@ -18,6 +22,16 @@ def mm_from_um(um: float) -> float:
 def um_from_mm(mm: float) -> float:
     """Return millimetres [mm] as micrometres [um]."""
     return mm * 1e3
+
+
+def mm_from_m(metres: Length) -> Length:
+    """Return metres [m] as millimetres [mm]; a number or an array."""
+    return metres * 1e3
+
+
+def m_from_mm(millimetres: Length) -> Length:
+    """Return millimetres [mm] as metres [m]; a number or an array."""
+    return millimetres * 1e-3
 
 
 def degc_from_kelvin(kelvin: float) -> float:

@@ -1,0 +1,147 @@
+"""A milling case for stability lobes: tool, engagement, cutting coefficients, structure (YAML)."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from config.loader import load_yaml_model, with_absolute_paths
+from config.schema.base import KeyPath, KeyProblems, Section
+from models.stability.cutting_coefficients import MATERIALS
+from models.stability.errors import StabilityError
+from models.stability.milling import Cut, MillingMode, engagement_rad
+
+ALL_DIRECTIONS = "all"
+
+
+class ModeCase(Section):
+    """One mode: frequency, damping, and one of mass, stiffness and residue."""
+
+    frequency_hz: float = Field(gt=0, description="undamped natural frequency [Hz]")
+    damping_ratio: float = Field(gt=0, lt=1, description="share of critical damping")
+    mass_kg: float | None = Field(None, gt=0, description="modal mass [kg]")
+    stiffness_n_per_m: float | None = Field(None, gt=0, description="modal stiffness [N/m]")
+    residue: list[float] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="[re, im] of r in H(s) = sum of r/(s-p) + conjugate, p = -zeta w + j w sqrt(1-zeta^2) [m/(N s)]",
+    )
+
+    @model_validator(mode="after")
+    def _one_size(self) -> Self:
+        given = [name for name in ("mass_kg", "stiffness_n_per_m", "residue") if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none"
+            raise KeyProblems([((), f"give one of mass_kg, stiffness_n_per_m and residue, not {found}")])
+        if self.residue is not None and not any(self.residue):
+            raise KeyProblems([(("residue",), "a residue of [0, 0] is no mode; remove the mode")])
+        return self
+
+
+class DirectionCase(Section):
+    """What the tool point does in one direction: modes, or a file with an FRF."""
+
+    modes: list[ModeCase] | None = Field(None, min_length=1, description="the modes of this direction")
+    frf: Path | None = Field(
+        None, description="CSV file with frequency_hz,receptance_re,receptance_im [m/N]; relative to this file's folder"
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if (self.modes is None) == (self.frf is None):
+            raise KeyProblems([((), "give either modes or frf; a direction that does not move is `rigid`")])
+        return self
+
+
+def _form(value: Any) -> str:
+    return "rigid" if isinstance(value, str) else "direction"
+
+
+Direction = Annotated[
+    Annotated[Literal["rigid"], Tag("rigid")] | Annotated[DirectionCase, Tag("direction")],
+    Discriminator(_form),
+]
+
+
+def _feed_form(value: Any) -> str:
+    return "all" if isinstance(value, str) else "angle"
+
+
+Feed = Annotated[
+    Annotated[Literal["all"], Tag("all")] | Annotated[float, Tag("angle")],
+    Discriminator(_feed_form),
+]
+
+
+class StabilityCase(Section):
+    """Tool, engagement, cutting coefficients and structure of one milling operation."""
+
+    teeth: int = Field(ge=1, le=100, description="number of teeth, evenly pitched")
+    diameter_mm: float = Field(gt=0, description="diameter of the tool [mm]")
+    radial_depth_mm: float | None = Field(
+        None, gt=0, description="radial depth of cut a_e [mm]; the diameter where milling is slot"
+    )
+    milling: Literal["up", "down", "slot"] = Field(description="up: against the feed; down: climb milling; slot")
+    kt_n_per_m2: float | None = Field(None, gt=0, description="tangential cutting coefficient K_tc [N/m^2]")
+    kr_ratio: float | None = Field(None, ge=0, description="radial over tangential coefficient K_rc / K_tc")
+    material: str | None = Field(None, description="a material with known coefficients, instead of the two above")
+    x: Direction = Field(description="tool point in the machine's X: modes, frf, or rigid")
+    y: Direction = Field(description="tool point in the machine's Y: modes, frf, or rigid")
+    xy: Direction = Field("rigid", description="displacement in X per force in Y; rigid: none")
+    yx: Direction = Field("rigid", description="displacement in Y per force in X; rigid: none")
+    feed_deg: Feed = Field(
+        0.0, description="direction of the feed against X [deg], or all: at each speed the worst of all directions"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems: list[tuple[KeyPath, str]] = []
+        if self.milling != "slot" and self.radial_depth_mm is None:
+            problems.append((("milling",), "up- and down-milling need radial_depth_mm"))
+        else:
+            try:
+                engagement_rad(MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm)
+            except StabilityError as error:
+                problems.append((("radial_depth_mm",), str(error)))
+        by_name = self.material is not None
+        by_value = (self.kt_n_per_m2 is not None, self.kr_ratio is not None)
+        if by_name and any(by_value):
+            problems.append((("material",), "give the material or kt_n_per_m2 and kr_ratio, not both"))
+        elif not by_name and not all(by_value):
+            problems.append(((), "give kt_n_per_m2 and kr_ratio, or a material that is known"))
+        elif by_name and self.material not in MATERIALS:
+            problems.append((("material",), f"{self.material!r} is not known; known are {', '.join(MATERIALS)}"))
+        if self.x == "rigid" and self.y == "rigid":
+            problems.append((("x",), "x and y are both rigid, so nothing can chatter; give modes or frf for one"))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    def cut(self) -> Cut:
+        """Return engagement and coefficients."""
+        start_rad, exit_rad = engagement_rad(
+            MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm
+        )
+        if self.material is not None:
+            known = MATERIALS[self.material]
+            tangential, ratio = known.tangential_n_per_m2, known.radial_ratio
+        else:
+            assert self.kt_n_per_m2 is not None
+            assert self.kr_ratio is not None
+            tangential, ratio = self.kt_n_per_m2, self.kr_ratio
+        return Cut(
+            teeth=self.teeth,
+            start_rad=start_rad,
+            exit_rad=exit_rad,
+            tangential_n_per_m2=tangential,
+            radial_ratio=ratio,
+        )
+
+
+def load_stability_case(path: Path) -> StabilityCase:
+    """Read a case; relative paths in it start at the file's own folder. Raises ConfigurationError."""
+    return with_absolute_paths(load_yaml_model(path, StabilityCase), path.resolve().parent)
+
+
+__all__ = ["ALL_DIRECTIONS", "DirectionCase", "ModeCase", "StabilityCase", "load_stability_case"]

@@ -1,0 +1,1 @@
+"""Stability cases and recordings from files, and pictures of the results."""

@@ -1,0 +1,77 @@
+"""A stability case with its FRF files -> the structure at the tool point."""
+
+import numpy as np
+
+from config.stability_case import DirectionCase, ModeCase, StabilityCase
+from drivers.frf_csv import FrequencyResponse, read_frf_csv
+from models.stability.errors import StabilityError
+from models.stability.response import (
+    ModalResponse,
+    Mode,
+    SampledResponse,
+    ToolPointResponse,
+    modal_receptance,
+    mode_from_mass,
+    mode_from_residue,
+    mode_from_stiffness,
+)
+
+PLACES = {"x": (0, 0), "xy": (0, 1), "yx": (1, 0), "y": (1, 1)}
+"""Key of a case -> row and column of the receptance matrix."""
+
+
+def response_of(case: StabilityCase) -> ToolPointResponse:
+    """Return the structure of a case: modes, or samples as soon as one direction is an FRF.
+
+    Raises
+    ------
+    FrfFileError
+        For a file that is no FRF.
+    StabilityError
+        When two FRFs have different frequencies.
+
+    """
+    directions = {name: direction for name in PLACES if isinstance(direction := getattr(case, name), DirectionCase)}
+    files = {name: read_frf_csv(direction.frf) for name, direction in directions.items() if direction.frf is not None}
+    modes = {name: _modes(direction) for name, direction in directions.items() if direction.frf is None}
+    if not files:
+        return modal_response(modes)
+    frequency_hz = _common_frequencies(case, files)
+    receptance = np.zeros((len(frequency_hz), 2, 2), dtype=np.complex128)
+    for name, (row, column) in PLACES.items():
+        if name in files:
+            receptance[:, row, column] = files[name].receptance_m_per_n
+        elif name in modes:
+            receptance[:, row, column] = modal_receptance(modes[name], frequency_hz)
+    return SampledResponse(frequency_hz=frequency_hz, receptance=receptance)
+
+
+def modal_response(modes: dict[str, tuple[Mode, ...]]) -> ModalResponse:
+    """Return the modes of the keys x, y, xy and yx as a structure."""
+    return ModalResponse(xx=modes.get("x", ()), yy=modes.get("y", ()), xy=modes.get("xy", ()), yx=modes.get("yx", ()))
+
+
+def _modes(direction: DirectionCase) -> tuple[Mode, ...]:
+    return tuple(_mode(mode) for mode in direction.modes or ())
+
+
+def _mode(mode: ModeCase) -> Mode:
+    if mode.mass_kg is not None:
+        return mode_from_mass(mode.frequency_hz, mode.damping_ratio, mode.mass_kg)
+    if mode.stiffness_n_per_m is not None:
+        return mode_from_stiffness(mode.frequency_hz, mode.damping_ratio, mode.stiffness_n_per_m)
+    assert mode.residue is not None
+    return mode_from_residue(mode.frequency_hz, mode.damping_ratio, complex(*mode.residue))
+
+
+def _common_frequencies(case: StabilityCase, files: dict[str, FrequencyResponse]) -> np.ndarray:
+    (first, *others) = files
+    frequency_hz = files[first].frequency_hz
+    for name in others:
+        other = files[name].frequency_hz
+        if len(other) != len(frequency_hz) or not np.allclose(other, frequency_hz, rtol=1e-9, atol=1e-9):
+            paths = [getattr(case, key).frf for key in (first, name)]
+            raise StabilityError(
+                f"{paths[0]} and {paths[1]} have different frequencies; export both FRFs with the same lines"
+            )
+    return frequency_hz

@@ -1,0 +1,323 @@
+"""Stability lobes by the zeroth-order solution (equations 5-2 to 5-8 of the source).
+
+With lambda an eigenvalue of [a][H(j w_c)], Lambda = -1/lambda, and 5-6 to 5-8 become
+``depth = 1 / (K_tc Re lambda)``, ``eps = 2 atan2(Re lambda, -Im lambda)`` and
+``speed = 60 w_c / (n_T (2 pi k + eps))``; only Re lambda > 0 gives a depth.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray
+from models.stability.errors import StabilityError
+from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
+from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, in_feed_axes
+from models.units import mm_from_m
+
+ZOOM_POINTS = 33
+ZOOM_ROUNDS = 4
+RISE_BETWEEN_SAMPLES = 1.1
+"""A peak between samples is at most this much higher than its highest sample."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LobeMinimum:
+    """The lowest point of the lobes within a range of speeds."""
+
+    speed_rpm: float
+    depth_mm: float
+    chatter_hz: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StabilityLobes:
+    """The lower envelope of all lobes over spindle speed."""
+
+    speed_rpm: FloatArray
+    """Ascending and evenly spaced [1/min], shape (n,)."""
+    limiting_depth_mm: FloatArray
+    """Axial depth up to which the cut is stable [mm], shape (n,); inf where no lobe limits it."""
+    chatter_hz: FloatArray
+    """Frequency of the chatter at that depth [Hz], shape (n,); NaN where no lobe limits it."""
+    minimum: LobeMinimum
+    """Of the lobes themselves within the range of speeds, not of the sampled speeds."""
+    feed_deg: float
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Branch:
+    """One eigenvalue followed over frequency."""
+
+    frequency_hz: FloatArray
+    eigenvalue: ComplexArray
+
+
+def zeroth_order_lobes(
+    response: ToolPointResponse,
+    cut: Cut,
+    *,
+    from_rpm: float,
+    to_rpm: float,
+    points: int,
+    feed_deg: float = 0.0,
+) -> StabilityLobes:
+    """Return the lobes between two spindle speeds.
+
+    Parameters
+    ----------
+    response
+        Receptance at the tool point in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    from_rpm, to_rpm
+        Range of speeds [1/min].
+    points
+        Number of evenly spaced speeds.
+    feed_deg
+        Direction of the feed against X [deg].
+
+    Returns
+    -------
+    StabilityLobes
+        The lower envelope and its exact minimum.
+
+    Raises
+    ------
+    StabilityError
+        When the range is none, the FRF does not cover the tooth-passing band, or nothing can chatter.
+
+    """
+    if not 0.0 < from_rpm < to_rpm or points < 2:
+        raise StabilityError(
+            f"{points} points from {from_rpm:g} to {to_rpm:g} 1/min are no range; "
+            "give at least 2 points and a first speed above 0 and below the last"
+        )
+    warnings = check_band(response, cut.teeth, from_rpm, to_rpm)
+    frequency_hz = response.frequencies_hz(tooth_passing_hz(to_rpm, cut.teeth))
+    branches = _branches(response, cut, frequency_hz, feed_deg)
+    if not any(bool(np.any(branch.eigenvalue.real > 0.0)) for branch in branches):
+        raise StabilityError("no frequency of this response can chatter; is the FRF a receptance in m/N?")
+    speed_rpm = np.linspace(from_rpm, to_rpm, points)
+    depth_m, chatter_hz = _envelope(branches, cut, speed_rpm)
+    minimum, at_edge = _minimum(response, cut, branches, feed_deg, (from_rpm, to_rpm))
+    if at_edge:
+        warnings += (
+            f"the lowest depth lies at the edge of the FRF ({minimum.chatter_hz:g} Hz); "
+            "a wider band may show a lower one",
+        )
+    return StabilityLobes(
+        speed_rpm=speed_rpm,
+        limiting_depth_mm=mm_from_m(depth_m),
+        chatter_hz=chatter_hz,
+        minimum=minimum,
+        feed_deg=feed_deg,
+        warnings=warnings,
+    )
+
+
+def lowest_over_feed_directions(
+    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int, step_deg: float = 15.0
+) -> StabilityLobes:
+    """Return, at each speed, the lowest lobes over all feed directions.
+
+    `feed_deg` of the result is the direction with the lowest minimum. Opposite directions are
+    equal. Parameters and errors are those of `zeroth_order_lobes`; `step_deg` [deg] divides 180.
+    """
+    each = [
+        zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=float(feed_deg))
+        for feed_deg in np.arange(0.0, 180.0, step_deg)
+    ]
+    depths = np.array([lobes.limiting_depth_mm for lobes in each])
+    chosen = np.argmin(depths, axis=0)
+    columns = np.arange(points)
+    lowest = min(each, key=lambda lobes: lobes.minimum.depth_mm)
+    return StabilityLobes(
+        speed_rpm=each[0].speed_rpm,
+        limiting_depth_mm=depths[chosen, columns],
+        chatter_hz=np.array([lobes.chatter_hz for lobes in each])[chosen, columns],
+        minimum=lowest.minimum,
+        feed_deg=lowest.feed_deg,
+        warnings=tuple(dict.fromkeys(text for lobes in each for text in lobes.warnings)),
+    )
+
+
+def check_band(response: ToolPointResponse, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
+    """Return warnings about a sampled FRF's band.
+
+    Raises
+    ------
+    StabilityError
+        When the FRF ends below the highest tooth-passing frequency or begins above it.
+
+    """
+    if not isinstance(response, SampledResponse):
+        return ()
+    low, high = float(response.frequency_hz[0]), float(response.frequency_hz[-1])
+    first, last = tooth_passing_hz(from_rpm, teeth), tooth_passing_hz(to_rpm, teeth)
+    if high < last or low > last:
+        raise StabilityError(
+            f"the FRF covers {low:g} to {high:g} Hz, but {teeth} teeth at {from_rpm:g} to {to_rpm:g} 1/min pass at "
+            f"{first:g} to {last:g} Hz; measure or model the FRF over that band, or narrow the range of speeds"
+        )
+    if low > first:
+        return (
+            f"the FRF begins at {low:g} Hz, above the lowest tooth-passing frequency of {first:g} Hz: "
+            "a resonance below it would not be seen",
+        )
+    return ()
+
+
+def _branches(
+    response: ToolPointResponse, cut: Cut, frequency_hz: FloatArray, feed_deg: float
+) -> tuple[_Branch, _Branch]:
+    eigenvalues = _eigenvalues(response.receptance_m_per_n(frequency_hz), cut, feed_deg)
+    followed = _followed(eigenvalues)
+    return (
+        _Branch(frequency_hz=frequency_hz, eigenvalue=followed[:, 0]),
+        _Branch(frequency_hz=frequency_hz, eigenvalue=followed[:, 1]),
+    )
+
+
+def _eigenvalues(receptance: ComplexArray, cut: Cut, feed_deg: float) -> ComplexArray:
+    """Return both eigenvalues of [a][H], shape (n, 2) [m/N]."""
+    product = mean_directional_matrix(cut) @ in_feed_axes(receptance, feed_deg)
+    half_trace = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
+    determinant = product[:, 0, 0] * product[:, 1, 1] - product[:, 0, 1] * product[:, 1, 0]
+    root = np.sqrt(half_trace**2 - determinant)
+    first = np.where(np.abs(half_trace + root) >= np.abs(half_trace - root), half_trace + root, half_trace - root)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        second = np.where(first == 0.0, 0.0, determinant / first)
+    return np.stack((first, second), axis=1)
+
+
+def _followed(eigenvalues: ComplexArray) -> ComplexArray:
+    """Return the eigenvalues with each column continuous over the rows."""
+    before, after = eigenvalues[:-1], eigenvalues[1:]
+    straight = np.abs(after - before).sum(axis=1)
+    crossed = np.abs(after[:, ::-1] - before).sum(axis=1)
+    swapped = np.concatenate(([0], np.cumsum(crossed < straight) % 2)).astype(bool)
+    return np.where(swapped[:, None], eigenvalues[:, ::-1], eigenvalues)
+
+
+def _cycles(eigenvalue: ComplexArray) -> FloatArray:
+    """Return eps / 2 pi of 5-7, in 0 to 1."""
+    cycles: FloatArray = np.arctan2(eigenvalue.real, -eigenvalue.imag) / math.pi
+    return cycles
+
+
+def _envelope(branches: tuple[_Branch, ...], cut: Cut, speed_rpm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest depth [m] and its frequency [Hz] at evenly spaced speeds."""
+    columns, depths, frequencies = [], [], []
+    for branch in branches:
+        column, depth, frequency = _crossings(branch, cut, speed_rpm)
+        columns.append(column)
+        depths.append(depth)
+        frequencies.append(frequency)
+    column, depth, frequency = np.concatenate(columns), np.concatenate(depths), np.concatenate(frequencies)
+    deepest_first = np.argsort(-depth, kind="stable")
+    lowest = np.full(len(speed_rpm), np.inf)
+    chatter = np.full(len(speed_rpm), np.nan)
+    lowest[column[deepest_first]] = depth[deepest_first]
+    chatter[column[deepest_first]] = frequency[deepest_first]
+    return lowest, chatter
+
+
+def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.ndarray, FloatArray, FloatArray]:
+    """Return where the lobes of one branch cross the speeds: index of the speed, depth [m], frequency [Hz]."""
+    positive = branch.eigenvalue.real > 0.0
+    pairs = np.flatnonzero(positive[:-1] & positive[1:])
+    cycles = np.where(positive, _cycles(branch.eigenvalue), 0.5)
+    highest_lobe = int(60.0 * branch.frequency_hz[-1] / (cut.teeth * speed_rpm[0]))
+    numbers = np.arange(highest_lobe + 1.0)[:, None]
+    spacing = speed_rpm[1] - speed_rpm[0]
+    with np.errstate(divide="ignore"):
+        place = (60.0 * branch.frequency_hz / cut.teeth / (numbers + cycles) - speed_rpm[0]) / spacing
+        depth = 1.0 / (cut.tangential_n_per_m2 * branch.eigenvalue.real)
+    start, end = place[:, pairs], place[:, pairs + 1]
+    first = np.maximum(np.ceil(np.minimum(start, end)), 0.0)
+    last = np.minimum(np.floor(np.maximum(start, end)), len(speed_rpm) - 1.0)
+    lobe, segment = np.nonzero(first <= last)
+    count = (last[lobe, segment] - first[lobe, segment] + 1.0).astype(np.intp)
+    offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    column = np.repeat(first[lobe, segment].astype(np.intp), count) + offset
+    begin, width = np.repeat(start[lobe, segment], count), np.repeat((end - start)[lobe, segment], count)
+    fraction = np.divide(column - begin, width, out=np.zeros(len(column)), where=width != 0.0)
+    left = np.repeat(pairs[segment], count)
+    return (
+        column,
+        depth[left] + fraction * (depth[left + 1] - depth[left]),
+        branch.frequency_hz[left] + fraction * (branch.frequency_hz[left + 1] - branch.frequency_hz[left]),
+    )
+
+
+def _minimum(
+    response: ToolPointResponse,
+    cut: Cut,
+    branches: tuple[_Branch, ...],
+    feed_deg: float,
+    range_rpm: tuple[float, float],
+) -> tuple[LobeMinimum, bool]:
+    """Return the lowest point within a range, and whether it lies at the end of the frequencies."""
+    found: list[tuple[LobeMinimum, bool]] = []
+    peaks = [(branch, peak) for branch in branches for peak in _peaks(branch)]
+    peaks.sort(key=lambda pair: -float(pair[0].eigenvalue[pair[1]].real))
+    highest = 0.0
+    for branch, peak in peaks:
+        if branch.eigenvalue[peak].real * RISE_BETWEEN_SAMPLES < highest:
+            break
+        frequency_hz, eigenvalue = _refined(response, cut, branch, feed_deg, peak)
+        speed_rpm = _fastest_lobe_rpm(frequency_hz, eigenvalue, cut.teeth, range_rpm)
+        if speed_rpm is not None:
+            highest = max(highest, eigenvalue.real)
+            depth_mm = mm_from_m(1.0 / (cut.tangential_n_per_m2 * eigenvalue.real))
+            place = LobeMinimum(speed_rpm=speed_rpm, depth_mm=depth_mm, chatter_hz=frequency_hz)
+            found.append((place, peak in (0, len(branch.frequency_hz) - 1)))
+    ends = np.array(range_rpm)
+    for speed, depth, chatter in zip(ends, *_envelope(branches, cut, ends), strict=True):
+        if np.isfinite(depth):
+            place = LobeMinimum(speed_rpm=float(speed), depth_mm=mm_from_m(float(depth)), chatter_hz=float(chatter))
+            found.append((place, False))
+    if not found:
+        raise StabilityError(
+            f"no lobe reaches {range_rpm[0]:g} to {range_rpm[1]:g} 1/min with this response; widen the range of "
+            "speeds or the FRF's band"
+        )
+    return min(found, key=lambda pair: pair[0].depth_mm)
+
+
+def _peaks(branch: _Branch) -> list[int]:
+    """Return the samples where the real part is positive and largest among its neighbours."""
+    real = np.concatenate(([-np.inf], branch.eigenvalue.real, [-np.inf]))
+    return [int(i) for i in np.flatnonzero((real[1:-1] > 0.0) & (real[1:-1] >= real[:-2]) & (real[1:-1] > real[2:]))]
+
+
+def _refined(
+    response: ToolPointResponse, cut: Cut, branch: _Branch, feed_deg: float, peak: int
+) -> tuple[float, complex]:
+    """Return frequency [Hz] and eigenvalue [m/N] where the real part is largest, near one sample."""
+    last = len(branch.frequency_hz) - 1
+    low, high = branch.frequency_hz[max(peak - 1, 0)], branch.frequency_hz[min(peak + 1, last)]
+    best_hz, best = float(branch.frequency_hz[peak]), complex(branch.eigenvalue[peak])
+    for _ in range(ZOOM_ROUNDS):
+        trial_hz = np.linspace(low, high, ZOOM_POINTS)
+        both = _eigenvalues(response.receptance_m_per_n(trial_hz), cut, feed_deg)
+        nearer = np.argmin(np.abs(both - best), axis=1)
+        values = both[np.arange(ZOOM_POINTS), nearer]
+        top = int(np.argmax(values.real))
+        if values[top].real > best.real:
+            best_hz, best = float(trial_hz[top]), complex(values[top])
+        low, high = trial_hz[max(top - 1, 0)], trial_hz[min(top + 1, ZOOM_POINTS - 1)]
+    return best_hz, best
+
+
+def _fastest_lobe_rpm(
+    frequency_hz: float, eigenvalue: complex, teeth: int, range_rpm: tuple[float, float]
+) -> float | None:
+    """Return the highest speed within a range at which a lobe has this frequency (5-8)."""
+    cycles = math.atan2(eigenvalue.real, -eigenvalue.imag) / math.pi
+    number = max(math.ceil(60.0 * frequency_hz / (teeth * range_rpm[1]) - cycles - 1e-12), 0)
+    speed_rpm = 60.0 * frequency_hz / (teeth * (number + cycles))
+    return speed_rpm if range_rpm[0] <= speed_rpm <= range_rpm[1] * (1.0 + 1e-12) else None

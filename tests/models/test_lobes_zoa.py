@@ -1,0 +1,149 @@
+"""The zeroth-order lobes against brute force, and what they refuse."""
+
+import math
+
+import numpy as np
+import pytest
+
+from models.stability.errors import StabilityError
+from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.milling import (
+    Cut,
+    MillingMode,
+    directional_matrix,
+    engagement_rad,
+    mean_directional_matrix,
+)
+from models.stability.response import (
+    ModalResponse,
+    SampledResponse,
+    feed_rotation,
+    mode_from_mass,
+    mode_from_residue,
+    mode_from_stiffness,
+)
+
+SLOT = Cut(teeth=4, start_rad=0.0, exit_rad=math.pi, tangential_n_per_m2=2.2e8, radial_ratio=0.3)
+TWO = ModalResponse(
+    xx=(mode_from_stiffness(664.0, 0.03, 6e6), mode_from_stiffness(1500.0, 0.02, 2e7)),
+    yy=(mode_from_stiffness(601.0, 0.025, 4e6),),
+    xy=(mode_from_residue(640.0, 0.03, 1e-6 - 3e-6j),),
+    yx=(mode_from_residue(640.0, 0.03, 1e-6 - 3e-6j),),
+)
+
+
+def down(radial_depth_mm: float = 1.0) -> Cut:
+    start_rad, exit_rad = engagement_rad(MillingMode.DOWN, radial_depth_mm, 10.0)
+    return Cut(teeth=4, start_rad=start_rad, exit_rad=exit_rad, tangential_n_per_m2=2.2e8, radial_ratio=0.3)
+
+
+def characteristic(cut: Cut, speed_rpm: float, depth_m: float, frequency_hz: np.ndarray, feed_deg: float) -> np.ndarray:
+    """det(I - 1/2 depth K (1 - exp(-j w T)) [a][H]): zero on the boundary."""
+    turn = feed_rotation(feed_deg)
+    receptance = turn @ TWO.receptance_m_per_n(frequency_hz) @ turn.T
+    delay_s = 60.0 / (cut.teeth * speed_rpm)
+    gain = 0.5 * depth_m * cut.tangential_n_per_m2 * (1.0 - np.exp(-2j * np.pi * frequency_hz * delay_s))
+    return np.linalg.det(np.eye(2) - gain[:, None, None] * (mean_directional_matrix(cut) @ receptance))
+
+
+@pytest.mark.parametrize("feed_deg", [0.0, 35.0])
+@pytest.mark.parametrize("cut", [SLOT, down()])
+def test_every_limit_solves_the_characteristic_equation(cut: Cut, feed_deg: float) -> None:
+    lobes = zeroth_order_lobes(TWO, cut, from_rpm=2000.0, to_rpm=14000.0, points=61, feed_deg=feed_deg)
+    assert np.all(np.isfinite(lobes.limiting_depth_mm))
+    for speed, depth, chatter in zip(lobes.speed_rpm, lobes.limiting_depth_mm, lobes.chatter_hz, strict=True):
+        near = np.linspace(chatter * 0.998, chatter * 1.002, 401)
+        value = min(
+            np.abs(characteristic(cut, speed, depth * 1e-3 * factor, near, feed_deg)).min()
+            for factor in np.linspace(0.99, 1.01, 21)
+        )
+        assert value < 0.02, (speed, depth, chatter)
+
+
+def encirclements(cut: Cut, speed_rpm: float, depth_m: float) -> int:
+    """Nyquist: unstable poles of the averaged loop, from the turns of the determinant along the axis."""
+    frequency_hz = np.linspace(0.5, 6000.0, 120_000)
+    phase = np.unwrap(np.angle(characteristic(cut, speed_rpm, depth_m, frequency_hz, 0.0)))
+    return round(-(phase[-1] - phase[0]) / math.pi)
+
+
+@pytest.mark.parametrize("speed_rpm", [3100.0, 5200.0, 9000.0, 9800.0, 12500.0])
+@pytest.mark.parametrize("cut", [SLOT, down()])
+def test_the_envelope_parts_stable_from_unstable(cut: Cut, speed_rpm: float) -> None:
+    lobes = zeroth_order_lobes(TWO, cut, from_rpm=speed_rpm, to_rpm=14001.0, points=3)
+    limit_m = lobes.limiting_depth_mm[0] * 1e-3
+    assert encirclements(cut, speed_rpm, 0.97 * limit_m) == 0
+    assert encirclements(cut, speed_rpm, 1.03 * limit_m) > 0
+
+
+def test_mean_of_the_periodic_matrix_is_half_the_mean_matrix() -> None:
+    for cut in (SLOT, down(3.0)):
+        angles = (np.arange(200_000) + 0.5) / 200_000 * 2.0 * math.pi
+        mean = directional_matrix(cut, angles).mean(axis=0)
+        assert np.allclose(mean, mean_directional_matrix(cut) / 2.0, atol=1e-4)
+
+
+def test_minimum_within_a_range_that_no_bottom_touches_lies_at_an_end() -> None:
+    whole = zeroth_order_lobes(TWO, SLOT, from_rpm=2000.0, to_rpm=14000.0, points=2001)
+    deepest = int(np.argmax(whole.limiting_depth_mm))
+    first, last = whole.speed_rpm[deepest - 5], whole.speed_rpm[deepest - 1]
+    part = zeroth_order_lobes(TWO, SLOT, from_rpm=first, to_rpm=last, points=50)
+    assert part.minimum.speed_rpm == pytest.approx(first)
+    assert part.minimum.depth_mm == pytest.approx(whole.limiting_depth_mm[deepest - 5], rel=1e-3)
+
+
+def test_lowest_over_feed_directions_is_below_each() -> None:
+    lowest = lowest_over_feed_directions(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100)
+    for feed_deg in (0.0, 45.0, 90.0, 225.0):
+        one = zeroth_order_lobes(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100, feed_deg=feed_deg)
+        assert np.all(lowest.limiting_depth_mm <= one.limiting_depth_mm * (1.0 + 1e-9))
+        assert lowest.minimum.depth_mm <= one.minimum.depth_mm * (1.0 + 1e-9)
+
+
+def test_turning_the_machine_and_the_feed_together_changes_nothing() -> None:
+    turned = ModalResponse(xx=TWO.yy, yy=TWO.xx)
+    straight = ModalResponse(xx=TWO.xx, yy=TWO.yy)
+    one = zeroth_order_lobes(straight, down(), from_rpm=4000.0, to_rpm=9000.0, points=50, feed_deg=90.0)
+    other = zeroth_order_lobes(turned, down(), from_rpm=4000.0, to_rpm=9000.0, points=50, feed_deg=0.0)
+    assert one.limiting_depth_mm == pytest.approx(other.limiting_depth_mm)
+
+
+def test_samples_between_lines_follow_the_modes() -> None:
+    lines = np.arange(300.0, 2500.0, 0.78125)
+    sampled = SampledResponse(frequency_hz=lines, receptance=TWO.receptance_m_per_n(lines))
+    between = np.linspace(400.0, 2400.0, 5000)
+    expected = TWO.receptance_m_per_n(between)
+    assert np.abs(sampled.receptance_m_per_n(between) - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_residue_mass_and_stiffness_describe_the_same_mode() -> None:
+    lines = np.linspace(10.0, 3000.0, 500)
+    angular = 2.0 * math.pi * 922.0
+    residue = 1.0 / (2j * 0.04 * angular * math.sqrt(1.0 - 0.02**2))
+    modes = (
+        mode_from_mass(922.0, 0.02, 0.04),
+        mode_from_stiffness(922.0, 0.02, 0.04 * angular**2),
+        mode_from_residue(922.0, 0.02, residue),
+    )
+    first, *others = (ModalResponse(xx=(mode,)).receptance_m_per_n(lines) for mode in modes)
+    for other in others:
+        assert other == pytest.approx(first, rel=1e-12)
+
+
+def test_refusals_say_what_to_do() -> None:
+    lines = np.linspace(300.0, 700.0, 500)
+    narrow = SampledResponse(frequency_hz=lines, receptance=TWO.receptance_m_per_n(lines))
+    with pytest.raises(StabilityError, match=r"covers 300 to 700 Hz.*133.*to 933"):
+        zeroth_order_lobes(narrow, SLOT, from_rpm=2000.0, to_rpm=14000.0, points=10)
+    warned = zeroth_order_lobes(narrow, SLOT, from_rpm=2000.0, to_rpm=10000.0, points=10)
+    assert any("begins at 300 Hz" in warning for warning in warned.warnings)
+    with pytest.raises(StabilityError, match="rigid"):
+        zeroth_order_lobes(ModalResponse(), SLOT, from_rpm=2000.0, to_rpm=10000.0, points=10)
+    with pytest.raises(StabilityError, match="no range"):
+        zeroth_order_lobes(TWO, SLOT, from_rpm=9000.0, to_rpm=2000.0, points=10)
+    with pytest.raises(StabilityError, match="radial depth 11 mm"):
+        engagement_rad(MillingMode.UP, 11.0, 10.0)
+    with pytest.raises(StabilityError, match="slot is as wide"):
+        engagement_rad(MillingMode.SLOT, 5.0, 10.0)
+    with pytest.raises(StabilityError, match="die away"):
+        mode_from_mass(600.0, -0.01, 1.0)
