@@ -1,10 +1,11 @@
 """Where the time of every cycle goes, and what else Prometheus should see."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-import numpy as np
+import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
+from daemon.delays import PUBLISHED_DELAY_S, PUBLISHED_NOTE, CycleDelays, DelaySeries, LineTiming
 from models.records import (
     CompensationCommand,
     FloatArray,
@@ -14,49 +15,49 @@ from models.records import (
     Trace,
 )
 
-DELAY_BUCKETS_S = (0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0)
-KEPT_DELAYS = 32768
-"""As many of the latest delays are kept for percentiles."""
-PUBLISHED_DELAY_S = {"measurement": 20.0, "feedback": 1.2, "total": 24.7}
-"""Means published for the source's chain (measurement: more than); another rig, with database polling."""
+log = structlog.get_logger(__name__)
 
-
-class DelaySeries:
-    """The latest delays of one kind, for percentiles."""
-
-    def __init__(self) -> None:
-        self._values = np.zeros(KEPT_DELAYS)
-        self._count = 0
-
-    def add(self, delay_s: float) -> None:
-        self._values[self._count % KEPT_DELAYS] = delay_s
-        self._count += 1
-
-    def summary(self) -> dict[str, float | int | None]:
-        """Return mean, percentiles and maximum [s]; None without samples."""
-        known = self._values[: min(self._count, KEPT_DELAYS)]
-        if not known.size:
-            return {"mean": None, "p50": None, "p99": None, "p999": None, "max": None, "samples": 0}
-        p50, p99, p999 = np.percentile(known, [50, 99, 99.9])
-        return {
-            "mean": float(known.mean()),
-            "p50": float(p50),
-            "p99": float(p99),
-            "p999": float(p999),
-            "max": float(known.max()),
-            "samples": self._count,
-        }
+DELAY_BUCKETS_S = (
+    0.001,
+    0.002,
+    0.003,
+    0.005,
+    0.01,
+    0.02,
+    0.05,
+    0.1,
+    0.25,
+    0.5,
+    1.0,
+    2.5,
+    5.0,
+    7.5,
+    10.0,
+    15.0,
+    25.0,
+    60.0,
+)
+ECHO_BUCKETS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
+PARTS = ("sampling_wait", "line_time", "measurement", "feedback", "total")
+LOG_PERIOD_S = 600.0
+"""Time between two lines in the log about delays [s of the wall clock]."""
 
 
 class Telemetry:
     """Metrics of one daemon, in a registry of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, timings: Mapping[str, LineTiming] | None = None, *, scaled: bool = False) -> None:
+        """Prepare the metrics; `timings` by line, `scaled` when the machine's clock is not the computer's."""
         self.registry = CollectorRegistry()
         registry = self.registry
-        self.feedback = DelaySeries()
-        self.total = DelaySeries()
-        self.line_time = DelaySeries()
+        self._cycle_delays = CycleDelays(timings or {}, scaled=scaled)
+        self.delays = {part: DelaySeries() for part in PARTS}
+        self.incomplete = {part: DelaySeries() for part in PARTS}
+        """The same of cycles in which a sensor was missing or doubled."""
+        self.echo = DelaySeries()
+        self.latest: tuple[str, Trace] | None = None
+        """Line and trace of the latest cycle that went all the way to the read-back."""
+        self._report_at_real_s: float | None = None
         self._cycles = Counter("toolpoint_cycles", "Line cycles received", ["line", "complete"], registry=registry)
         self._stage = Histogram(
             "toolpoint_stage_seconds",
@@ -67,15 +68,30 @@ class Telemetry:
         )
         self._delay = Histogram(
             "toolpoint_delay_seconds",
-            "line_time: first to last byte (machine time); feedback: last byte to read-back (wall time); "
-            "total: their sum. Published for the source's rig: 1.2 s feedback, 24.7 s total",
-            ["part"],
+            "measurement: a change at a sensor to the last byte of its cycle, that is sampling_wait (half the time "
+            "since the line's previous pass) and line_time (first to last byte), in the machine's time; feedback: "
+            "last byte to read-back, in wall time; total: their sum. "
+            f"Published {', '.join(f'{part} {value:g} s' for part, value in PUBLISHED_DELAY_S.items())}: "
+            f"{PUBLISHED_NOTE}",
+            ["part", "complete"],
             buckets=DELAY_BUCKETS_S,
+            registry=registry,
+        )
+        self._echo = Histogram(
+            "toolpoint_echo_seconds",
+            "Last byte of a cycle to the first poll that shows the written value applied in full, in the machine's "
+            "time: the wait for a safe point, to within the poll's period",
+            buckets=ECHO_BUCKETS_S,
+            registry=registry,
+        )
+        self._superseded = Counter(
+            "toolpoint_writes_superseded",
+            "Values that a newer one replaced before the guard took them",
             registry=registry,
         )
         self._published = Gauge(
             "toolpoint_published_delay_seconds",
-            "Means published for the source's chain (another rig, database polling included)",
+            f"Means of the source's chain: {PUBLISHED_NOTE}",
             ["part"],
             registry=registry,
         )
@@ -83,7 +99,7 @@ class Telemetry:
             self._published.labels(part).set(seconds)
         self._last = Gauge(
             "toolpoint_last_cycle_seconds",
-            "The latest traced cycle: wall time of each stage after its first byte",
+            "The latest traced cycle: wall time from its last byte to each stage; echoed: in the machine's time",
             ["line", "stage"],
             registry=registry,
         )
@@ -105,28 +121,86 @@ class Telemetry:
         )
         self._history_problems = Counter("toolpoint_history_problems", "Errors of the store", registry=registry)
 
+    def arrived(self, cycle: TemperatureCycle) -> None:
+        """Note a cycle before its estimate goes on."""
+        self._cycle_delays.arrived(cycle)
+
     def cycle(self, cycle: TemperatureCycle) -> None:
-        self._cycles.labels(cycle.line, "yes" if cycle.complete else "no").inc()
+        """Count a cycle that has arrived, and what the machine's side of its delay was."""
+        self._cycles.labels(cycle.line, _word(cycle.complete)).inc()
+        delay = self._cycle_delays.of(cycle.line, cycle.trace)
+        if delay is not None:
+            self._observe("sampling_wait", delay.sampling_wait_s, delay.complete)
+            self._observe("line_time", delay.line_time_s, delay.complete)
+            self._observe("measurement", delay.measurement_s, delay.complete)
 
     def stages(self, line: str, trace: Trace) -> None:
-        """Record one cycle that went all the way to the read-back."""
+        """Record one cycle that went all the way to the read-back.
+
+        An estimate that was made anew on an earlier cycle, for a new reference, carries no cleansing of its
+        own: how long it took says nothing about a cycle.
+        """
+        if trace.cleansed is None:
+            return
         last = trace.last_byte
         for stage in ("cleansed", "estimated", "written", "read_back"):
             instant = getattr(trace, stage)
             if instant is not None:
                 self._stage.labels(stage).observe(instant.real_s - last.real_s)
-                self._last.labels(line, stage).set(instant.real_s - trace.first_byte.real_s)
+                self._last.labels(line, stage).set(instant.real_s - last.real_s)
+        delay = self._cycle_delays.of(line, trace)
         if trace.read_back is None:
             return
-        line_time_s = last.monotonic_s - trace.first_byte.monotonic_s
+        self.latest = (line, trace)
         feedback_s = trace.read_back.real_s - last.real_s
-        for part, series, seconds in (
-            ("line_time", self.line_time, line_time_s),
-            ("feedback", self.feedback, feedback_s),
-            ("total", self.total, line_time_s + feedback_s),
-        ):
-            series.add(seconds)
-            self._delay.labels(part).observe(seconds)
+        self._observe("feedback", feedback_s, delay is None or delay.complete)
+        if delay is not None:
+            self._observe("total", delay.measurement_s + feedback_s, delay.complete)
+
+    def _observe(self, part: str, seconds: float, complete: bool) -> None:
+        (self.delays if complete else self.incomplete)[part].add(seconds)
+        self._delay.labels(part, _word(complete)).observe(seconds)
+
+    def echoed(self, line: str, trace: Trace) -> None:
+        """Record that the guard has applied what this cycle's estimate led to."""
+        if trace.echoed is not None:
+            seconds = trace.echoed.monotonic_s - trace.last_byte.monotonic_s
+            self.latest = (line, trace)
+            self.echo.add(seconds)
+            self._echo.observe(seconds)
+            self._last.labels(line, "echoed").set(seconds)
+
+    def superseded(self) -> None:
+        """Count a value that was replaced before the guard had applied it."""
+        self._superseded.inc()
+
+    def picture(self) -> dict[str, object]:
+        """Return every delay's percentiles [s], those of incomplete cycles apart, beside the published means."""
+        return {
+            **{part: series.summary() for part, series in self.delays.items()},
+            "echo": self.echo.summary(),
+            "incomplete": {part: series.summary() for part, series in self.incomplete.items()},
+            "published": PUBLISHED_DELAY_S,
+            "published_note": PUBLISHED_NOTE,
+        }
+
+    def report(self, real_s: float) -> None:
+        """Write the delays into the log when it is time again; the first time after one period."""
+        if self._report_at_real_s is None:
+            self._report_at_real_s = real_s + LOG_PERIOD_S
+        if real_s < self._report_at_real_s:
+            return
+        self._report_at_real_s = real_s + LOG_PERIOD_S
+        log.info(
+            "delays",
+            **{f"{part}_s": _rounded(self.delays[part]) for part in PARTS},
+            incomplete_cycles={f"{part}_s": _rounded(series) for part, series in self.incomplete.items()}
+            if self.incomplete["measurement"].summary()["samples"]
+            else 0,
+            echo_s=_rounded(self.echo),
+            published_s=PUBLISHED_DELAY_S,
+            note=PUBLISHED_NOTE,
+        )
 
     def write(self, receipt: Receipt) -> None:
         self._writes.labels(receipt.outcome.name.lower()).inc()
@@ -154,3 +228,11 @@ class Telemetry:
 
     def history_problem(self) -> None:
         self._history_problems.inc()
+
+
+def _word(complete: bool) -> str:
+    return "yes" if complete else "no"
+
+
+def _rounded(series: DelaySeries) -> dict[str, float | int | None]:
+    return {key: None if value is None else round(value, 5) for key, value in series.summary().items()}

@@ -53,7 +53,7 @@ class ThermalTask:
         history: HistoryWriter,
         telemetry: Telemetry,
         model: ThermalModel | None,
-        inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference]",
+        inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel]",
         deliver: Callable[[ThermalErrorEstimate | Reference | str], None],
     ) -> None:
         temperatures = configuration.temperatures
@@ -83,9 +83,8 @@ class ThermalTask:
         self.line_faults: dict[str, tuple[str, ...]] = {}
         self.cycles_incomplete = 0
         self.estimates = 0
-        self._model = model
-        self._order = self._model_order(model, position)
-        self._estimator = self._make_estimator(model)
+        self._position = position
+        self._use_model(model)
 
     @property
     def usable(self) -> int:
@@ -102,18 +101,26 @@ class ThermalTask:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
 
-    async def _take(self, item: TemperatureCycle | ReferenceRequest | Reference) -> None:
+    async def _take(self, item: TemperatureCycle | ReferenceRequest | Reference | ThermalModel) -> None:
         if isinstance(item, TemperatureCycle):
             await self._on_cycle(item)
+        elif isinstance(item, ThermalModel):
+            self._use_model(item)
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
             self._reference = item
 
-    def _model_order(self, model: ThermalModel | None, position: dict[int, int]) -> npt.NDArray[np.intp] | None:
+    def _use_model(self, model: ThermalModel | None) -> None:
+        """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
+        self._model = model
+        self._order = self._model_order(model)
+        self._estimator = self._make_estimator(model)
+
+    def _model_order(self, model: ThermalModel | None) -> npt.NDArray[np.intp] | None:
         if model is None:
             return None
-        return np.array([position[i] for i in model.sensor_ids])
+        return np.array([self._position[i] for i in model.sensor_ids])
 
     def _make_estimator(self, model: ThermalModel | None) -> Estimator | None:
         if model is None or self._order is None:
@@ -125,6 +132,7 @@ class ThermalTask:
         temperatures = self._cleanse(cycle)
         self.latest = temperatures
         self.cycles_received += 1
+        self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
         if renewed is not None:
             self.latest_estimate = renewed
@@ -224,5 +232,6 @@ class ThermalTask:
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:
+            first = replace(first, trace=replace(first.trace, cleansed=None))
             self.latest_estimate = first
             self._deliver(first)

@@ -42,6 +42,8 @@ class Trace:
     estimated: Instant | None = None
     written: Instant | None = None
     read_back: Instant | None = None
+    echoed: Instant | None = None
+    """First poll that showed the guard's echo at the whole written value, not on a step towards it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,6 +198,25 @@ class ThermalErrorEstimate:
 
     def __post_init__(self) -> None:
         _lock(self.thermal_error_um, self.band_um)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeSample:
+    """What a probe in the NC program measured on one axis, and what was known at that moment."""
+
+    time: Instant
+    axis: str
+    deviation_um: float
+    """Actual minus nominal with what was applied [um]."""
+    applied_um: float
+    """The guard's echo [um], NaN where it was unknown."""
+    thermal_error_um: float
+    """The estimate since the reference [um], NaN where there was none."""
+    reference_id: str | None
+    accepted: bool
+    """It corrects the estimate from now on."""
+    reason: str
+    """Why it was refused, '' when it was not."""
 
 
 class OutputState(StrEnum):

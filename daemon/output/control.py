@@ -17,6 +17,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.output.alarm import alarm_of
 from daemon.output.cnc_link import CncLink
 from daemon.output.cnc_session import CncSession
+from daemon.output.echo_watch import EchoWatch
 from daemon.output.limits import axis_sources, output_limits
 from daemon.output.permission import Permission, in_words
 from daemon.output.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
@@ -70,6 +71,7 @@ class ControlTask:
         self._link = link
         self._history = history
         self._telemetry = telemetry
+        self._echo_watch = EchoWatch(telemetry)
         self._permission = Permission(configuration, clock, commissioning, model_obstacle)
         self._resume = resume
         self._model_id = model_id
@@ -198,6 +200,7 @@ class ControlTask:
         sample = session.sample
         assert sample is not None and session.echo is not None
         self._history.cnc_sample(sample)
+        self._echo_watch.seen(session.echo, sample.time)
         if problems:
             self._raise_fault("; ".join(problems))
         self.phase = phase_of(sample, self._configuration.compensation.output.safe_sequence_numbers)
@@ -306,8 +309,10 @@ class ControlTask:
             return
         self.writes["verified"] += 1
         self.written_axes |= {axis for axis, on in zip(command.axes, command.enable, strict=True) if on}
-        if estimate is not None:
-            self._telemetry.stages(estimate.line, receipt.trace)
+        line = estimate.line if estimate is not None else None
+        self._echo_watch.wrote(receipt.trace, command, session.echo, line)
+        if line is not None:
+            self._telemetry.stages(line, receipt.trace)
 
     def _due(self, session: CncSession, command: CompensationCommand, estimate: ThermalErrorEstimate | None) -> bool:
         last = session.last_command
