@@ -35,6 +35,7 @@ from daemon.thermal import ReferenceRequest, ThermalTask
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 from models.records import Reference, TemperatureCycle
+from models.thermal.model import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -87,7 +88,7 @@ class Daemon:
         self._last_block = LastBlock.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
-        inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference] = asyncio.Queue()
+        inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel] = asyncio.Queue()
         self.control = ControlTask(
             configuration,
             clock,
@@ -129,6 +130,7 @@ class Daemon:
                 stop = asyncio.Event()
                 for number in (signal.SIGTERM, signal.SIGINT):
                     loop.add_signal_handler(number, stop.set)
+                loop.add_signal_handler(signal.SIGHUP, self.reload_model)
                 controlling = tasks.create_task(self.control.run())
                 running = [tasks.create_task(work) for work in (self.thermal.run(), *self._links())]
                 scheduler.start()
@@ -148,6 +150,24 @@ class Daemon:
             self._history.event("daemon", "stopped", "daemon")
             await asyncio.to_thread(self._history.close)
             self._last_block.close()
+
+    def reload_model(self) -> None:
+        """Take up a model that was released meanwhile; the old one stays where the new one is refused."""
+        found = load_released(self._configuration, own_account())
+        if found.model is not None and self._loaded.model is None:
+            words = f"{found.in_words()}; the daemon was started without a model: restart it to use this one"
+        elif found.model is not None and found.sha256 == self._loaded.sha256:
+            words = f"unchanged: {found.in_words()}"
+        elif found.model is not None:
+            words = found.in_words()
+            self._loaded = found
+            self.board.model = found.picture()
+            self.thermal.inbox.put_nowait(found.model)
+        else:
+            words = f"{found.in_words()}; the model in use stays"
+            self.board.model = self._loaded.picture() | {"problem": found.obstacle}
+        log.info("model.reload", outcome=words)
+        self._history.event("model", words, "daemon")
 
     # --- links ---------------------------------------------------------------------------
 

@@ -81,6 +81,11 @@ def release(
         _refuse_the_daemons_reach(configuration, shelf)
         if active is not None and active.sha256 == sha256_of(content):
             raise ReleaseError(f"{proposal}: this model is active already, as release {active.number}")
+        if twin := [r for r in shelf.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
+            raise ReleaseError(
+                f"{proposal}: release {twin[0].number} is another model of the same name {model.model_id}; audit and "
+                "history could not tell them apart: train it again, or give it another model_id"
+            )
         if by_policy:
             before = _checked_release(configuration, shelf, active)
             if obstacle := policy_obstacle(model, before, configuration):
