@@ -27,6 +27,7 @@ COMMANDS = {
     "history": "daemon.cli.history:history",
     "export": "daemon.cli.history:export",
     "thermal": "daemon.cli.thermal:thermal",
+    "model": "daemon.cli.model:model",
     "stability": "daemon.cli.stability:stability",
 }
 """Sub-command -> module:attribute."""
