@@ -46,12 +46,12 @@ def how_it_could_change(path: Path, account: Account) -> str:
     """Return how this account could change or replace a file, '' when it cannot.
 
     The file, its folder and every folder above count, on both sides of symbolic links: whoever may
-    write one of them can put another file there.
+    write one of them can put another file there. The file itself need not be there yet.
     """
     if account.user_id == 0:
         return "it runs as root, who may write everything; run it as the service's own user"
     for file in _links(path):
-        if file.is_symlink():
+        if file.is_symlink() or not file.exists():
             continue
         if how := _rights(file, account):
             return f"{file} {how}"

@@ -167,11 +167,14 @@ def _content(path: Path) -> bytes:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise ReleaseError(f"{path}: cannot be read ({error.strerror}); name the proposal's own file") from error
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(file.fileno())
+    try:
+        found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_MODEL:
             raise ReleaseError(f"{path}: is no file of a thermal model")
-        return file.read(LARGEST_MODEL)
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            return file.read(LARGEST_MODEL)
+    finally:
+        os.close(descriptor)
 
 
 def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel, list[str]]:

@@ -1,0 +1,341 @@
+"""Releasing models: what is refused, what is kept, and what the daemon believes."""
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import SENSOR_IDS, machine
+from other_user import OTHER, as_root, as_user
+
+from config.schema import Configuration
+from config.schema.compensation import ReleaseConfig
+from daemon.release.loading import load_released
+from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
+from daemon.release.releasing import proposals, release, release_by_policy, rollback, shelf_of
+from daemon.release.shelf import ReleaseError
+from models.thermal.artifact import model_to_json
+from models.thermal.model import ThermalModel, make_test_vectors
+
+STRANGER = Account(user_id=OTHER)
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder that every user may look into, below the sticky folder for temporary files."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+def model(name: str = "ridge-1", band_um: float = 2.0) -> ThermalModel:
+    count = len(SENSOR_IDS)
+    coefficients = np.vstack([np.full(count, 0.5), np.full(count, 1.0)])
+    pair = (np.full(count, 21.0), np.full(count, 20.0))
+    return ThermalModel(
+        model_id=name,
+        kind="ridge",
+        channels=("Y1", "Z1"),
+        sensor_ids=SENSOR_IDS,
+        sensor_names=tuple(f"t{i}" for i in SENSOR_IDS),
+        coefficients_um_per_k=coefficients,
+        drift_um_per_min=np.zeros(2),
+        interval_min=1.0,
+        ridge_k2=1.0,
+        lowest_increment_k=np.full(count, -20.0),
+        highest_increment_k=np.full(count, 20.0),
+        band_um=np.full(2, band_um),
+        training=(),
+        created="2026-01-01T00:00:00Z",
+        test_vectors=make_test_vectors(coefficients, np.zeros(2), (pair,)),
+    )
+
+
+def configured(folder: Path, **changes: object) -> Configuration:
+    """A machine whose models lie in `folder`/models and whose store in `folder`/state."""
+    for name in ("models", "state", "state/proposals"):
+        (folder / name).mkdir(exist_ok=True)
+    configuration = machine(folder / "state")
+    own = {"allow_writable_model_directory": os.geteuid() != 0}  # everything here belongs to whoever tests
+    section = {"model_file": folder / "models/model.json"} | own | changes
+    compensation = configuration.compensation.model_copy(update=section)
+    return configuration.model_copy(update={"compensation": compensation})
+
+
+def proposal(folder: Path, the_model: ThermalModel, name: str = "p.json") -> Path:
+    path = folder / "state/proposals" / name
+    path.write_text(model_to_json(the_model), encoding="utf-8")
+    return path
+
+
+# --- who could change a file ---------------------------------------------------------------
+
+
+def test_a_file_out_of_reach_is_out_of_reach(folder):
+    path = folder / "model.json"
+    path.write_text("{}")
+    assert how_it_could_change(path, STRANGER) == ""
+
+
+@pytest.mark.parametrize(
+    ("place", "mode", "words"),
+    [
+        ("a/b/model.json", 0o666, "model.json is writable by everybody"),
+        ("a/b", 0o777, "a/b is writable by everybody"),
+        ("a/b", 0o1777, "a/b is writable by everybody"),
+        ("a", 0o777, "a is writable by everybody"),
+        ("a/b", 0o775, "a/b is writable by its group"),
+    ],
+)
+def test_every_place_on_the_way_counts(folder, place, mode, words):
+    path = folder / "a/b/model.json"
+    path.parent.mkdir(parents=True)
+    path.write_text("{}")
+    (folder / place).chmod(mode)
+    account = Account(user_id=OTHER, group_ids=frozenset({os.getegid()}) if mode == 0o775 else frozenset())
+    assert words in how_it_could_change(path, account)
+
+
+def test_its_own_file_could_be_made_writable_by_it(folder):
+    path = folder / "model.json"
+    path.write_text("{}")
+    path.chmod(0o444)
+    owner = Account(user_id=path.stat().st_uid)
+    assert ("runs as root" if owner.user_id == 0 else "belongs to it") in how_it_could_change(path, owner)
+
+
+def test_root_is_always_in_reach(folder):
+    path = folder / "model.json"
+    path.write_text("{}")
+    assert "runs as root" in how_it_could_change(path, Account(user_id=0))
+
+
+def test_a_link_is_judged_on_both_sides(folder):
+    for name in ("safe", "open"):
+        (folder / name).mkdir()
+    (folder / "safe/model.json").write_text("{}")
+    (folder / "open/model.json").symlink_to("../safe/model.json")
+    (folder / "open/other.json").write_text("{}")
+    (folder / "safe/other.json").symlink_to("../open/other.json")
+    assert how_it_could_change(folder / "open/model.json", STRANGER) == ""
+    (folder / "open").chmod(0o777)
+    assert "open is writable" in how_it_could_change(folder / "open/model.json", STRANGER)
+    assert "open is writable" in how_it_could_change(folder / "safe/other.json", STRANGER)
+
+
+@as_root
+def test_the_kernel_is_asked_about_the_process_itself(folder):
+    path = folder / "model.json"
+    path.write_text("{}")
+
+    def look() -> str:
+        return how_it_could_change(path, own_account()) or "out of reach"
+
+    assert as_user(OTHER, look) == "out of reach"
+    os.chown(path, OTHER, -1)
+    assert "belongs to it" in as_user(OTHER, look)
+    os.chown(path, 0, -1)
+    folder.chmod(0o757)
+    assert "is writable by it" in as_user(OTHER, look)
+
+
+@as_root
+def test_the_daemons_account_is_known_by_its_store(folder):
+    configuration = configured(folder)
+    assert account_of_daemon(configuration.history.path).user_id is None
+    os.chown(folder / "state", OTHER, OTHER)
+    account = account_of_daemon(configuration.history.path)
+    assert (account.user_id, account.group_ids) == (OTHER, frozenset({OTHER}))
+
+
+# --- releasing -------------------------------------------------------------------------------
+
+
+@as_root
+def test_a_released_model_is_what_another_user_loads(folder):
+    configuration = configured(folder)
+    record = release(configuration, proposal(folder, model()), person="anna (uid 1000)", note="first")
+    assert record.number == 1 and record.previous is None and record.person == "anna (uid 1000)"
+
+    def look() -> str:
+        return load_released(configuration, own_account()).in_words()
+
+    words = as_user(OTHER, look)
+    assert words.startswith(f"ridge-1, sha256 {record.sha256}, release 1 by anna (uid 1000) on 20"), words
+    assert "WARNING" not in words
+    assert load_released(configuration, own_account()).obstacle.count("runs as root") == 1
+
+
+@as_root
+def test_a_released_file_that_was_changed_is_refused(folder):
+    configuration = configured(folder)
+    release(configuration, proposal(folder, model()), person="anna")
+    path = folder / "models/releases/0001/model.json"
+    path.write_text(model_to_json(model("another")), encoding="utf-8")
+    obstacle = as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+    assert "not the file that anna released" in obstacle and "rollback" in obstacle
+    path.with_name("release.json").write_text("{}", encoding="utf-8")
+    assert "release.json" in as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+
+
+@as_root
+def test_a_model_that_nobody_released_is_refused(folder):
+    configuration = configured(folder)
+    (folder / "models/model.json").write_text(model_to_json(model()), encoding="utf-8")
+    assert "nobody has released" in as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+    with pytest.raises(ReleaseError, match="which nobody released; move it away"):
+        release(configuration, proposal(folder, model()), person="anna")
+
+
+def test_without_a_model_the_refusal_says_what_to_do(folder):
+    assert "toolpoint model release" in load_released(configured(folder), STRANGER).obstacle
+
+
+def test_the_key_for_test_benches_lets_it_pass_and_says_so(folder):
+    configuration = configured(folder, allow_writable_model_directory=True)
+    (folder / "models/model.json").write_text(model_to_json(model()), encoding="utf-8")
+    (folder / "models").chmod(0o777)
+    found = load_released(configuration, own_account())
+    assert found.model is not None and found.record is None
+    assert "WARNING: allow_writable_model_directory" in found.in_words() and found.picture()["warning"]
+
+
+def test_the_key_does_not_excuse_a_file_that_differs_from_its_record(folder):
+    configuration = configured(folder, allow_writable_model_directory=True)
+    release(configuration, proposal(folder, model()), person="anna")
+    (folder / "models/releases/0001/model.json").write_text(model_to_json(model("another")), encoding="utf-8")
+    assert "not the file that anna released" in load_released(configuration, own_account()).obstacle
+
+
+def test_releases_follow_each_other_and_lead_back(folder):
+    configuration = configured(folder)
+    for name in ("ridge-1", "ridge-2", "ridge-3"):
+        release(configuration, proposal(folder, model(name)), person="anna")
+    back = rollback(configuration, person="ben", note="scrap")
+    assert (back.number, back.action, back.model_id) == (4, "rollback", "ridge-2")
+    assert back.previous is not None and back.previous.model_id == "ridge-3"
+    first = rollback(configuration, person="ben", to=1)
+    assert (first.number, first.model_id) == (5, "ridge-1")
+    shelf = shelf_of(configuration)
+    assert [record.number for record in shelf.records()] == [1, 2, 3, 4, 5]
+    active = shelf.active()
+    assert active is not None and active.number == 5
+    assert (folder / "models/model.json").read_text(encoding="utf-8") == model_to_json(model("ridge-1"))
+    with pytest.raises(ReleaseError, match="active now"):
+        rollback(configuration, person="ben", to=1)
+    with pytest.raises(ReleaseError, match="cannot be read"):
+        rollback(configuration, person="ben", to=77)
+
+
+def test_going_back_needs_somewhere_to_go(folder):
+    with pytest.raises(ReleaseError, match="no earlier release"):
+        rollback(configured(folder), person="ben")
+
+
+def refusal(folder: Path, path: Path, **changes: object) -> str:
+    configuration = configured(folder, **changes)
+    with pytest.raises(ReleaseError) as refused:
+        release(configuration, path, person="anna")
+    assert not (folder / "models/model.json").exists()
+    return str(refused.value)
+
+
+def test_what_is_refused_says_why(folder):
+    configured(folder)
+    good = proposal(folder, model())
+    assert "does not fit the content" in refusal(folder, damaged(good, "ridge_k2", 7.0))
+    assert "no channel Z1" in refusal(folder, proposal(folder, one_channel()))
+    assert "nothing was held out" in refusal(folder, proposal(folder, model(band_um=np.nan)))
+    assert "wider than 30 um" in refusal(folder, proposal(folder, model(band_um=31.0)))
+    narrow = ReleaseConfig(largest_band_um=1.5)
+    assert "wider than 1.5 um" in refusal(folder, proposal(folder, model()), release=narrow)
+    assert "cannot be read" in refusal(folder, folder / "nowhere.json")
+    assert "no file of a thermal model" in refusal(folder, folder)
+    (folder / "link.json").symlink_to(good)
+    assert "name the proposal's own file" in refusal(folder, folder / "link.json")
+    assert "model_file is not set" in refusal(folder, good, model_file=None)
+
+
+def damaged(path: Path, key: str, value: object) -> Path:
+    content = json.loads(path.read_text(encoding="utf-8")) | {key: value}
+    copy = path.with_name("damaged.json")
+    copy.write_text(json.dumps(content), encoding="utf-8")
+    return copy
+
+
+def one_channel() -> ThermalModel:
+    full = model()
+    vectors = tuple(replace(v, thermal_error_um=v.thermal_error_um[:1]) for v in full.test_vectors)
+    return replace(
+        full,
+        channels=("Y1",),
+        coefficients_um_per_k=full.coefficients_um_per_k[:1].copy(),
+        drift_um_per_min=np.zeros(1),
+        band_um=np.ones(1),
+        test_vectors=vectors,
+    )
+
+
+def test_the_same_model_twice_and_two_models_of_one_name_are_refused(folder):
+    configuration = configured(folder)
+    release(configuration, proposal(folder, model()), person="anna")
+    with pytest.raises(ReleaseError, match="active already, as release 1"):
+        release(configuration, proposal(folder, model()), person="anna")
+    with pytest.raises(ReleaseError, match="another model of the same name"):
+        release(configuration, proposal(folder, model(band_um=1.0)), person="anna")
+
+
+@as_root
+def test_a_place_that_the_daemon_could_write_is_refused(folder):
+    configuration = configured(folder)
+    os.chown(folder / "state", OTHER, OTHER)
+    (folder / "models").chmod(0o777)
+    with pytest.raises(ReleaseError, match="the daemon could change a model there"):
+        release(configuration, proposal(folder, model()), person="anna")
+
+
+@as_root
+def test_the_daemons_own_account_releases_nothing(folder):
+    configuration = configured(folder)
+    path = proposal(folder, model())
+    for place in (folder / "state", folder / "models"):
+        os.chown(place, OTHER, OTHER)
+    answer = as_user(OTHER, lambda: str(release(configuration, path, person="daemon")))
+    assert "the daemon may not release its own model" in answer
+
+
+# --- policy ----------------------------------------------------------------------------------
+
+
+def test_the_policy_is_off_by_default(folder):
+    configuration = configured(folder)
+    proposal(folder, model())
+    with pytest.raises(ReleaseError, match="only a person releases"):
+        release_by_policy(configuration, person="policy")
+
+
+def test_the_policy_takes_the_newest_that_is_not_worse(folder):
+    configuration = configured(folder, release=ReleaseConfig(automatic=True))
+    proposal(folder, model("ridge-2", 1.5), "2.json")
+    assert release_by_policy(configuration, person="policy") is None, "the first one is a person's"
+    release(configuration, proposal(folder, model("ridge-1"), "1.json"), person="anna")
+    for age_s, name in enumerate(("4.json", "3.json", "2.json", "1.json")):
+        path = folder / "state/proposals" / name
+        if name == "4.json":
+            path.write_text("{}", encoding="utf-8")
+        elif name == "3.json":
+            proposal(folder, model("ridge-3", 2.5), name)
+        os.utime(path, (1e9 - age_s, 1e9 - age_s))
+    assert [p.obstacle != "" for p in proposals(configuration)] == [False, False, False, True]
+    record = release_by_policy(configuration, person="policy")
+    assert record is not None and record.model_id == "ridge-2" and record.note == "by policy"
+    assert "its bands are not wider than the active model's" in record.checks
+    assert release_by_policy(configuration, person="policy") is None, "what was released once is not proposed again"
