@@ -37,6 +37,10 @@ class Configuration(Section):
             if axis.tool_term and (unknown := sorted(set(axis.tool_term.temperatures) - labels)):
                 at: KeyPath = ("compensation", "axes", name, "tool_term", "temperatures")
                 problems.append((at, f"no sensor carries the label {unknown}; there are {sorted(labels)}"))
+        shown = self.cnc.temperature_macro
+        if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
+            at = ("cnc", "temperature_macro", "sensor")
+            problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors)"))
         if problems:
             raise KeyProblems(problems)
         return self

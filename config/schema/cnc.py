@@ -211,6 +211,19 @@ def _written_by_us(key: KeyPath) -> bool:
     )
 
 
+class TemperatureMacroConfig(Section):
+    """A macro of its own that shows one temperature, for commissioning and for measuring the delay; moves nothing."""
+
+    sensor: int = Field(ge=1, description="ID of the sensor", examples=[1])
+    macro: MacroNumber = Field(
+        description="written whenever the value changes [degC]; within `macros.writable`, and nothing else's",
+        examples=[549],
+    )
+    cleansed: bool = Field(
+        False, description="the value after cleansing, which holds a step back, instead of the value as measured"
+    )
+
+
 class CncConfig(Section):
     """The CNC."""
 
@@ -222,6 +235,21 @@ class CncConfig(Section):
         3.0, description="without an answer, or with its clock standing still, for this long the link is dead"
     )
     macros: MacroMapConfig = Field(description="macro variables")
+    temperature_macro: TemperatureMacroConfig | None = Field(
+        None, description="one temperature in a macro of its own; none: off"
+    )
+
+    @model_validator(mode="after")
+    def _temperature_has_its_own_macro(self) -> "CncConfig":
+        if self.temperature_macro is None:
+            return self
+        number, at = self.temperature_macro.macro, ("temperature_macro", "macro")
+        if number in self.macros.block:
+            raise KeyProblems([(at, f"#{number} belongs to the block, its echo or the handshake (macros)")])
+        if number not in self.macros.allowed:
+            sentence = f"#{number} lies outside `macros.writable` ({', '.join(self.macros.writable)})"
+            raise KeyProblems([(at, sentence)])
+        return self
 
     @model_validator(mode="after")
     def _ordered(self) -> "CncConfig":

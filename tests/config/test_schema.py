@@ -34,6 +34,19 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
 @pytest.mark.parametrize(
     ("path", "value", "key", "sentence"),
     [
+        (
+            "cnc.temperature_macro",
+            {"sensor": 1, "macro": 600},
+            "cnc.temperature_macro.macro",
+            "#600 lies outside `macros.writable`",
+        ),
+        ("cnc.temperature_macro", {"sensor": 1, "macro": 500}, "cnc.temperature_macro.macro", "#500 belongs to"),
+        (
+            "cnc.temperature_macro",
+            {"sensor": 99, "macro": 549},
+            "cnc.temperature_macro.sensor",
+            "there is no sensor 99",
+        ),
         ("temperatures.lines.0.chain", ["4-1"], "temperatures.lines[0].chain", "the range 4-1 runs backwards"),
         ("temperatures.lines.0.chain", ["1-201"], "temperatures.lines[0].chain", "at most 200 sensors"),
         ("temperatures.lines.0.chain", ["1-999999999"], "temperatures.lines[0].chain", "more than 100000 numbers"),
