@@ -1,0 +1,86 @@
+"""A model is released while the machine runs: the daemon takes it up, the output does not jump."""
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from wires import check_audit, on_wires
+
+from config.machines import shipped_file
+from daemon.history import HistoryReader
+from models.thermal.artifact import model_from_json, model_to_json
+from models.thermal.model import ThermalModel, make_test_vectors
+
+pytestmark = pytest.mark.wires
+
+
+def toolpoint(*arguments: str, config: Path) -> Any:
+    """Run `toolpoint model ...`; return what it prints as JSON."""
+    command = [sys.executable, "-P", "-m", "daemon.cli", "model", *arguments, "--config", str(config), "--json", "-"]
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert finished.returncode == 0, finished.stderr
+    return json.loads(finished.stdout)
+
+
+def other_model() -> ThermalModel:
+    """Return the shipped model with every coefficient half as large again: its estimate would jump by half."""
+    shipped = model_from_json(shipped_file("simulated_machine_model.json").read_text("utf-8"), "shipped")
+    coefficients = 1.5 * shipped.coefficients_um_per_k
+    pairs = tuple((vector.degc, vector.reference_degc) for vector in shipped.test_vectors)
+    vectors = make_test_vectors(coefficients, shipped.drift_um_per_min, pairs)
+    return replace(shipped, model_id="half-as-much-again", coefficients_um_per_k=coefficients, test_vectors=vectors)
+
+
+def test_a_model_released_meanwhile_is_taken_up_without_a_step(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    first.write_text(shipped_file("simulated_machine_model.json").read_text("utf-8"), "utf-8")
+    second.write_text(model_to_json(other_model()), "utf-8")
+
+    def change(content: dict[str, Any]) -> None:
+        content["compensation"]["model_file"] = str(tmp_path / "models/model.json")
+        (tmp_path / "toolpoint.yaml").write_text(json.dumps(content), encoding="utf-8")
+        toolpoint("release", str(first), "--note", "first", config=tmp_path / "toolpoint.yaml")
+
+    with on_wires(tmp_path, speed=60.0, change=change) as wires:
+        config = tmp_path / "toolpoint.yaml"
+        before = wires.switch_on()
+        assert before["model"]["release"] == 1 and "uid" in before["model"]["released_by"]
+        assert "allow_writable_model_directory" in before["model"]["warning"]
+        assert before["output"]["writable_model_directory"] is True
+        wires.wait("some expansion", lambda status: abs(status["axes"]["z"]["thermal_error_um"] or 0.0) > 1.0)
+
+        toolpoint("release", str(second), config=config)
+        wires.running.daemon.send_signal(signal.SIGHUP)
+        after = wires.wait(
+            "the new model", lambda s: s["estimate"] is not None and s["estimate"]["model"] == "half-as-much-again"
+        )
+        assert after["model"]["release"] == 2 and after["reference"]["id"] == before["reference"]["id"]
+        wires.wait_until(wires.running.time_s + 120.0)
+        assert wires.status()["output"]["state"] == "ACTIVE"
+
+        active = tmp_path / "models/releases/0002/model.json"
+        active.write_text("{}", encoding="utf-8")
+        wires.running.daemon.send_signal(signal.SIGHUP)
+        broken = wires.wait("the refusal", lambda status: status["model"]["problem"] != "")
+        assert "not the file that" in broken["model"]["problem"]
+        assert broken["model"]["model_id"] == "half-as-much-again", "the one in use stays"
+        listed = toolpoint("list", config=config)
+        assert listed["active"] == 2 and [record["number"] for record in listed["releases"]] == [1, 2]
+        back = toolpoint("rollback", "--to", "1", config=config)
+        assert back["action"] == "rollback" and back["number"] == 3
+        wires.check_nothing_broke()
+        check_audit(wires.writes(), wires.configuration)
+        with HistoryReader(wires.configuration.history.path) as reader:
+            said = [event.text for event in reader.events(0.0, 1e11) if event.kind == "model"]
+        assert len(said) == 3, said
+        assert said[0].startswith("ridge-") and "release 1 by " in said[0]
+        assert said[1].startswith("half-as-much-again, sha256 ") and "release 2 by " in said[1]
+        assert said[2].startswith("refused: ") and "the model in use stays" in said[2]
