@@ -43,6 +43,14 @@ class ReferenceRequest:
     power_on_count: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceRefused:
+    """A reference that was asked for cannot be set."""
+
+    reference_id: str
+    why: str
+
+
 class ThermalTask:
     """Cleanses every completed line cycle and renews the estimate with it."""
 
@@ -54,7 +62,7 @@ class ThermalTask:
         telemetry: Telemetry,
         model: ThermalModel | None,
         inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel]",
-        deliver: Callable[[ThermalErrorEstimate | Reference | str], None],
+        deliver: Callable[[ThermalErrorEstimate | Reference | ReferenceRefused], None],
     ) -> None:
         temperatures = configuration.temperatures
         self._clock = clock
@@ -217,7 +225,8 @@ class ThermalTask:
         usable = int(np.isfinite(degc).sum())
         if usable == 0:
             window = f"the last {self._mean.window_s:.0f} s"
-            self._deliver(f"reference of {request.source} refused: no temperature has arrived in {window}")
+            why = f"reference of {request.source} refused: no temperature has arrived in {window}"
+            self._deliver(ReferenceRefused(reference_id=request.reference_id, why=why))
             return
         reference = Reference(
             reference_id=request.reference_id,

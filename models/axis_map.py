@@ -51,8 +51,8 @@ def tool_expansion_um(term: ToolTerm, label_increment_degc: Mapping[str, float])
     return float(term.direction * term.expansion_um_per_m_k * term.length_mm * 1e-3 * increment)
 
 
-def axis_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
-    """Return the thermal error per axis since the reference.
+def nose_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
+    """Return the thermal error of the spindle nose per axis since the reference.
 
     Parameters
     ----------
@@ -68,11 +68,49 @@ def axis_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate
 
     """
     by_channel = dict(zip(estimate.channels, estimate.thermal_error_um, strict=True))
-    errors = np.full(len(sources), np.nan)
-    for index, source in enumerate(sources):
-        if source.channel is None or source.channel not in by_channel:
-            continue
-        errors[index] = by_channel[source.channel]
-        if source.tool_term is not None:
-            errors[index] += tool_expansion_um(source.tool_term, estimate.label_increment_degc)
-    return errors
+    errors = (np.nan if source.channel is None else by_channel.get(source.channel, np.nan) for source in sources)
+    return np.array(list(errors), dtype=np.float64)
+
+
+def tool_terms_um(
+    sources: Sequence[AxisSource], label_increment_degc: Mapping[str, float], label_begin_degc: Mapping[str, float]
+) -> FloatArray:
+    """Return the expansion of the tool in the spindle per axis since its term began.
+
+    Parameters
+    ----------
+    sources
+        One per axis, in the machine's order.
+    label_increment_degc
+        Change of each label's mean since the reference [degC].
+    label_begin_degc
+        What that change was when the tool came into the spindle [degC]; empty: it was there at the reference.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_axes,)
+        Movement along the axis [um]; 0 for an axis without a tool term, NaN when a label is missing.
+
+    """
+    since = {label: value - label_begin_degc.get(label, 0.0) for label, value in label_increment_degc.items()}
+    terms = (0.0 if s.tool_term is None else tool_expansion_um(s.tool_term, since) for s in sources)
+    return np.array(list(terms), dtype=np.float64)
+
+
+def axis_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
+    """Return the thermal error of the tool point per axis since the reference, with the tool of the reference.
+
+    Parameters
+    ----------
+    sources
+        One per axis, in the machine's order.
+    estimate
+        Thermal error per model channel [um], labels' increments [degC].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_axes,)
+        Actual minus nominal [um]; NaN for an axis without a channel in the estimate.
+
+    """
+    return nose_errors_um(sources, estimate) + tool_terms_um(sources, estimate.label_increment_degc, {})

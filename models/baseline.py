@@ -1,6 +1,6 @@
 """Where the request counts from: the baseline of a reference, of a tool setting, and of a probe value.
 
-request = baseline + offset - weight (estimate - estimate at the tool setting)
+request = baseline + offset - weight (estimate - estimate at the tool setting + tool term)
 
 Setting a reference, setting a tool and changing the model never move the output; a probe value
 does, and the limits of `models.compensation` bound how fast.
@@ -116,11 +116,11 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     Returns
     -------
     numpy.ndarray, shape (n_axes,)
-        baseline + offset - weight (estimate - estimate at the setting) [um]; NaN without an estimate.
+        baseline + offset - weight (estimate - estimate at the setting + tool term) [um]; NaN without an estimate.
 
     """
     baseline, error = rest_of_tool(memory, inputs)
-    request: FloatArray = baseline + memory.offset_um - memory.weight * (inputs.thermal_error_um - error)
+    request: FloatArray = baseline + memory.offset_um - memory.weight * (inputs.error_of_tool_point_um - error)
     return request
 
 
@@ -149,7 +149,7 @@ def probe_objection(
         return "no axis was probed"
     if obstacle:
         return f"the estimate cannot be corrected: {obstacle}"
-    if not np.all(np.isfinite(inputs.thermal_error_um[probed])):
+    if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
         return "the axis has no estimate"
     correction = inputs.applied_um - probe_um - request_um(memory, inputs)
     for axis, change in zip(limits.axes, correction, strict=True):

@@ -186,7 +186,7 @@ def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     if not inputs.in_domain:
         return "temperatures are outside the range that the model was trained on"
     wanted = np.array(memory.wanted, dtype=bool)
-    if not np.all(np.isfinite(inputs.thermal_error_um[wanted])):
+    if not np.all(np.isfinite(inputs.error_of_tool_point_um[wanted])):
         return "an axis that is switched on has no estimate"
     in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if in_cut and weight_of(inputs.confidence, limits) < memory.weight:

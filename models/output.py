@@ -48,7 +48,7 @@ class ToolRest:
     baseline_um: FloatArray
     """What was applied at the tool setting [um], NaN on axes that were not set."""
     error_um: FloatArray
-    """Estimate at the tool setting, since the work's reference [um]."""
+    """Estimate at the tool setting, since the work's reference and without the tool [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,9 @@ class OutputInputs:
     written_um: FloatArray | None = None
     """What the block held at the latest read-back or poll [um]; None where nobody watches it."""
     thermal_error_um: FloatArray
-    """Estimated error per axis since the reference [um]; NaN where there is none."""
+    """Estimated error per axis since the reference, without the tool [um]; NaN where there is none."""
+    tool_term_um: FloatArray | None = None
+    """The tool's own expansion since its term began [um]; None where no tool is modelled."""
     estimate_age_s: float
     """Age of the estimate [s], inf when there is none."""
     confidence: float
@@ -87,6 +89,11 @@ class OutputInputs:
     """Axes that were set with the tool in the spindle since the last step."""
     probe_um: FloatArray | None = None
     """A probe's deviation per axis, actual minus nominal with what is applied [um]; NaN where not probed."""
+
+    @property
+    def error_of_tool_point_um(self) -> FloatArray:
+        """Estimate and tool term together [um], shape (n_axes,)."""
+        return self.thermal_error_um if self.tool_term_um is None else self.thermal_error_um + self.tool_term_um
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +122,6 @@ class OutputMemory:
     settling: bool = False
     """A reference was set, and the CNC does not hold its value yet."""
     error_um: FloatArray | None = None
-    """The last finite estimate since the reference [um]."""
+    """The last finite estimate since the reference, without the tool [um]."""
     tools: Mapping[int, ToolRest] = field(default_factory=lambda: MappingProxyType({}))
     """Tool settings by tool number."""

@@ -1,7 +1,7 @@
 """What may move the machine, how far and how fast."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -69,10 +69,34 @@ class ReferenceConfig(Section):
     sequence_numbers: list[SequenceNumber] = Field(
         default_factory=list, description="passing one of these N numbers sets the reference"
     )
+    policy: Literal["bumpless", "zero_first"] = Field(
+        "bumpless",
+        description="bumpless: what is applied at work positioning becomes the baseline; zero_first: it is taken out "
+        "before, and a positioning with an offset sets no reference",
+    )
+    retreat_sequence_numbers: list[SequenceNumber] = Field(
+        default_factory=list,
+        description="zero_first: passing one of these N numbers ends the reference and takes the offset out",
+    )
+    max_gap_s: Seconds = Field(
+        5.0,
+        description="after a longer gap between two polls while the program ran, a positioning may have been missed: "
+        "the reference ends, unless the handshake's counter proves the contrary",
+    )
+    probe_bound_um: float = Field(
+        20.0, gt=0, le=500, description="a probe value that would correct the estimate by more is refused [um]"
+    )
     mean_s: Seconds = Field(60.0, description="the reference is the mean of this long; so is the model's input")
     max_outage_s: Seconds = Field(
         600.0, description="after a longer outage of the daemon an old reference is not taken up again"
     )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ReferenceConfig":
+        if self.policy == "zero_first" and not self.retreat_sequence_numbers:
+            sentence = "zero_first needs to know where the program is before its next positioning: name N numbers"
+            raise KeyProblems([(("retreat_sequence_numbers",), sentence)])
+        return self
 
 
 class OutputConfig(Section):
@@ -86,6 +110,16 @@ class OutputConfig(Section):
     min_confidence: float = Field(
         0.7, ge=0, le=1, description="share of the model's weight that must rest on usable sensors"
     )
+    full_confidence: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="from this confidence on the estimate counts whole; between min_confidence and this its weight "
+        "rises from 0 to 1, and changes only between cuts",
+    )
+    guard_alarm_after_s: Seconds = Field(
+        1800.0, description="alarm when the guard has not run for longer than this while the program runs"
+    )
     safe_sequence_numbers: list[SequenceNumber] = Field(
         default_factory=list, description="N numbers at which the tool is away from the work (safe points)"
     )
@@ -95,6 +129,8 @@ class OutputConfig(Section):
         if not self.stale_after_s <= self.alarm_after_s <= self.hold_limit_s:
             sentence = "stale_after_s <= alarm_after_s <= hold_limit_s must hold"
             raise KeyProblems([(("alarm_after_s",), sentence)])
+        if self.full_confidence < self.min_confidence:
+            raise KeyProblems([(("full_confidence",), "must not be below min_confidence")])
         if self.validity_s <= self.tick_s:
             raise KeyProblems([(("validity_s",), "must be longer than tick_s, or the block expires between two ticks")])
         return self

@@ -17,8 +17,9 @@ from daemon.history import HistoryError, HistoryReader
 from daemon.history.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
 from daemon.history.tables import Table
+from models.records import ProbeSample
 
-KINDS_SHOWN = ("summary", "writes", "events", "estimates", "cnc")
+KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
 KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
 store_option = click.option(
     "--store",
@@ -47,7 +48,7 @@ def open_history(store: Path | None, config_path: Path) -> Iterator[HistoryReade
 @click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows shown, newest kept.")
 @json_option
 def history(what: str, config_path: Path, store: Path | None, last_s: float, limit: int, json_path: str | None) -> None:
-    """Show what the daemon recorded: WHAT is summary, writes, events, estimates or cnc."""
+    """Show what the daemon recorded: WHAT is summary, writes, events, probes, estimates or cnc."""
     with open_history(store, config_path) as reader:
         if what == "summary":
             content = summary(reader)
@@ -87,6 +88,8 @@ def rows_of(reader: HistoryReader, what: str, from_utc_s: float) -> list[dict[st
     if what == "events":
         events = reader.events(from_utc_s, FAR_FUTURE_S)
         return [{"time_utc": iso(e.time_s), "kind": e.kind, "text": e.text, "person": e.person} for e in events]
+    if what == "probes":
+        return [_probe_row(probe) for probe in reader.probes(from_utc_s, FAR_FUTURE_S)]
     table = Table(reader, what, from_utc_s, FAR_FUTURE_S)
     names = [column.name for column in table.columns]
     rows: list[dict[str, Any]] = []
@@ -94,6 +97,22 @@ def rows_of(reader: HistoryReader, what: str, from_utc_s: float) -> list[dict[st
         columns = [[_plain(value) for value in values] for values in window]
         rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     return rows
+
+
+def _probe_row(probe: ProbeSample) -> dict[str, Any]:
+    numbers = {
+        "deviation_um": probe.deviation_um,
+        "applied_um": probe.applied_um,
+        "thermal_error_um": probe.thermal_error_um,
+    }
+    return {
+        "time_utc": iso(probe.time.utc_s),
+        "axis": probe.axis,
+        **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        "reference_id": probe.reference_id,
+        "accepted": probe.accepted,
+        "reason": probe.reason,
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -24,7 +24,9 @@ View = tuple[tuple[str, ...], list[tuple[Cell, ...]]]
 
 def view(reader: HistoryReader, what: str, from_utc_s: float) -> View:
     """Return records since a time, oldest first."""
-    return {"writes": _writes, "events": _events, "estimates": _estimates, "cnc": _cnc}[what](reader, from_utc_s)
+    return {"writes": _writes, "events": _events, "estimates": _estimates, "cnc": _cnc, "probes": _probes}[what](
+        reader, from_utc_s
+    )
 
 
 def _writes(reader: HistoryReader, from_utc_s: float) -> View:
@@ -51,6 +53,23 @@ def _writes(reader: HistoryReader, from_utc_s: float) -> View:
 def _events(reader: HistoryReader, from_utc_s: float) -> View:
     events = reader.events(from_utc_s, FAR_FUTURE_S)
     return ("UTC", "kind", "text", "person"), [(iso(e.time_s), e.kind, e.text, e.person or "-") for e in events]
+
+
+def _probes(reader: HistoryReader, from_utc_s: float) -> View:
+    headings = ("UTC", "axis", "deviation um", "applied um", "estimate um", "taken", "reason")
+    rows: list[tuple[Cell, ...]] = [
+        (
+            iso(probe.time.utc_s),
+            probe.axis,
+            f"{probe.deviation_um:+.2f}",
+            f"{probe.applied_um:+.2f}",
+            f"{probe.thermal_error_um:+.2f}",
+            ("yes", "green") if probe.accepted else ("no", "yellow"),
+            probe.reason,
+        )
+        for probe in reader.probes(from_utc_s, FAR_FUTURE_S)
+    ]
+    return headings, rows
 
 
 def _estimates(reader: HistoryReader, from_utc_s: float) -> View:

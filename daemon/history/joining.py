@@ -8,7 +8,7 @@ from daemon.history.codec import FloatArray, IntArray
 from daemon.history.frames import Frame, select_rows
 from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
 from daemon.history.temperature_chunks import CycleBlock
-from models.records import Instant, Reference
+from models.records import Instant, ProbeSample, Reference
 from models.units import degc_from_int16
 
 
@@ -85,4 +85,19 @@ def reference_from_row(row: tuple[Any, ...]) -> Reference:
         program=program,
         work_offset=work_offset,
         power_on_count=power_on_count,
+    )
+
+
+def probe_from_row(row: tuple[Any, ...]) -> ProbeSample:
+    """Return a row of probes as a record."""
+    utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, reason = row
+    return ProbeSample(
+        time=Instant(monotonic_s=monotonic_ms / 1e3, utc_s=utc_ms / 1e3, real_s=monotonic_ms / 1e3),
+        axis=axis,
+        deviation_um=deviation_um,
+        applied_um=np.nan if applied_um is None else applied_um,
+        thermal_error_um=np.nan if thermal_error_um is None else thermal_error_um,
+        reference_id=reference_id,
+        accepted=bool(accepted),
+        reason=reason,
     )

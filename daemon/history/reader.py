@@ -18,6 +18,7 @@ from daemon.history.joining import (
     increments_of,
     merge_cycles,
     ms_from_s,
+    probe_from_row,
     reference_from_row,
     texts_of,
     time_s_of,
@@ -33,7 +34,7 @@ from daemon.history.series import (
     WriteRecord,
 )
 from daemon.history.temperature_chunks import CycleBlock, decode_temperatures
-from models.records import Reference, WriteOutcome
+from models.records import ProbeSample, Reference, WriteOutcome
 
 TABLES = {TEMPERATURES: CYCLES.table, **{kind.name: kind.table for kind in KINDS.values()}, "events": "events"}
 """Table of each kind of record that can be counted and listed."""
@@ -203,8 +204,8 @@ class HistoryReader:
         since_verified: list[WriteRecord] = []
         for record in self._writes_backwards():
             since_verified.append(record)
-            if record.outcome is WriteOutcome.VERIFIED:
-                break
+            if record.outcome is WriteOutcome.VERIFIED and record.state is not None:
+                break  # a whole block; answers to the NC program and the like carry no state
         possible: dict[int, tuple[float, ...]] = {}
         for record in reversed(since_verified):
             if record.outcome is WriteOutcome.REFUSED:
@@ -231,6 +232,15 @@ class HistoryReader:
             (ms_from_s(from_utc_s), ms_from_s(to_utc_s)),
         )
         return [EventRecord(time_s=ms / 1e3, kind=kind, text=text, person=who) for ms, kind, text, who in found]
+
+    def probes(self, from_utc_s: float, to_utc_s: float) -> list[ProbeSample]:
+        """Return what probes measured."""
+        found = self._connection.execute(
+            "SELECT utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, "
+            "reason FROM probes WHERE utc_ms >= ? AND utc_ms < ? ORDER BY utc_ms, id",
+            (ms_from_s(from_utc_s), ms_from_s(to_utc_s)),
+        )
+        return [probe_from_row(row) for row in found]
 
     def references(self, from_utc_s: float, to_utc_s: float) -> list[Reference]:
         """Return the references that were set."""

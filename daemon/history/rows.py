@@ -14,6 +14,7 @@ from models.records import (
     DisplacementSample,
     Instant,
     MachineTemperatures,
+    ProbeSample,
     Receipt,
     Reference,
     TemperatureCycle,
@@ -59,6 +60,10 @@ UPDATE_OUTCOME = (
     "WHERE write_id = ?"
 )
 INSERT_EVENT = _insert("events", "utc_ms monotonic_ms kind text person")
+INSERT_PROBE = _insert(
+    "probes",
+    "utc_ms monotonic_ms axis deviation_um applied_um thermal_error_um reference_id accepted reason",
+)
 INSERT_REFERENCE = _insert(
     "reference_points",
     "utc_ms reference_id monotonic_s utc_s real_s source layout_id degc program work_offset power_on_count",
@@ -238,6 +243,20 @@ def _delay_us(stage: Instant | None, trace: Trace) -> int | None:
 def event_row(now: Instant, kind: str, text: str, person: str | None) -> Parameters:
     """Return an event."""
     return (*_times(now), kind, text, person)
+
+
+def probe_row(probe: ProbeSample) -> Parameters:
+    """Return a probe value."""
+    return (
+        *_times(probe.time),
+        probe.axis,
+        probe.deviation_um,
+        _number(probe.applied_um, 4),
+        _number(probe.thermal_error_um, 4),
+        probe.reference_id,
+        int(probe.accepted),
+        probe.reason,
+    )
 
 
 def reference_row(reference: Reference) -> tuple[Parameters, Parameters]:

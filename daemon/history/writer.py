@@ -26,6 +26,7 @@ from models.records import (
     CompensationCommand,
     DisplacementSample,
     MachineTemperatures,
+    ProbeSample,
     Receipt,
     Reference,
     TemperatureCycle,
@@ -187,6 +188,10 @@ class HistoryWriter:
     def event(self, kind: str, text: str, person: str | None = None) -> Commit:
         """Record an operator's action, a change of state, an alarm."""
         return self._audit("events", rows.INSERT_EVENT, partial(rows.event_row, self._clock.now(), kind, text, person))
+
+    def probe(self, probe: ProbeSample) -> Commit:
+        """Record a probe value, taken or refused."""
+        return self._audit("probes", rows.INSERT_PROBE, partial(rows.probe_row, probe))
 
     def reference(self, reference: Reference) -> Commit:
         """Record a reference."""

@@ -68,8 +68,8 @@ class StatusBoard:
             "displacements": self._displacements(),
             "cycles": {"received": thermal.cycles_received, "incomplete": thermal.cycles_incomplete},
             "estimates": thermal.estimates,
-            "writes": dict(control.writes),
-            "written_axes": sorted(control.written_axes),
+            "writes": dict(control.writer.counts),
+            "written_axes": sorted(control.writer.axes),
             "latency_s": self._telemetry.picture(),
             "history": {"acknowledged": dict(self.acknowledged), "problem": self.history_problem},
         }
@@ -83,10 +83,10 @@ class StatusBoard:
             "state": memory.state.value if memory else "OFF",
             "reason": memory.reason if memory else "the CNC has not been reached yet",
             "since_s": now_s - memory.since_s if memory else None,
-            "alarm": control.alarm,
+            "alarm": control.journal.alarm,
             "phase": control.phase.value,
             "limits_hit": list(memory.limits_hit) if memory else [],
-            "notices": control.notices[-5:],
+            "notices": control.journal.notices[-5:],
             "insecure_writes": self._configuration.cnc.opcua.allow_insecure_writes,
             "writable_model_directory": self._configuration.compensation.allow_writable_model_directory,
         }

@@ -18,6 +18,7 @@ from models.output import OutputLimits
 from models.records import (
     CncSample,
     CompensationCommand,
+    FloatArray,
     Receipt,
     Trace,
     WriteOutcome,
@@ -44,7 +45,7 @@ class CncSession:
         self._history = history
         self._telemetry = telemetry
         self._limits = limits
-        self._acceptable = known
+        self._acceptable = None if known is None else {n: v for n, v in known.items() if n in block.ours}
         self._last_block = last_block
         self._sequence = 0
         self._enabled = False
@@ -63,6 +64,11 @@ class CncSession:
     def enabled(self) -> bool:
         """The CNC held an enable bit at the latest poll or read-back."""
         return self._enabled
+
+    @property
+    def written_um(self) -> FloatArray:
+        """What the block holds per axis as it was last seen [um], NaN where it is vacant or unknown."""
+        return self._block.values_um(self._seen)
 
     async def poll(self) -> list[str]:
         """Read state, block and echo; return what is vacant or foreign among our macros."""
@@ -135,6 +141,26 @@ class CncSession:
         self._seen = found
         self.last_write_s = now.monotonic_s
         self.last_command = command
+        outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
+        return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
+
+    async def write_one(self, number: int, value: float, *, cause: str) -> Receipt:
+        """Write one macro that is not of the block, read it back, and leave intent and outcome in the audit."""
+        now = self._clock.now()
+        trace = Trace(first_byte=now, last_byte=now)
+        macros = ((number, value),)
+        intent = self._history.write_intent(None, macros, cause)
+        try:
+            await self.cnc.write_macros((macros,))
+            trace = replace(trace, written=self._clock.now())
+            found = await self.cnc.read_macros((number,))
+            trace = replace(trace, read_back=self._clock.now())
+        except Exception as error:
+            refused = isinstance(error, FatalDriverError)
+            outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
+            self._conclude(intent, macros, outcome, str(error), {}, trace)
+            raise
+        problems = self._block.differences({number: (value,)}, found)
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
         return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
 

@@ -5,7 +5,6 @@ a latched FAULT; a lost link never does.
 """
 
 import asyncio
-import uuid
 from collections.abc import Awaitable, Callable
 
 import numpy as np
@@ -15,31 +14,33 @@ from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.output.alarm import alarm_of
+from daemon.output.block_writer import BlockWriter
 from daemon.output.cnc_link import CncLink
 from daemon.output.cnc_session import CncSession
 from daemon.output.echo_watch import EchoWatch
+from daemon.output.handshake import Handshake
+from daemon.output.journal import Journal
 from daemon.output.limits import axis_sources, output_limits
 from daemon.output.permission import Permission, in_words
-from daemon.output.reference_watch import end_of_reference, phase_of, positioning_passed, power_cycled
-from daemon.output.resume import ResumePoint, reference_to_state, rest_to_state, wanted_at_start, with_rest
+from daemon.output.references import References
+from daemon.output.request_desk import RequestDesk
+from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
+from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRequest
+from daemon.thermal import ReferenceRefused, ReferenceRequest
 from drivers.clock import Clock
-from drivers.contract import DriverError, FatalDriverError, LinkError
-from models.axis_map import axis_errors_um
+from drivers.contract import DriverError, LinkError
+from models.axis_map import nose_errors_um
+from models.baseline import probe_objection
 from models.compensation import initial_memory, step, why_not_ready
 from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
-    CncSample,
     CompensationCommand,
     FloatArray,
-    OutputState,
     Phase,
-    Receipt,
+    ProbeSample,
     Reference,
     ThermalErrorEstimate,
-    Trace,
-    WriteOutcome,
 )
 
 log = structlog.get_logger(__name__)
@@ -79,33 +80,53 @@ class ControlTask:
         self._on_tick = on_tick
         self.limits = output_limits(configuration)
         self._sources = axis_sources(configuration)
+        self._tool = ToolInSpindle(self._sources)
+        self._tool_setting: tuple[bool, ...] | None = None
+        self._probe_um: FloatArray | None = None
         self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
         self._stopping = False
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
         self._requests: list[tuple[OperatorRequest, str]] = []
-        self._previous: CncSample | None = None
         self.memory: OutputMemory | None = None
-        self.reference: Reference | None = None
-        self.phase = Phase.CUTTING
         self.command: CompensationCommand | None = None
-        self.receipt: Receipt | None = None
-        self.output_fault: str | None = resume.fault
+        self.journal = Journal(history, self.limits.axes, resume.fault)
+        macros = configuration.cnc.macros
+        axes = tuple(configuration.compensation.axes)
+        handshake = Handshake(macros.request, axes)
+        self._references = References(
+            configuration.compensation.reference,
+            configuration.compensation.output,
+            clock,
+            history,
+            ask_reference,
+            self.journal.say,
+            handshake,
+            macros.safe_flag,
+        )
+        self._desk = RequestDesk(
+            handshake, self._references, self.journal.say, self._set_tool, self._change_tool, self._take_probe
+        )
+        self._alarm_after_s = configuration.compensation.output.alarm_after_s
         self._needs_person = ""
-        self.notices: list[str] = []
-        self.alarm = ""
-        self.writes = {"sent": 0, "verified": 0, "refused": 0}
-        self.written_axes: set[str] = set()
+        self.writer = BlockWriter(
+            clock,
+            telemetry,
+            self.journal,
+            self._echo_watch,
+            validity_s=configuration.compensation.output.validity_s,
+        )
 
-    def deliver(self, item: ThermalErrorEstimate | Reference | str) -> None:
+    def deliver(self, item: ThermalErrorEstimate | Reference | ReferenceRefused) -> None:
         """Take an estimate, a new reference, or the thermal task's refusal of one."""
         if isinstance(item, ThermalErrorEstimate):
             self._estimate = self._fresh = item
         elif isinstance(item, Reference):
             self._adopt_reference(item)
         else:
-            self._notice(item)
+            self._desk.refused(item.reference_id, item.why)
+            self.journal.notice(item.why)
         self._wake.set()
 
     def request(self, request: OperatorRequest, person: str) -> str:
@@ -114,7 +135,7 @@ class ControlTask:
             request, self.session.cnc if self.session is not None else None, reached=self.memory is not None
         )
         if refusal:
-            self._event("refused", f"{in_words(request)}: {refusal}", person)
+            self.journal.event("refused", f"{in_words(request)}: {refusal}", person)
             return refusal
         self._requests.append((request, person))
         self._wake.set()
@@ -125,8 +146,18 @@ class ControlTask:
         sample = self.session.sample if self.session else None
         if sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
-        self._ask_for_reference(f"hand: {person}", sample)
+        self._references.ask_for(f"hand: {person}", sample)
         return ""
+
+    @property
+    def reference(self) -> Reference | None:
+        """The reference in force."""
+        return self._references.current
+
+    @property
+    def phase(self) -> Phase:
+        """What the machine is doing."""
+        return self._references.phase
 
     # --- the loop ------------------------------------------------------------------------
 
@@ -145,7 +176,7 @@ class ControlTask:
         """Return the estimated error per axis since the reference [um], NaN without an estimate."""
         if self._estimate is None:
             return np.full(len(self.limits.axes), np.nan)
-        return axis_errors_um(self._sources, self._estimate)
+        return nose_errors_um(self._sources, self._estimate) + self._tool.term_um(self._estimate)
 
     def stop(self) -> None:
         """End `run` between two pieces of work, so that no block stays half written."""
@@ -190,7 +221,7 @@ class ControlTask:
             self._link.lost(error if isinstance(error, LinkError) else LinkError(str(error)))
         except Exception as error:
             log.exception("control.defect")
-            self._raise_fault(f"unexpected {type(error).__name__} in the output task: {error}")
+            self.journal.raise_fault(f"unexpected {type(error).__name__} in the output task: {error}")
 
     async def _poll(self) -> None:
         session = self.session
@@ -202,42 +233,58 @@ class ControlTask:
         self._history.cnc_sample(sample)
         self._echo_watch.seen(session.echo, sample.time)
         if problems:
-            self._raise_fault("; ".join(problems))
-        self.phase = phase_of(sample, self._configuration.compensation.output.safe_sequence_numbers)
-        self._follow_program(sample)
+            self.journal.raise_fault("; ".join(problems))
+        self._references.follow(sample)
+        self._tool.follow(sample.tool_number, self._estimate)
+        await self._desk.look(session)
         if self.memory is None:
             self._start_from(session)
-        self._previous = sample
-
-    def _follow_program(self, sample: CncSample) -> None:
-        reference = self._configuration.compensation.reference
-        if self.reference is not None:
-            ended = end_of_reference(self.reference, sample)
-            if not ended and power_cycled(self._previous, sample):
-                ended = "the CNC's clock went back: it was switched off and on"
-            if ended:
-                self._notice(f"reference ended: {ended}")
-                self.reference = None
-                self._history.put_state("reference", None)
-        if positioning_passed(self._previous, sample, reference.program, reference.sequence_numbers):
-            self._ask_for_reference(f"O{sample.program} N{sample.sequence_number}", sample)
-
-    def _ask_for_reference(self, source: str, sample: CncSample) -> None:
-        self._ask_reference(
-            ReferenceRequest(
-                reference_id=uuid.uuid4().hex[:12],
-                source=source,
-                program=sample.program,
-                work_offset=sample.work_offset,
-                power_on_count=sample.power_on_count,
-            )
-        )
 
     def _adopt_reference(self, reference: Reference) -> None:
-        self.reference = reference
-        self._history.reference(reference)
-        self._history.put_state("reference", reference_to_state(reference))
-        self._event("reference", f"set by {reference.source}", "daemon")
+        still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
+        if refusal := self._references.adopt(reference, still_um):
+            self._desk.refused(reference.reference_id, refusal)
+            self.journal.notice(refusal)
+
+    def _set_tool(self, axis: str, tool_number: int) -> str:
+        """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
+        if self.memory is None or self.reference is None:
+            return "a tool setting counts from the work's reference, and there is none: position the work first"
+        if self._estimate is None or self._estimate.reference_id != self.reference.reference_id:
+            return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
+        self._tool_setting = tuple(name == axis for name in self.limits.axes)
+        self._tool.begin(tool_number, self._estimate)
+        self.journal.say("tool", f"T{tool_number} set on axis {axis}")
+        return ""
+
+    def _change_tool(self, tool_number: int) -> None:
+        self._tool.begin(tool_number, self._estimate)
+        self.journal.say("tool", f"T{tool_number} in the spindle")
+
+    def _take_probe(self, axis: str, deviation_um: float) -> str:
+        """Let a probe value correct the estimate, or return why not; it reaches the history either way."""
+        deviations = np.where([name == axis for name in self.limits.axes], deviation_um, np.nan)
+        refusal = "the CNC has not been reached yet"
+        if self.memory is not None:
+            inputs = self._inputs_now(NO_REQUEST)
+            obstacle = why_not_ready(self.memory, inputs, self.limits)
+            refusal = probe_objection(self.memory, inputs, self.limits, obstacle, deviations)
+        index = self.limits.axes.index(axis)
+        self._history.probe(
+            ProbeSample(
+                time=self._clock.now(),
+                axis=axis,
+                deviation_um=deviation_um,
+                applied_um=float(self.applied_um()[index]),
+                thermal_error_um=float(self.thermal_error_um()[index]),
+                reference_id=self.reference.reference_id if self.reference is not None else None,
+                accepted=not refusal,
+                reason=refusal,
+            )
+        )
+        if not refusal:
+            self._probe_um = deviations
+        return refusal
 
     def _start_from(self, session: CncSession) -> None:
         """Begin from the CNC's echo, not from zero and not from the store."""
@@ -250,111 +297,81 @@ class ControlTask:
                 wanted=wanted,
             )
         except ValueError as error:
-            self.alarm = str(error)
+            self.journal.alarm = str(error)
             return
-        self._event("start", f"{self.memory.state.value}: {self.memory.reason}", "daemon")
+        self.journal.say("start", f"{self.memory.state.value}: {self.memory.reason}")
         sample = session.sample
         reference = self._resume.reference
-        if reference is not None and sample is not None and not end_of_reference(reference, sample):
-            try:
-                self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference, self._model_id)
-            except ValueError as error:
-                self._notice(str(error))
-                return
-            self.reference = reference
-            self._ask_reference(reference)
-            self._event("reference", f"taken up again: {reference.source}", "daemon")
+        if reference is None or sample is None:
+            return
+        if ended := self._references.take_up(reference, sample):
+            self.journal.notice(f"the reference of {reference.source} is not taken up again: {ended}")
+            return
+        try:
+            self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference, self._model_id)
+        except ValueError as error:
+            self._references.end(str(error))
+            return
+        self._ask_reference(reference)
+        self.journal.say("reference", f"taken up again: {reference.source}")
 
     # --- deciding and writing ------------------------------------------------------------
 
     async def _act(self, estimate: ThermalErrorEstimate | None) -> None:
         if self.memory is None:
             return
-        before = self.memory
+        before, session = self.memory, self.session
         inputs = self._inputs()
         self.memory, command = step(before, inputs, self.limits)
         self.command = command
         obstacle = why_not_ready(self.memory, inputs, self.limits)
-        self._watch(before, self.memory, inputs.now_s, obstacle)
-        session = self.session
-        if session is not None and command.write and self._due(session, command, estimate):
-            now = self._clock.now()
-            trace = estimate.trace if estimate is not None else Trace(first_byte=now, last_byte=now)
-            await self._write(session, command, trace, estimate)
+        echo = session.echo if session is not None else None
+        alarm = alarm_of(self.memory, echo, now_s=inputs.now_s, alarm_after_s=self._alarm_after_s, obstacle=obstacle)
+        self.journal.watch(before, self.memory, alarm)
+        if session is not None and command.write:
+            await self.writer.write_when_due(session, command, estimate)
+        if session is not None and self.session is session and inputs.link and not self.journal.fault:
+            await self._desk.answer(session, self.memory)
         self._telemetry.output(command, inputs.applied_um)
 
-    async def _write(
-        self,
-        session: CncSession,
-        command: CompensationCommand,
-        trace: Trace,
-        estimate: ThermalErrorEstimate | None,
-    ) -> None:
-        try:
-            receipt = await session.write(
-                command,
-                validity_s=self._configuration.compensation.output.validity_s,
-                trace=trace,
-                cause="estimate" if estimate is not None else "tick",
-            )
-        except FatalDriverError as error:
-            self.writes["refused"] += 1
-            self._raise_fault(f"a write was refused: {error}")
-            return
-        finally:
-            self.writes["sent"] += 1
-        self.receipt = receipt
-        if receipt.outcome is not WriteOutcome.VERIFIED:
-            self._raise_fault(f"read-back differs: {receipt.detail}")
-            return
-        self.writes["verified"] += 1
-        self.written_axes |= {axis for axis, on in zip(command.axes, command.enable, strict=True) if on}
-        line = estimate.line if estimate is not None else None
-        self._echo_watch.wrote(receipt.trace, command, session.echo, line)
-        if line is not None:
-            self._telemetry.stages(line, receipt.trace)
-
-    def _due(self, session: CncSession, command: CompensationCommand, estimate: ThermalErrorEstimate | None) -> bool:
-        last = session.last_command
-        changed = (
-            last is None
-            or last.enable != command.enable
-            or not np.array_equal(last.compensation_um, command.compensation_um)
-        )
-        if command.state is OutputState.OFF:
-            return session.enabled or (changed and last is not None)
-        if estimate is not None or changed:
-            return True
-        age_s = self._clock.now().monotonic_s - session.last_write_s
-        return age_s > self._configuration.compensation.output.validity_s / 3
-
     def _inputs(self) -> OutputInputs:
-        session, estimate = self.session, self._estimate
-        now_s = self._clock.now().monotonic_s
+        session = self.session
         request, person = self._take_request()
         if person:
-            self._event("request", in_words(request), person)
-        if request.acknowledge and self.output_fault is not None and session is not None:
-            self.output_fault = "; ".join(session.forgive()) or None
-            self._history.put_state("fault", self.output_fault)
+            self.journal.event("request", in_words(request), person)
+        if request.acknowledge and self.journal.fault is not None and session is not None:
+            self.journal.forgive("; ".join(session.forgive()))
         if request.enable or request.disable or request.zero:
             self._needs_person = ""
-        enabled = self._wanted_axes()
+        inputs = self._inputs_now(request)
+        self._tool_setting = self._probe_um = None
+        return inputs
+
+    def _inputs_now(self, request: OperatorRequest) -> OutputInputs:
+        session, estimate = self.session, self._estimate
+        now_s = self._clock.now().monotonic_s
+        nowhere = np.full(len(self.limits.axes), np.nan)
         return OutputInputs(
             now_s=now_s,
             phase=self.phase,
             link=session is not None and session.echo is not None and not self._permission.prohibition(session.cnc),
             applied_um=self.applied_um(),
-            thermal_error_um=self.thermal_error_um(),
+            written_um=session.written_um if session is not None else None,
+            thermal_error_um=nose_errors_um(self._sources, estimate) if estimate is not None else nowhere,
+            tool_term_um=self._tool.term_um(estimate) if estimate is not None else None,
             estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
             confidence=estimate.confidence if estimate is not None else 0.0,
             in_domain=estimate.in_domain if estimate is not None else False,
             reference_id=self.reference.reference_id if self.reference is not None else None,
             estimate_reference_id=estimate.reference_id if estimate is not None else None,
             model_id=estimate.model_id if estimate is not None else None,
-            output_fault=self.output_fault,
-            refusals=self._refusals(enabled | request.enable),
+            output_fault=self.journal.fault,
+            refusals=self._refusals(self._wanted_axes() | request.enable),
             request=request,
+            zero_first=self._references.zero_first,
+            tool_number=self._tool.number,
+            tool_setting=self._tool_setting,
+            probe_um=self._probe_um,
         )
 
     def _wanted_axes(self) -> frozenset[str]:
@@ -369,29 +386,3 @@ class ControlTask:
         session = self.session
         refusals = self._permission.refusals(session.cnc if session is not None else None, axes)
         return (*refusals, self._needs_person) if self._needs_person else refusals
-
-    def _watch(self, before: OutputMemory, after: OutputMemory, now_s: float, obstacle: str) -> None:
-        if after.state is not before.state:
-            self._event("state", f"{before.state.value} -> {after.state.value}: {after.reason}", "daemon")
-        if after.wanted != before.wanted or after.state is not before.state:
-            self._history.put_state("wanted", dict(zip(self.limits.axes, after.wanted, strict=True)))
-        counts_anew = after.baseline_um is not before.baseline_um or after.offset_um is not before.offset_um
-        if after.reference_id is not None and counts_anew:
-            self._history.put_state("rest", rest_to_state(after, self.limits.axes))
-        echo = self.session.echo if self.session is not None else None
-        alarm_after_s = self._configuration.compensation.output.alarm_after_s
-        self.alarm = alarm_of(after, echo, now_s=now_s, alarm_after_s=alarm_after_s, obstacle=obstacle)
-
-    def _raise_fault(self, reason: str) -> None:
-        if self.output_fault is None:
-            self._event("fault", reason, "daemon")
-            self._history.put_state("fault", reason)
-        self.output_fault = reason
-
-    def _notice(self, text: str) -> None:
-        self.notices = [*self.notices[-19:], text]
-        self._event("notice", text, "daemon")
-
-    def _event(self, kind: str, text: str, person: str) -> None:
-        log.info(f"output.{kind}", text=text, person=person)
-        self._history.event(kind, text, person)

@@ -23,6 +23,8 @@ def output_limits(configuration: Configuration) -> OutputLimits:
         stale_after_s=output.stale_after_s,
         hold_limit_s=output.hold_limit_s,
         min_confidence=output.min_confidence,
+        full_confidence=output.full_confidence,
+        probe_bound_um=configuration.compensation.reference.probe_bound_um,
     )
 
 

@@ -93,7 +93,7 @@ class MacroBlock:
     def implausible_echo(self, macros: Mapping[int, float | None], limits: OutputLimits) -> list[str]:
         """Return what the guard cannot have applied: more than the bound, or more than a step from what is written."""
         echo = self.echo(macros)
-        written_um = self._um_per_unit * [macros.get(self._map.values[axis]) or 0.0 for axis in self._axes]
+        written_um = np.nan_to_num(self.values_um(macros))
         problems = []
         for i, axis in enumerate(self._axes):
             applied_um = echo.applied_um[i]
@@ -108,6 +108,12 @@ class MacroBlock:
                     f"{written_um[i]:.3f} um, and the guard's step is {limits.step_um[i]:g} um"
                 )
         return problems
+
+    def values_um(self, macros: Mapping[int, float | None]) -> FloatArray:
+        """Return the compensation that the block holds per axis [um], NaN where it is vacant."""
+        values = [macros.get(self._map.values[axis]) for axis in self._axes]
+        units: FloatArray = np.array([np.nan if value is None else value for value in values]) * self._um_per_unit
+        return units
 
     def enabled(self, macros: Mapping[int, float | None]) -> bool:
         """Whether any enable bit is set."""

@@ -13,11 +13,12 @@ CLOCK_DRIFT = 0.02
 """Share of the elapsed time by which two clocks may differ."""
 
 
-def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int]) -> Phase:
+def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int], safe_flag: int | None = None) -> Phase:
     """Return what the machine is doing; everything that is not known to be harmless is cutting."""
     if sample.run in (CncRun.RESET, CncRun.STOP):
         return Phase.IDLE
-    if sample.run is CncRun.START and sample.sequence_number in safe_sequence_numbers:
+    flagged = safe_flag is not None and sample.macros.get(safe_flag) == 1.0
+    if sample.run is CncRun.START and (flagged or sample.sequence_number in safe_sequence_numbers):
         return Phase.SAFE_POINT
     return Phase.CUTTING
 
@@ -46,7 +47,12 @@ def power_cycled(previous: CncSample | None, sample: CncSample) -> bool:
     if sample.time.real_s - previous.time.real_s < CLOCK_GAP_REAL_S:
         return False
     elapsed_s = sample.time.monotonic_s - previous.time.monotonic_s
-    return sample.clock_s - previous.clock_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
+    return clock_restarted(sample.clock_s - previous.clock_s, elapsed_s)
+
+
+def clock_restarted(advance_s: float, elapsed_s: float) -> bool:
+    """Whether the CNC's clock went on by less than the time that has passed here."""
+    return advance_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
 
 
 def end_of_reference(reference: Reference, sample: CncSample) -> str:

@@ -27,7 +27,7 @@ async def test_an_echo_that_the_block_cannot_explain_is_a_fault_at_the_start(ben
     async with running(bench.rig()) as rig:
         for _ in range(5):
             await rig.turn(safe=False)
-        assert rig.state == "FAULT" and "axis z" in rig.control.alarm
+        assert rig.state == "FAULT" and "axis z" in rig.control.journal.alarm
         assert bench.nc.written == []
         assert bench.nc.macros.get(ENABLE) == 0.0
 
@@ -86,7 +86,7 @@ async def test_another_model_does_not_take_the_old_reference_up(bench):
     async with running(bench.rig()) as again:
         await again.follow(0.0, -10.0, 5)
         assert again.state == "HOLD"
-        assert any("belongs to model another" in notice for notice in again.control.notices)
+        assert any("belongs to model another" in notice for notice in again.control.journal.notices)
 
 
 async def test_a_control_that_refuses_a_write_is_a_fault_and_counted(bench):
@@ -94,8 +94,8 @@ async def test_a_control_that_refuses_a_write_is_a_fault_and_counted(bench):
         await rig.active()
         bench.nc.refuses = Z
         await rig.follow(0.0, -10.0, 5)
-        assert rig.state == "FAULT" and "refused" in rig.control.alarm
-        assert rig.control.writes["refused"] == 1
+        assert rig.state == "FAULT" and "refused" in rig.control.journal.alarm
+        assert rig.control.writer.counts["refused"] == 1
         await rig.history.flushed()
 
 
@@ -104,7 +104,7 @@ async def test_a_guard_that_does_not_apply_raises_the_alarm(bench):
         await rig.active()
         bench.nc.macros.set(515, 3.0)
         await rig.turn(rig.estimate(0.0, 0.0), safe=False)
-        assert rig.state == "ACTIVE" and "status 3" in rig.control.alarm
+        assert rig.state == "ACTIVE" and "status 3" in rig.control.journal.alarm
 
 
 def test_outcomes_are_named():

@@ -21,7 +21,7 @@ from control_rig import (
 
 from config.schema.cnc import OpcUaConfig
 from models.output import OperatorRequest
-from models.records import WriteOutcome
+from models.records import CncRun, WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 
@@ -44,7 +44,7 @@ async def test_a_foreign_value_is_a_fault_until_it_is_acknowledged(rig, bench):
     bench.nc.written.clear()
     await rig.turn(rig.estimate(0.0, -10.0))
     assert rig.state == "FAULT"
-    assert f"#{Z} holds 0.002" in rig.control.alarm
+    assert f"#{Z} holds 0.002" in rig.control.journal.alarm
     await rig.follow(0.0, -10.0, 20)
     assert rig.state == "FAULT" and bench.nc.written == []
     applied = dict(rig.applied)
@@ -75,7 +75,7 @@ async def test_a_read_back_that_differs_is_a_fault(rig, bench):
     await rig.active()
     bench.nc.forgets = Z
     await rig.turn(rig.estimate(0.0, -5.0))
-    assert rig.control.receipt.outcome is WriteOutcome.DIFFERS
+    assert rig.control.writer.receipt.outcome is WriteOutcome.DIFFERS
     bench.nc.written.clear()
     await rig.follow(0.0, -5.0, 10)
     assert rig.state == "FAULT" and bench.nc.written == []
@@ -94,7 +94,7 @@ async def test_a_refused_write_is_a_fault_and_counted(rig, bench):
     bench.nc.written.clear()
     await rig.follow(0.0, -5.0, 10)
     assert rig.state == "FAULT" and bench.nc.written == []
-    assert rig.control.writes["refused"] == 1
+    assert rig.control.writer.counts["refused"] == 1
     bench.nc.refuses = None
     rig.control.request(ACKNOWLEDGE, "p")
     await rig.follow(0.0, -5.0, 30)
@@ -110,7 +110,7 @@ async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, be
     assert [entry for entry in logs if entry["event"] == "control.defect"]
     bench.nc.written.clear()
     await rig.follow(0.0, -5.0, 10)
-    assert rig.state == "FAULT" and "ZeroDivisionError" in rig.control.alarm
+    assert rig.state == "FAULT" and "ZeroDivisionError" in rig.control.journal.alarm
     assert bench.nc.written == []
     assert rig.control.session.sample.time.monotonic_s == rig.clock.monotonic_s, "it still polls"
     rig.control.request(ACKNOWLEDGE, "p")
@@ -124,7 +124,7 @@ async def test_a_vacant_macro_at_the_start_is_an_alarm_and_nothing_is_written(be
     async with running(bench.rig()) as rig:
         for _ in range(3):
             await rig.turn()
-        assert f"#{vacant} is vacant" in rig.control.alarm
+        assert f"#{vacant} is vacant" in rig.control.journal.alarm
         rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
         await rig.turn()
         assert bench.nc.written == []
@@ -154,14 +154,14 @@ async def test_a_vacant_echo_at_the_start_is_an_alarm_and_nothing_is_written(ben
     bench.nc.macros.set(513, None)
     async with running(bench.rig()) as rig:
         await rig.turn()
-        assert "echo" in rig.control.alarm
+        assert "echo" in rig.control.journal.alarm
         assert "not been reached" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
         await rig.turn()
         assert bench.nc.written == []
         bench.nc.macros.set(513, 0.0)
         await rig.turn()
         await rig.turn()
-        assert rig.state == "OFF" and rig.control.alarm == ""
+        assert rig.state == "OFF" and rig.control.journal.alarm == ""
 
 
 async def test_power_off_clears_valid_until_and_that_is_no_fault(rig, bench):
@@ -177,7 +177,7 @@ async def test_enable_bits_that_nobody_here_has_set_are_a_fault(bench):
     async with running(bench.rig()) as rig:
         await rig.turn()
         await rig.turn()
-        assert rig.state == "FAULT" and "enable bits" in rig.control.alarm
+        assert rig.state == "FAULT" and "enable bits" in rig.control.journal.alarm
         assert bench.nc.written == []
 
 
@@ -195,8 +195,8 @@ async def test_a_link_lost_while_writing_is_no_fault_and_is_made_good(rig, bench
     await rig.follow(0.0, -8.0, 30)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
-    assert rig.control.output_fault is None
-    assert rig.control.writes["sent"] == rig.control.writes["verified"] + 1
+    assert rig.control.journal.fault is None
+    assert rig.control.writer.counts["sent"] == rig.control.writer.counts["verified"] + 1
 
 
 async def test_a_foreign_value_is_still_seen_after_a_lost_write(rig, bench):
@@ -211,20 +211,49 @@ async def test_a_foreign_value_is_still_seen_after_a_lost_write(rig, bench):
     assert rig.state == "FAULT" and bench.nc.written == []
 
 
-async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
+async def lose_the_link(rig, bench):
     await rig.active()
     await rig.follow(0.0, -8.0, 20)
     bench.nc.reachable = False
-    await rig.follow(0.0, -20.0, 10)
+    await rig.follow(0.0, -20.0, 20)
     assert rig.state == "HOLD" and "no link" in rig.control.memory.reason
     bench.nc.reachable = True
     await rig.connected()
-    value = bench.nc.macros.get(Z)
+    return bench.nc.macros.get(Z)
+
+
+async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
+    bench.nc.macros.set(520, 1.0)
+    bench.nc.macros.set(524, 1.0)
+    value = await lose_the_link(rig, bench)
     await rig.turn(rig.estimate(0.0, -20.0))
     assert abs(bench.nc.macros.get(Z) - value) * 1000 <= 0.51
     await rig.follow(0.0, -20.0, 40)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(20.0, abs=0.11)
+
+
+async def test_a_positioning_may_have_been_missed_while_the_link_was_down_and_no_handshake_proves_the_contrary(
+    rig, bench
+):
+    value = await lose_the_link(rig, bench)
+    await rig.follow(0.0, -20.0, 20)
+    assert rig.state == "HOLD" and rig.control.reference is None
+    assert any("may have been missed" in notice for notice in rig.control.journal.notices)
+    assert bench.nc.macros.get(Z) == value
+
+
+async def test_a_short_gap_in_the_polls_misses_nothing(rig, bench):
+    await rig.active()
+    await rig.turn(rig.estimate(0.0, -8.0), after_s=4.0)
+    assert rig.state == "ACTIVE" and rig.control.reference is not None
+
+
+async def test_a_long_gap_while_the_machine_stands_misses_nothing(rig, bench):
+    bench.nc.run = CncRun.STOP
+    await rig.active()
+    await rig.turn(rig.estimate(0.0, -8.0), after_s=20.0)
+    assert rig.state == "ACTIVE" and rig.control.reference is not None
 
 
 async def test_acknowledging_without_a_link_is_refused(rig, bench):

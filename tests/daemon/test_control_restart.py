@@ -100,7 +100,7 @@ async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
         await rig.turn()
         await rig.follow(0.0, -20.0, 3)
         assert rig.state == "HOLD" and rig.control.reference is None
-        assert "baseline was not stored" in rig.control.notices[-1]
+        assert "baseline was not stored" in rig.control.journal.notices[-1]
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
 
 
@@ -160,7 +160,7 @@ async def test_every_write_is_in_the_audit(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -5.0, 10)
-        sent = rig.control.writes["sent"]
+        sent = rig.control.writer.counts["sent"]
     with HistoryReader(bench.configuration.history.path) as reader:
         records = reader.writes(0.0, 1e11)
         assert len(records) == sent

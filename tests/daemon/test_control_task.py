@@ -49,8 +49,8 @@ async def test_the_tool_point_is_moved_against_the_error(rig):
     await rig.follow(5.0, -12.0)
     assert rig.state == "ACTIVE"
     assert rig.applied == pytest.approx({"x": 0.0, "y": -5.0, "z": 12.0}, abs=0.11)
-    assert rig.control.writes["verified"] == rig.control.writes["sent"] > 0
-    assert rig.control.written_axes == {"y", "z"}
+    assert rig.control.writer.counts["verified"] == rig.control.writer.counts["sent"] > 0
+    assert rig.control.writer.axes == {"y", "z"}
 
 
 async def test_the_block_is_written_first_to_last_with_valid_until_on_the_clock_of_the_cnc(rig, bench):
@@ -203,7 +203,7 @@ async def test_the_reference_ends_and_the_output_holds(rig, bench, change, words
     await rig.turn(rig.estimate(0.0, -25.0))
     await rig.follow(0.0, -25.0, 10)
     assert rig.control.reference is None
-    assert any(words in notice for notice in rig.control.notices)
+    assert any(words in notice for notice in rig.control.journal.notices)
     assert rig.state == "HOLD"
     assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
     assert rig.history.get_state("reference") is None
@@ -253,7 +253,7 @@ async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
             rig.control.deliver(rig.estimate(0.0, 0.0))
             await until(lambda: rig.state == "ACTIVE")
-            assert rig.control.writes["verified"] > 0
+            assert rig.control.writer.counts["verified"] > 0
             ticks = rig.ticks
             nc.breaks = RuntimeError("made up")
             await until(lambda: rig.state == "FAULT")
@@ -280,8 +280,8 @@ async def test_an_estimate_is_written_without_waiting_for_the_next_tick(tmp_path
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
             for _ in range(3):
                 rig.control.deliver(rig.estimate(0.0, -5.0))
-                writes = rig.control.writes["verified"]
-                await until(lambda writes=writes: rig.control.writes["verified"] > writes, 20.0)
+                writes = rig.control.writer.counts["verified"]
+                await until(lambda writes=writes: rig.control.writer.counts["verified"] > writes, 20.0)
             assert rig.state == "ACTIVE"
         finally:
             task.cancel()

@@ -374,7 +374,7 @@ class TestStore:
         first.writer.start()
         first.writer.put_state("wanted", {"Z": True})
         first.writer.close()
-        scripts = [*database.schema_scripts(), (2, "CREATE TABLE added (x INTEGER);")]
+        scripts = [*database.schema_scripts(), (database.schema_version() + 1, "CREATE TABLE added (x INTEGER);")]
         monkeypatch.setattr(database, "schema_scripts", lambda: scripts)
         with pytest.raises(HistoryError, match="start the daemon once, which migrates it"):
             HistoryReader(store)
@@ -384,7 +384,10 @@ class TestStore:
 
     def test_failing_migration_leaves_the_old_schema(self, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         database.connect_writer(store).close()
-        scripts = [*database.schema_scripts(), (2, "CREATE TABLE added (x INTEGER); CREATE TABLE added (x INTEGER);")]
+        scripts = [
+            *database.schema_scripts(),
+            (database.schema_version() + 1, "CREATE TABLE added (x INTEGER); CREATE TABLE added (x INTEGER);"),
+        ]
         with monkeypatch.context() as patch:
             patch.setattr(database, "schema_scripts", lambda: scripts)
             with pytest.raises(sqlite3.OperationalError, match="already exists"):

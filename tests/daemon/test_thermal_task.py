@@ -19,7 +19,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.release.loading import load_released
 from daemon.release.reach import own_account
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRequest, ThermalTask
+from daemon.thermal import ReferenceRefused, ReferenceRequest, ThermalTask
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.model import TestVector, ThermalModel
@@ -137,7 +137,7 @@ def task(tmp_path):
 async def test_a_reference_before_any_temperature_is_refused_in_words(task):
     with structlog.testing.capture_logs() as logs:
         await task.ask()
-    assert [item for item in task.delivered if isinstance(item, str) and "no temperature" in item]
+    assert [item for item in task.delivered if isinstance(item, ReferenceRefused) and "no temperature" in item.why]
     assert not [entry for entry in logs if entry["event"] == "thermal.defect"]
 
 
@@ -146,7 +146,7 @@ async def test_a_reference_while_every_line_is_silent_is_refused(task):
     task.clock.monotonic_s += 120.0
     await task.ask()
     assert task.references == []
-    assert any("no temperature" in item for item in task.delivered if isinstance(item, str))
+    assert any("no temperature" in item.why for item in task.delivered if isinstance(item, ReferenceRefused))
 
 
 async def test_the_reference_is_the_mean_of_the_last_minute(task):

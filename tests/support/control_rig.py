@@ -11,7 +11,7 @@ from memory_cnc import MemoryNc
 
 from config.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
-from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig
+from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, RequestMacrosConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
@@ -79,7 +79,7 @@ def machine(directory: Path, **changes: Any) -> Configuration:
             if "opcua" not in cnc
             else cnc["opcua"],
             macros=MacroMapConfig(
-                writable=["120", "500-505"],
+                writable=["120", "500-505", "524"],
                 sequence_a=SEQUENCE_A,
                 values={"x": X, "y": Y, "z": Z},
                 valid_until=VALID_UNTIL,
@@ -89,6 +89,7 @@ def machine(directory: Path, **changes: Any) -> Configuration:
                 echo_time=514,
                 echo_status=515,
                 echo_guard_version=516,
+                request=RequestMacrosConfig(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524),
             ),
         ),
         compensation=CompensationConfig(

@@ -1,0 +1,70 @@
+"""What the output did and why: events, notices, alarm, the latched FAULT, and what a restart needs."""
+
+from collections.abc import Sequence
+
+import structlog
+
+from daemon.history.writer import HistoryWriter
+from daemon.output.resume import rest_to_state
+from models.output import OutputMemory
+
+log = structlog.get_logger(__name__)
+
+NOTICES_KEPT = 20
+"""Latest notices that status can show."""
+
+
+class Journal:
+    """Hands what happened to history and log, and keeps what status shows; owned by the control task."""
+
+    def __init__(self, history: HistoryWriter, axes: Sequence[str], fault: str | None) -> None:
+        self._history = history
+        self._axes = tuple(axes)
+        self.fault = fault
+        """Why the output is not trusted; None while it is."""
+        self.notices: list[str] = []
+        self.alarm = ""
+
+    def event(self, kind: str, text: str, person: str) -> None:
+        """Record something that happened, and who did it."""
+        log.info(f"output.{kind}", text=text, person=person)
+        self._history.event(kind, text, person)
+
+    def say(self, kind: str, text: str) -> None:
+        """Record something that the daemon itself did; a notice is shown in status too."""
+        if kind == "notice":
+            self.notices = [*self.notices[1 - NOTICES_KEPT :], text]
+        self.event(kind, text, "daemon")
+
+    def notice(self, text: str) -> None:
+        """Record something that a person should know."""
+        self.say("notice", text)
+
+    def raise_fault(self, reason: str) -> None:
+        """Latch a FAULT; a second reason replaces the first in what is shown."""
+        if self.fault is None:
+            self.say("fault", reason)
+            self._history.put_state("fault", reason)
+        self.fault = reason
+
+    def forgive(self, remains: str) -> None:
+        """Clear the FAULT that a person acknowledged, except for what remains."""
+        self.fault = remains or None
+        self._history.put_state("fault", self.fault)
+
+    def watch(self, before: OutputMemory, after: OutputMemory, alarm: str) -> None:
+        """Record a change of state, and keep what a restart takes up again."""
+        if after.state is not before.state:
+            self.say("state", f"{before.state.value} -> {after.state.value}: {after.reason}")
+        if after.wanted != before.wanted or after.state is not before.state:
+            self._history.put_state("wanted", dict(zip(self._axes, after.wanted, strict=True)))
+        counts_anew = (
+            after.baseline_um is not before.baseline_um
+            or after.offset_um is not before.offset_um
+            or after.tools is not before.tools
+        )
+        if after.reference_id is not None and counts_anew:
+            self._history.put_state("rest", rest_to_state(after, self._axes))
+        if alarm and alarm.partition(":")[0] != self.alarm.partition(":")[0]:
+            self.say("alarm", alarm)
+        self.alarm = alarm
