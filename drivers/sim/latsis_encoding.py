@@ -98,6 +98,8 @@ class LineTransmitter:
         """Passes whose bytes all went out on the wire (whether a reader was there or not)."""
         self.cycles_disturbed = 0
         """Passes that a fault touched."""
+        self.last_pass_s: tuple[float, float] | None = None
+        """When the latest pass that has gone out began and ended [s]."""
         self._refuse_overlong()
 
     def plugged(self, now_s: float) -> bool:
@@ -124,20 +126,27 @@ class LineTransmitter:
                 return bytes(out)
             self._finish(self._pass)
 
+    @property
+    def next_start_s(self) -> float:
+        """When the next pass begins, and the registers are read [s]; inf when none does."""
+        start_s = self._start_s(self._last_number + 1)
+        return start_s if start_s < self._until_s else math.inf
+
+    def _start_s(self, number: int) -> float:
+        return self._phase_s + number * self._line.cycle_period_s
+
     def _next_number(self, now_s: float) -> int | None:
         """Return the number of the pass that begins next, None when it has not begun yet."""
-        latest = int((now_s - self._phase_s) // self._line.cycle_period_s)
-        number = self._last_number + 1
-        over = self._phase_s + number * self._line.cycle_period_s >= self._until_s
-        return number if number <= latest and not over else None
+        return self._last_number + 1 if self.next_start_s <= now_s else None
 
     def _begin(self, number: int) -> None:
-        start_s = self._phase_s + number * self._line.cycle_period_s
+        start_s = self._start_s(number)
         self._last_number = number
         data, disturbed = self._encode(start_s)
         self._pass = _Pass(number=number, start_s=start_s, data=data, disturbed=disturbed)
 
     def _finish(self, done: _Pass) -> None:
+        self.last_pass_s = (done.start_s, done.start_s + len(done.data) * self._byte_s)
         self.cycles_sent += done.whole
         self.cycles_disturbed += done.disturbed
         self._pass = None

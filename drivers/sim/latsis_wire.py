@@ -5,7 +5,7 @@ likes. Times are absolute, so a late step sends what has become due in between a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from config.schema.temperatures import TemperaturesConfig
@@ -16,6 +16,9 @@ from drivers.sim.pty_port import PtyPort
 
 PHASE_STEP = 0.381966
 """Share of the period by which each line starts after the one before it: never in step, never far apart."""
+
+
+Passed = Callable[[str, float, float], None]
 
 
 class LatsisWires:
@@ -80,10 +83,21 @@ class LatsisWires:
             port.link.parent.mkdir(parents=True, exist_ok=True)
             port.plug()
 
-    def step(self, now_s: float) -> None:
-        """Send what is due at a simulated time [s]; pull and plug adapters as the faults say."""
-        for transmitter, port in self._lines.values():
+    @property
+    def next_start_s(self) -> float:
+        """When the next pass of any line reads its registers [s of the machine]."""
+        return min(transmitter.next_start_s for transmitter, _ in self._lines.values())
+
+    def step(self, now_s: float, passed: Passed | None = None) -> None:
+        """Send what is due at a simulated time [s]; pull and plug adapters as the faults say.
+
+        `passed(line, start_s, end_s)` is called for each pass, right before its last bytes go out.
+        """
+        for name, (transmitter, port) in self._lines.items():
+            before = transmitter.last_pass_s
             due = transmitter.advance(now_s)
+            if passed is not None and transmitter.last_pass_s not in (None, before):
+                passed(name, *transmitter.last_pass_s)
             if not transmitter.plugged(now_s):
                 port.unplug()
                 continue

@@ -7,7 +7,7 @@ import math
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 from urllib.parse import urlparse
 
 from config.schema import Configuration
@@ -38,6 +38,18 @@ class Ready:
     displacements: Path | None
 
 
+class Witness(Protocol):
+    """Sees what a report at intervals cannot show."""
+
+    def began(self, origin_s: float) -> None:
+        """Take the clock's time at which the machine's time was 0 [s]."""
+        ...
+
+    def passed(self, line: str, start_s: float, end_s: float) -> None:
+        """Take a pass over a line whose last bytes go out now; times are the machine's [s]."""
+        ...
+
+
 async def run_simulated_machine(
     machine: SimulatedMachine,
     configuration: Configuration,
@@ -53,6 +65,7 @@ async def run_simulated_machine(
     own_process: bool = False,
     first_pass_s: float | None = None,
     until_s: float = math.inf,
+    witness: Witness | None = None,
 ) -> None:
     """Run until cancelled; the machine's time 0 is the moment when all faces are there.
 
@@ -64,7 +77,7 @@ async def run_simulated_machine(
     With `own_process` the garbage collector is told that all that exists after the start stays,
     which saves pauses of a tenth of a second. Lines are silent before `first_pass_s` and begin no
     pass from `until_s` on (both on the clock); when the last pass has gone out a report with
-    `final: true` is made.
+    `final: true` is made. A `witness` is told of the origin of the machine's time and of every pass.
     """
     check_targets(faults, configuration)
     async with _cnc_face(machine, configuration, faults, security) as (endpoint, relay):
@@ -73,6 +86,8 @@ async def run_simulated_machine(
             gc.freeze()
         origin_s = clock.now().monotonic_s - machine.time_s
         origin_utc_s = clock.now().utc_s - machine.time_s
+        if witness is not None:
+            witness.began(origin_s)
         wires = LatsisWires(
             machine,
             configuration.temperatures,
@@ -88,7 +103,7 @@ async def run_simulated_machine(
             if ready is not None:
                 links = {line.name: wires.link(line.name) for line in configuration.temperatures.lines}
                 ready(Ready(endpoint=endpoint, ports=links, displacements=logger.path if logger else None))
-            run = _Run(machine, configuration, wires, logger, relay, faults)
+            run = _Run(machine, configuration, wires, logger, relay, faults, witness)
             await run.forever(clock, origin_s, report_period_s, report, until_s - origin_s)
         finally:
             wires.close()
@@ -105,8 +120,10 @@ class _Run:
         logger: DisplacementCsv | None,
         relay: TcpRelay | None,
         faults: Sequence[Fault],
+        witness: Witness | None,
     ) -> None:
         self._machine = machine
+        self._passed = None if witness is None else witness.passed
         self._macros = configuration.cnc.macros.block
         self._wires = wires
         self._logger = logger
@@ -128,7 +145,7 @@ class _Run:
                 breath_at = loop.time() + BREATH_REAL_S
                 target_s = clock.now().monotonic_s - origin_s
                 while self._machine.time_s < target_s and loop.time() < breath_at:
-                    self._move(min(target_s, self._machine.time_s + LARGEST_STEP_S))
+                    self._move(min(target_s, self._machine.time_s + LARGEST_STEP_S, self._next_start_s()))
                 await self._disturb_cnc()
                 if self._machine.time_s >= next_report_s:
                     report(self.snapshot())
@@ -142,9 +159,14 @@ class _Run:
             report(self.snapshot())
             raise
 
+    def _next_start_s(self) -> float:
+        """Return when registers are read next, so that they are read at that very time."""
+        start_s = self._wires.next_start_s
+        return start_s if start_s > self._machine.time_s else math.inf
+
     def _move(self, to_s: float) -> None:
         self._machine.advance(to_s)
-        self._wires.step(self._machine.time_s)
+        self._wires.step(self._machine.time_s, self._passed)
         if self._logger is not None:
             self._logger.step(self._machine.time_s)
         for axis, truth in self._machine.truth().items():

@@ -1,0 +1,121 @@
+"""The sensor between two packs: its script, its lag in closed form, and what is told of it."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from config.loader import load_configuration
+from config.machines import shipped_file
+from drivers.clock import ScaledClock
+from drivers.sim.day import Day
+from drivers.sim.latsis_wire import LatsisWires
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.packs import PackedMachine, PackScript, PackScriptError, SensorOnPacks, load_pack_script
+from drivers.sim.program import standing_program
+
+SCRIPT = PackScript(
+    sensor=5, ice_degc=2.0, hot_degc=42.0, lag_s=40.0, change_degc=0.1875, moves_s=(100.0, 400.0), macro=549
+)
+
+
+def test_the_sensor_follows_its_pack_with_one_time_constant():
+    sensor = SensorOnPacks(SCRIPT)
+    assert sensor.degc(99.9) == 2.0
+    assert sensor.degc(140.0) == pytest.approx(42.0 - 40.0 / math.e)
+    top = sensor.degc(400.0)
+    assert top == pytest.approx(42.0, abs=0.05)
+    assert sensor.degc(440.0) == pytest.approx(2.0 + (top - 2.0) / math.e)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_lag_is_the_time_until_the_change_can_be_seen(number):
+    sensor, move_s = SensorOnPacks(SCRIPT), SCRIPT.moves_s[number - 1]
+    lag_s = sensor.lag_s(number)
+    assert 0.0 < lag_s < 1.0
+    assert abs(sensor.degc(move_s + lag_s) - sensor.degc(move_s)) == pytest.approx(SCRIPT.change_degc)
+
+
+def test_a_move_that_changes_nothing_is_never_seen():
+    same = PackScript(sensor=5, ice_degc=2.0, hot_degc=2.1, lag_s=40.0, change_degc=0.1875, moves_s=(1.0,), macro=549)
+    assert SensorOnPacks(same).lag_s(1) == math.inf
+
+
+def packed(told):
+    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    machine = CfrpMachine(
+        Day.draw(1, start="cold"),
+        standing_program(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+    )
+    line = next(line for line in configuration.temperatures.lines if SCRIPT.sensor in line.sensor_ids)
+    clock = ScaledClock(epoch_real_s=0.0, epoch_utc_s=0.0, speed=1.0)
+    return PackedMachine(machine, SCRIPT, line.name, clock, told.append), configuration, line
+
+
+def test_only_the_moved_sensor_differs_and_what_happened_is_told():
+    told = []
+    machine, _, line = packed(told)
+    machine.began(-3.0)
+    ids = line.sensor_ids
+    others = [i for i, sensor_id in enumerate(ids) if sensor_id != SCRIPT.sensor]
+    at = ids.index(SCRIPT.sensor)
+
+    machine.advance(102.0)
+    assert told == []
+    before = machine.register_codes(ids)
+    assert before[at] / 16 == pytest.approx(2.0, abs=0.2)
+    assert np.all(np.array(before)[others] / 16 > 10.0)
+
+    machine.advance(203.0)
+    assert [event["move"]["number"] for event in told] == [1]
+    assert told[0]["move"]["time_s"] == 100.0 and told[0]["move"]["hot"]
+    assert machine.register_codes(ids)[at] / 16 == pytest.approx(SensorOnPacks(SCRIPT).degc(200.0), abs=0.2)
+
+    machine.nc.macros.set(SCRIPT.macro, 12.5)
+    machine.nc.macros.set(548, 1.0)
+    assert machine.nc.macros.get(SCRIPT.macro) == 12.5
+    assert [event["macro"]["value"] for event in told if "macro" in event] == [12.5]
+
+
+def test_passes_are_told_with_the_time_at_which_registers_are_read(tmp_path):
+    told = []
+    machine, configuration, line = packed(told)
+    machine.began(0.0)
+    reads = []
+    codes = machine.register_codes
+    machine.register_codes = lambda ids: reads.append(machine.time_s) or codes(ids)
+    wires = LatsisWires(machine, configuration.temperatures, tmp_path, first_pass_s=5.0)
+    while machine.time_s < 20.0:
+        start_s = wires.next_start_s
+        machine.advance(min(machine.time_s + 1.0, start_s if start_s > machine.time_s else math.inf))
+        wires.step(machine.time_s, machine.passed)
+    passes = [event["pass"] for event in told]
+    assert passes
+    assert all(event["start_s"] in reads for event in passes), "read at the very start of the pass"
+    for event in passes:
+        assert 0.0 < event["end_s"] - event["start_s"] < line.cycle_period_s
+        assert event["degc"] == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "change,sentence",
+    [
+        ({"moves_s": [5.0, 5.0]}, "must increase"),
+        ({"moves_s": 5.0}, "a list"),
+        ({"lag_s": 0.0}, "positive"),
+        ({"hot_degc": "warm"}, "finite number"),
+        ({"colour": 1.0}, "exactly the keys"),
+    ],
+)
+def test_a_script_that_cannot_be_played_is_refused_in_a_sentence(tmp_path, change, sentence):
+    path = tmp_path / "packs.yaml"
+    content = {name: getattr(SCRIPT, name) for name in PackScript.__slots__} | {"moves_s": [1.0, 2.0]}
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert load_pack_script(path).moves_s == (1.0, 2.0)
+    path.write_text(yaml.safe_dump(content | change), encoding="utf-8")
+    with pytest.raises(PackScriptError, match=sentence):
+        load_pack_script(path)
