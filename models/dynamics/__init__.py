@@ -1,0 +1,1 @@
+"""Spindle dynamics: composite sections, exact beam segments, coupling, bearings, modes, identification."""

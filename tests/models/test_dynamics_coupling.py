@@ -1,0 +1,250 @@
+"""Coupling against the standard formula of LM-FBS, against each other, and the condensed shaft against both."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from models.dynamics.beam import Segment
+from models.dynamics.bearings import (
+    PARAMETERS,
+    CondensedShaft,
+    parameters_from_properties,
+    properties_from_parameters,
+)
+from models.dynamics.chain import Chain, SpringDamper, Support
+from models.dynamics.coupling import (
+    chain_receptance,
+    couple_elastic,
+    couple_rigid,
+    couple_side_by_side,
+    ground,
+    ground_stiffness,
+    segment_receptance,
+)
+from models.dynamics.mac import at_points, modal_assurance
+from models.dynamics.modes import dense_stiffness, modes, natural_frequencies
+from models.dynamics.section import Elasticity, Tube, beam_segment
+
+ComplexArray = npt.NDArray[np.complex128]
+STEEL = Elasticity(young_pa=200e9, shear_pa=76.9e9, poisson=0.3, density_kg_per_m3=7850.0)
+FREQUENCY_HZ = np.array([80.0, 700.0, 1234.5, 2500.0])
+JOINT = SpringDamper(kt_n_per_m=1.25e8, ct_ns_per_m=3.6e3, kr_nm_per_rad=8.6e5, cr_nms_per_rad=2.4e3)
+PROPERTIES = {
+    "12": SpringDamper(kt_n_per_m=5.11e7, ct_ns_per_m=198.0, kr_nm_per_rad=2.96e5, cr_nms_per_rad=0.0338),
+    "34": SpringDamper(kt_n_per_m=2.68e8, ct_ns_per_m=9.15e4, kr_nm_per_rad=3.66e5, cr_nms_per_rad=2e-6),
+    "5": SpringDamper(kt_n_per_m=1.5e8, ct_ns_per_m=3e-5, kr_nm_per_rad=6.56e5, cr_nms_per_rad=2e-6),
+}
+PLACES = (("12", 0.0991), ("12", 0.1271), ("34", 0.1841), ("34", 0.2111), ("5", 0.4371))
+
+
+def tube(length_mm: float, outer_mm: float, inner_mm: float = 0.0) -> Segment:
+    section = Tube(outer_m=outer_mm / 1e3, inner_m=inner_mm / 1e3, elasticity=STEEL)
+    return beam_segment(length_mm / 1e3, (section,), structural_damping=0.003)
+
+
+def shaft(properties: dict[str, SpringDamper] = PROPERTIES) -> Chain:
+    supports = tuple(Support(position_m=m, group=group, properties=properties[group]) for group, m in PLACES)
+    return Chain(
+        parts=(tube(89.1, 89, 38), tube(165, 60, 28), tube(154, 95, 32.3), tube(93, 45, 33)), supports=supports
+    )
+
+
+def lm_fbs(substructures: list[ComplexArray], boolean: npt.NDArray[np.float64], joint: ComplexArray) -> ComplexArray:
+    """Return Y - Y B^T (B Y B^T + K^-1)^-1 B Y, the dual form of de Klerk and others, K^-1 zero when rigid."""
+    size = sum(len(matrix) for matrix in substructures)
+    whole = np.zeros((size, size), dtype=complex)
+    first = 0
+    for matrix in substructures:
+        whole[first : first + len(matrix), first : first + len(matrix)] = matrix
+        first += len(matrix)
+    gap = boolean @ whole @ boolean.T + joint
+    return whole - whole @ boolean.T @ np.linalg.inv(gap) @ boolean @ whole
+
+
+def gap_between(first: int, second: int) -> npt.NDArray[np.float64]:
+    boolean = np.zeros((2, first + second))
+    boolean[0, first - 2] = boolean[1, first - 1] = 1.0
+    boolean[0, first] = boolean[1, first + 1] = -1.0
+    return boolean
+
+
+@pytest.fixture
+def pair() -> tuple[ComplexArray, ComplexArray]:
+    return (
+        segment_receptance(tube(120, 60, 20), FREQUENCY_HZ, [0.0, 0.03, 0.12]),
+        segment_receptance(tube(45, 42), FREQUENCY_HZ, [0.0, 0.0029, 0.02, 0.045]),
+    )
+
+
+def test_rigid_coupling_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]) -> None:
+    first, second = pair
+    found = couple_rigid(first, second)
+    kept = [*range(6), *range(8, 14)]
+    for index in range(len(FREQUENCY_HZ)):
+        expected = lm_fbs([first[index], second[index]], gap_between(6, 8), np.zeros((2, 2)))[np.ix_(kept, kept)]
+        assert found[index] == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max() * 1e-3)
+
+
+def test_elastic_coupling_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]) -> None:
+    first, second = pair
+    found = couple_elastic(first, second, JOINT, FREQUENCY_HZ)
+    for index, at in enumerate(FREQUENCY_HZ):
+        omega = 2 * np.pi * at
+        soft = np.diag([1 / (1.25e8 + 1j * omega * 3.6e3), 1 / (8.6e5 + 1j * omega * 2.4e3)])
+        expected = lm_fbs([first[index], second[index]], gap_between(6, 8), soft)
+        assert found[index] == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max() * 1e-3)
+
+
+def test_grounding_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]) -> None:
+    free = pair[0]
+    found = ground(free, ground_stiffness([None, JOINT, PROPERTIES["12"]], FREQUENCY_HZ))
+    for index, at in enumerate(FREQUENCY_HZ):
+        omega = 2 * np.pi * at
+        soft = np.diag([1 / (1.25e8 + 1j * omega * 3.6e3), 1 / (8.6e5 + 1j * omega * 2.4e3),
+                        1 / (5.11e7 + 1j * omega * 198), 1 / (2.96e5 + 1j * omega * 0.0338)])  # fmt: skip
+        boolean = np.eye(6)[2:]
+        expected = lm_fbs([free[index]], boolean, soft)
+        assert found[index] == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max() * 1e-3)
+
+
+def test_a_joint_without_stiffness_leaves_both_parts_alone(pair: tuple[ComplexArray, ComplexArray]) -> None:
+    first, second = pair
+    found = couple_elastic(first, second, SpringDamper(), FREQUENCY_HZ)
+    assert np.array_equal(found[:, :6, :6], first)
+    assert not found[:, :6, 6:].any()
+
+
+def test_coupled_segments_are_the_whole_segment() -> None:
+    whole = segment_receptance(tube(160, 60, 20), FREQUENCY_HZ, [0.0, 0.05, 0.12, 0.16])
+    parts = couple_rigid(
+        segment_receptance(tube(120, 60, 20), FREQUENCY_HZ, [0.0, 0.05, 0.12]),
+        segment_receptance(tube(40, 60, 20), FREQUENCY_HZ, [0.0, 0.04]),
+    )
+    assert parts == pytest.approx(whole, rel=1e-7, abs=1e-9 * abs(whole).max())
+
+
+def test_layers_side_by_side_are_the_parallel_section() -> None:
+    """Two slender layers of one material tied at many points against one section (the limit of C-5)."""
+    inner, outer = (tube(300, 20, 0), tube(300, 30, 20))
+    together = Segment(
+        length_m=0.3,
+        mass_kg_per_m=inner.mass_kg_per_m + outer.mass_kg_per_m,
+        rotary_inertia_kgm=inner.rotary_inertia_kgm + outer.rotary_inertia_kgm,
+        bending_stiffness_nm2=inner.bending_stiffness_nm2 + outer.bending_stiffness_nm2,
+        shear_stiffness_n=inner.shear_stiffness_n + outer.shear_stiffness_n,
+        structural_damping=0.003,
+    )
+    errors = []
+    for pieces in (3, 12, 48):
+        offsets = [0.3 * k / pieces for k in range(pieces + 1)]
+        found = couple_side_by_side(*(segment_receptance(each, FREQUENCY_HZ, offsets) for each in (inner, outer)))
+        expected = segment_receptance(together, FREQUENCY_HZ, [0.0, 0.3])
+        errors.append(np.max(np.abs(found[:, 0, 0] / expected[:, 0, 0] - 1.0)))
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]
+    assert errors[2] < 5e-3
+    # twice the same layer is that layer with twice the stiffness, exactly
+    twice = couple_side_by_side(*(segment_receptance(inner, FREQUENCY_HZ, offsets),) * 2)
+    assert 2 * twice == pytest.approx(segment_receptance(inner, FREQUENCY_HZ, offsets), rel=1e-6)
+
+
+def test_condensed_shaft_is_the_literal_formula() -> None:
+    """4-35: the inverse of the sum of two inverses, the second one with K used directly."""
+    frequency_hz = np.linspace(300.0, 2500.0, 23)
+    places = sorted({0.0, 0.0891, 0.2541, 0.4081, 0.5011, *(m for _, m in PLACES)})
+    springs: list[SpringDamper | None] = [None] * len(places)
+    for group, m in PLACES:
+        springs[places.index(m)] = PROPERTIES[group]
+    free = replace(shaft(), supports=())
+    receptance = None
+    start = 0.0
+    for part in free.segments:
+        inside = [m - start for m in places if start - 1e-9 <= m <= start + part.length_m + 1e-9]
+        piece = segment_receptance(part, frequency_hz, [*inside[:-1], part.length_m])
+        receptance = piece if receptance is None else couple_rigid(receptance, piece)
+        start += part.length_m
+    assert receptance is not None
+    literal = np.linalg.inv(np.linalg.inv(receptance) + ground_stiffness(springs, frequency_hz))
+    assert CondensedShaft(free_with_supports(), frequency_hz).nose_receptance_matrix(PROPERTIES) == pytest.approx(
+        np.stack([literal[:, 0, 0], literal[:, 0, 1], literal[:, 1, 1]]), rel=1e-7
+    )
+
+
+def free_with_supports() -> Chain:
+    return shaft(dict.fromkeys(PROPERTIES, SpringDamper()))
+
+
+def test_condensed_shaft_against_the_dense_assembly_and_the_ends() -> None:
+    chain = shaft()
+    found = CondensedShaft(chain, FREQUENCY_HZ).nose_receptance(PROPERTIES)
+    for index, at in enumerate(FREQUENCY_HZ):
+        stiffness, _ = dense_stiffness(chain, float(at), 0.01, damped=True)
+        assert found[index] == pytest.approx(np.linalg.inv(stiffness)[0, 0], rel=1e-8)
+    assert chain_receptance(chain, FREQUENCY_HZ)[:, 0, 0] == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("places", [(0.0, 0.5011), (0.0891, 0.0891), (0.2, 0.2541)], ids=["ends", "twice", "border"])
+def test_supports_at_ends_borders_and_twice_at_one_place(places: tuple[float, float]) -> None:
+    supports = tuple(
+        Support(position_m=m, group=group, properties=PROPERTIES[group])
+        for m, group in zip(places, ("12", "5"), strict=True)
+    )
+    chain = replace(shaft(), supports=supports)
+    condensed = CondensedShaft(chain, FREQUENCY_HZ)
+    found, derivatives = condensed.nose_receptance_and_derivatives(PROPERTIES)
+    stiffness, _ = dense_stiffness(chain, float(FREQUENCY_HZ[2]), 0.0, damped=True)
+    assert found[2] == pytest.approx(np.linalg.inv(stiffness)[0, 0], rel=1e-9)
+    assert set(derivatives) == {name for name in PARAMETERS if not name.endswith("_34")}
+
+
+def test_derivatives_by_every_parameter() -> None:
+    condensed = CondensedShaft(shaft(), FREQUENCY_HZ)
+    found, derivatives = condensed.nose_receptance_and_derivatives(PROPERTIES)
+    assert found == pytest.approx(condensed.nose_receptance(PROPERTIES), rel=1e-12)
+    values = parameters_from_properties(PROPERTIES)
+    for name in PARAMETERS:
+        step = max(1e-4 * values[name], 1e-2)
+        up, down = ({**values, name: values[name] + sign * step} for sign in (1, 0))
+        slope = (condensed.nose_receptance(properties_from_parameters(up))
+                 - condensed.nose_receptance(properties_from_parameters(down))) / step  # fmt: skip
+        assert derivatives[name] == pytest.approx(slope, rel=2e-2, abs=1e-3 * abs(slope).max()), name
+
+
+def test_natural_frequencies_on_supports_are_where_the_undamped_response_is_singular() -> None:
+    chain = shaft()
+    lever = np.tile([1.0, 50.0], len(dense_stiffness(chain, 500.0, 0.01, damped=False)[1]))
+    for frequency in natural_frequencies(chain, 4):
+        stiffness, _ = dense_stiffness(chain, float(frequency), 0.01, damped=False)
+        values = np.linalg.eigvalsh(stiffness * lever[:, None] * lever)
+        assert np.min(np.abs(values)) < 1e-9 * np.max(np.abs(values))
+
+
+def test_an_elastic_joint_lowers_frequencies_and_a_stiff_one_does_not() -> None:
+    rigid = replace(shaft(), supports=())
+    ranks = natural_frequencies(rigid, 3)
+    parts = list(rigid.parts)
+    for joint, check in ((1e16, 1e-5), (1e8, None)):
+        spring = SpringDamper(kt_n_per_m=joint, kr_nm_per_rad=joint / 100)
+        jointed = Chain(parts=(*parts[:2], spring, *parts[2:]))
+        found = natural_frequencies(jointed, 3)
+        if check:
+            assert found == pytest.approx(ranks, rel=check)
+        else:
+            assert np.all(found < ranks)
+
+
+def test_modal_assurance_uses_conjugates() -> None:
+    shape = np.array([1.0 + 1.0j, 2.0 - 0.5j, -1.0j])
+    assert modal_assurance(shape, shape) == pytest.approx(1.0)
+    assert modal_assurance(shape, shape * np.exp(0.7j) * 3) == pytest.approx(1.0)
+    assert modal_assurance([1.0, 0.0], [0.0, 2.0]) == 0.0  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="zero everywhere"):
+        modal_assurance(np.zeros(3), np.ones(3))
+
+
+def test_modes_of_one_shaft_are_not_alike() -> None:
+    first, second = modes(replace(shaft(), supports=()), 2)
+    wanted = np.linspace(0.0, 0.5, 8)
+    one, two = (at_points(mode.position_m, mode.displacement, wanted) for mode in (first, second))
+    assert modal_assurance(one, two) < 0.4
