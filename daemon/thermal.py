@@ -117,12 +117,17 @@ class ThermalTask:
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
-            self._reference = item
+            self._use_reference(item)
+
+    def _use_reference(self, reference: Reference) -> None:
+        self._reference = reference
+        self._absent = np.zeros(0 if self._order is None else len(self._order), dtype=bool)
 
     def _use_model(self, model: ThermalModel | None) -> None:
         """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
         self._model = model
         self._order = self._model_order(model)
+        self._absent = np.zeros(0 if self._order is None else len(self._order), dtype=bool)
         self._estimator = self._make_estimator(model)
 
     def _model_order(self, model: ThermalModel | None) -> npt.NDArray[np.intp] | None:
@@ -190,9 +195,12 @@ class ThermalTask:
             return None
         degc = self._mean.mean()
         elapsed_min = (temperatures.trace.first_byte.monotonic_s - reference.time.monotonic_s) / 60.0
-        outcome = self._estimator.renew(degc[self._order], reference.degc[self._order], max(elapsed_min, 0.0))
+        elapsed_min = max(elapsed_min, 0.0)
+        reference = self._rebase_returned(reference, degc, elapsed_min)
+        outcome = self._estimator.renew(degc[self._order], reference.degc[self._order], elapsed_min)
         if outcome is None:
             return None
+        self._absent = ~np.isfinite(degc[self._order])
         now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)
         return ThermalErrorEstimate(
             channels=model.channels,
@@ -208,6 +216,29 @@ class ThermalTask:
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
         )
+
+    def _rebase_returned(self, reference: Reference, degc: FloatArray, elapsed_min: float) -> Reference:
+        """Let a sensor that returns go on from where it was imputed, so that its return moves nothing.
+
+        Its temperature at the reference becomes what makes its increment the imputed one. The same
+        gives a sensor that was missing at the reference a value to count from.
+        """
+        assert self._estimator is not None and self._order is not None
+        now = degc[self._order]
+        back = np.isfinite(now) & (self._absent | ~np.isfinite(reference.degc[self._order]))
+        if not back.any() or back.all():
+            return reference
+        without = self._estimator.renew(np.where(back, np.nan, now), reference.degc[self._order], elapsed_min)
+        if without is None:
+            return reference
+        at_reference = reference.degc.copy()
+        at_reference[self._order[back]] = (now - without.increment_k)[back]
+        rebased = replace(reference, degc=at_reference)
+        ids = [self._sensor_ids[i] for i in self._order[back]]
+        log.info("reference.rebased", reference=reference.reference_id, sensors=ids[:20], count=len(ids))
+        self._reference = rebased
+        self._deliver(rebased)
+        return rebased
 
     def _label_means(self, degc: FloatArray) -> dict[str, float]:
         means = {}
@@ -237,7 +268,7 @@ class ThermalTask:
             work_offset=request.work_offset,
             power_on_count=request.power_on_count,
         )
-        self._reference = reference
+        self._use_reference(reference)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

@@ -18,6 +18,7 @@ from daemon.output.block_writer import BlockWriter
 from daemon.output.cnc_link import CncLink
 from daemon.output.cnc_session import CncSession
 from daemon.output.echo_watch import EchoWatch
+from daemon.output.guard_watch import GuardWatch
 from daemon.output.handshake import Handshake
 from daemon.output.journal import Journal
 from daemon.output.limits import axis_sources, output_limits
@@ -80,7 +81,7 @@ class ControlTask:
         self._on_tick = on_tick
         self.limits = output_limits(configuration)
         self._sources = axis_sources(configuration)
-        self._tool = ToolInSpindle(self._sources)
+        self._tool = ToolInSpindle(self._sources, history)
         self._tool_setting: tuple[bool, ...] | None = None
         self._probe_um: FloatArray | None = None
         self.modelled = self._permission.modelled
@@ -108,7 +109,8 @@ class ControlTask:
         self._desk = RequestDesk(
             handshake, self._references, self.journal.say, self._set_tool, self._change_tool, self._take_probe
         )
-        self._alarm_after_s = configuration.compensation.output.alarm_after_s
+        self._output = configuration.compensation.output
+        self._guard_watch = GuardWatch()
         self._needs_person = ""
         self.writer = BlockWriter(
             clock,
@@ -234,6 +236,7 @@ class ControlTask:
         self._echo_watch.seen(session.echo, sample.time)
         if problems:
             self.journal.raise_fault("; ".join(problems))
+        self._guard_watch.follow(session.echo, sample)
         self._references.follow(sample)
         self._tool.follow(sample.tool_number, self._estimate)
         await self._desk.look(session)
@@ -241,6 +244,9 @@ class ControlTask:
             self._start_from(session)
 
     def _adopt_reference(self, reference: Reference) -> None:
+        if self.reference is not None and reference.reference_id == self.reference.reference_id:
+            self._references.rebase(reference)
+            return
         still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
         if refusal := self._references.adopt(reference, still_um):
             self._desk.refused(reference.reference_id, refusal)
@@ -312,6 +318,7 @@ class ControlTask:
         except ValueError as error:
             self._references.end(str(error))
             return
+        self._tool.take_up(reference.reference_id)
         self._ask_reference(reference)
         self.journal.say("reference", f"taken up again: {reference.source}")
 
@@ -326,7 +333,10 @@ class ControlTask:
         self.command = command
         obstacle = why_not_ready(self.memory, inputs, self.limits)
         echo = session.echo if session is not None else None
-        alarm = alarm_of(self.memory, echo, now_s=inputs.now_s, alarm_after_s=self._alarm_after_s, obstacle=obstacle)
+        silent_s = self._guard_watch.silent_s
+        alarm = alarm_of(
+            self.memory, echo, now_s=inputs.now_s, guard_silent_s=silent_s, config=self._output, obstacle=obstacle
+        )
         self.journal.watch(before, self.memory, alarm)
         if session is not None and command.write:
             await self.writer.write_when_due(session, command, estimate)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.output.last_block import LastBlock
 from daemon.output.macro_block import ECHO_SLACK_UM
 from drivers.clock import Clock
-from models.output import OutputMemory
+from models.output import OutputMemory, ToolRest
 from models.records import FloatArray, Instant, Reference
 
 log = structlog.get_logger(__name__)
@@ -52,6 +53,13 @@ def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
         "model_id": memory.model_id,
         "baseline_um": dict(zip(axes, memory.baseline_um.tolist(), strict=True)),
         "offset_um": dict(zip(axes, memory.offset_um.tolist(), strict=True)),
+        "tools": {
+            str(number): {
+                "baseline_um": [None if np.isnan(um) else um for um in tool.baseline_um.tolist()],
+                "error_um": tool.error_um.tolist(),
+            }
+            for number, tool in memory.tools.items()
+        },
     }
 
 
@@ -85,7 +93,17 @@ def with_rest(
         model_id=rest["model_id"],
         baseline_um=np.array([rest["baseline_um"][axis] for axis in axes]),
         offset_um=np.array([rest["offset_um"][axis] for axis in axes]),
+        tools=MappingProxyType(
+            {int(number): _tool_rest(kept) for number, kept in rest.get("tools", {}).items()}
+            if list(rest["baseline_um"]) == list(axes)
+            else {}
+        ),
     )
+
+
+def _tool_rest(kept: dict[str, list[float | None]]) -> ToolRest:
+    numbers = {name: [np.nan if um is None else um for um in values] for name, values in kept.items()}
+    return ToolRest(baseline_um=np.array(numbers["baseline_um"]), error_um=np.array(numbers["error_um"]))
 
 
 def reference_to_state(reference: Reference) -> dict[str, Any]:

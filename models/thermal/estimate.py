@@ -31,6 +31,8 @@ class Estimation:
     """IDs of the sensors without a usable increment, which were imputed."""
     outside: tuple[int, ...]
     """IDs of the sensors outside the range that training covered."""
+    increment_k: FloatArray
+    """Increment since the reference that each sensor counted with [K], imputed where it has none itself."""
 
 
 class Estimator(Protocol):
@@ -99,6 +101,7 @@ class LinearEstimator:
             in_domain=not outside.any(),
             imputed=imputed,
             outside=self._ids(outside) if outside.any() else (),
+            increment_k=increment_k,
         )
 
     def _impute(self, increment_k: FloatArray, usable: npt.NDArray[np.bool_]) -> FloatArray:
