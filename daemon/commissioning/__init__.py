@@ -1,0 +1,1 @@
+"""Commissioning: a person sees each axis move the right way, and the record of it."""

@@ -1,0 +1,112 @@
+"""What the person at the machine is told and asked."""
+
+import asyncio
+import math
+import os
+import select
+from typing import Protocol
+
+import click
+
+from daemon.commissioning.refusal import CommissioningRefusedError
+
+LOOK_S = 0.05
+"""Pause between two looks at the keyboard; the heartbeat to the CNC runs in it [s of the wall clock]."""
+YES = ("y", "yes")
+NO = ("", "n", "no")
+
+
+class Dialogue(Protocol):
+    """One person."""
+
+    interactive: bool
+    """Questions reach somebody; otherwise only what options have answered is known."""
+
+    def say(self, text: str) -> None:
+        """Tell something."""
+        ...
+
+    async def confirm(self, question: str) -> bool:
+        """Ask for a yes before something happens."""
+        ...
+
+    async def confirm_expressly(self, question: str) -> bool:
+        """Ask for a yes that no general consent covers."""
+        ...
+
+    async def number(self, question: str) -> float | None:
+        """Ask for a number, None when the person has none."""
+        ...
+
+    async def text(self, question: str) -> str:
+        """Ask for a line of text."""
+        ...
+
+
+class TerminalDialogue:
+    """Asks on the terminal, without a thread that would wait for a key for ever."""
+
+    def __init__(self, *, consent: bool, descriptor: int = 0) -> None:
+        """`consent` says yes to every step beforehand, and asks for nothing."""
+        self.interactive = not consent
+        self._descriptor = descriptor
+        self._unread = b""
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        click.echo(text)
+
+    async def confirm(self, question: str) -> bool:
+        """Ask for a yes; a general consent counts."""
+        if not self.interactive:
+            self.say(f"{question} yes (--yes)")
+            return True
+        return await self.confirm_expressly(question)
+
+    async def confirm_expressly(self, question: str) -> bool:
+        """Ask for a yes on the terminal; without one the answer is no."""
+        if not self.interactive:
+            self.say(f"{question} no: --yes does not cover this")
+            return False
+        while True:
+            answer = (await self._ask(f"{question} [y/N] ")).lower()
+            if answer in YES or answer in NO:
+                return answer in YES
+            self.say("answer y or n")
+
+    async def number(self, question: str) -> float | None:
+        """Ask until a finite number or an empty line comes."""
+        if not self.interactive:
+            return None
+        while True:
+            answer = await self._ask(f"{question} ")
+            if not answer:
+                return None
+            try:
+                number = float(answer.replace(",", "."))
+            except ValueError:
+                number = math.nan
+            if math.isfinite(number):
+                return number
+            self.say(f"{answer!r} is no number; write micrometres, such as 4.8 or -0.2")
+
+    async def text(self, question: str) -> str:
+        """Ask for a line; empty with a general consent."""
+        return await self._ask(f"{question} ") if self.interactive else ""
+
+    async def _ask(self, prompt: str) -> str:
+        click.echo(prompt, nl=False)
+        while b"\n" not in self._unread:
+            ready, _, _ = select.select([self._descriptor], [], [], 0)
+            if not ready:
+                await asyncio.sleep(LOOK_S)
+                continue
+            data = os.read(self._descriptor, 4096)
+            if not data:
+                raise CommissioningRefusedError(
+                    f"nobody answered {prompt.strip()!r}: standard input has ended. Answer on a terminal, or with "
+                    "--yes, --person, --instrument, --channel and --reading"
+                )
+            self._unread += data
+        line, _, self._unread = self._unread.partition(b"\n")
+        return line.decode("utf-8", "replace").strip()

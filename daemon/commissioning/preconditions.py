@@ -1,0 +1,88 @@
+"""What must hold before anything is asked of the machine."""
+
+import socket
+from pathlib import Path
+
+import numpy as np
+
+from config.commissioning import LEAST_PROOF_UM
+from config.schema import Configuration
+from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.station import refuse_unsafe
+from daemon.output.reference_watch import phase_of
+from drivers.clock import Clock
+from drivers.contract import SIMULATED_CNC_IDENTITY
+from models.records import CncMode, CncSample, Phase
+
+ANSWER_S = 1.0
+"""A daemon takes a connection at its socket within this [s]."""
+GUARD_MODES = (CncMode.MDI, CncMode.MEMORY, CncMode.REMOTE)
+"""Modes in which the guard can be called."""
+
+
+def refuse_running_daemon(path: Path) -> None:
+    """Refuse while a daemon serves its socket: the control has one session, the store one writer."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(ANSWER_S)
+        try:
+            probe.connect(str(path))
+        except (FileNotFoundError, ConnectionRefusedError):
+            return
+        except PermissionError as error:
+            raise CommissioningRefusedError(
+                f"{path}: permission denied, so whether the daemon runs is unknown; run this as the daemon's user"
+            ) from error
+        except OSError as error:
+            raise CommissioningRefusedError(f"{path}: whether the daemon runs is unknown ({error.strerror})") from error
+    raise CommissioningRefusedError(
+        f"the daemon is running ({path} answers), and it would take the commissioning's values for a stranger's: "
+        "switch compensation off (`toolpoint disable --zero`), wait for OFF, stop it (`systemctl stop toolpoint`), "
+        "and begin again"
+    )
+
+
+def refuse_insecure(configuration: Configuration) -> None:
+    """Refuse a connection over which nothing may be written."""
+    opcua = configuration.cnc.opcua
+    if opcua.security is None and not opcua.allow_insecure_writes:
+        raise CommissioningRefusedError(
+            "nothing is written over an unencrypted, anonymous connection: configure cnc.opcua.security, or, in a "
+            "laboratory only, set cnc.opcua.allow_insecure_writes: true"
+        )
+
+
+def refuse_clock(clock: Clock, identity: str) -> None:
+    """Refuse a simulated clock at anything but the simulated control."""
+    if clock.speed != 1.0 and identity != SIMULATED_CNC_IDENTITY:
+        raise CommissioningRefusedError(
+            f"the clock is simulated but the control is not ({identity}): leave --simulated-clock away"
+        )
+
+
+def refuse_state(sample: CncSample, configuration: Configuration) -> None:
+    """Refuse a machine that is busy, or in a mode in which no guard can be called."""
+    refuse_unsafe(sample)
+    if sample.mode not in GUARD_MODES:
+        raise CommissioningRefusedError(
+            f"the control is in mode {sample.mode.value}, in which no guard can be called: choose MDI or MEM"
+        )
+    if phase_of(sample, configuration.compensation.output.safe_sequence_numbers) is Phase.CUTTING:
+        raise CommissioningRefusedError(
+            f"a program is running (O{sample.program}, N{sample.sequence_number}, {sample.run.value}) and is not at a "
+            "configured safe point (compensation.output.safe_sequence_numbers): end it, or let it stand at one"
+        )
+
+
+def refuse_offset(configuration: Configuration, axes: tuple[str, ...], offset_um: float) -> None:
+    """Refuse an offset that proves nothing, or that an axis may not have."""
+    if not np.isfinite(offset_um) or abs(offset_um) < LEAST_PROOF_UM:
+        raise CommissioningRefusedError(
+            f"an offset of {offset_um:g} um is too small to prove anything: at least {LEAST_PROOF_UM:g} um"
+        )
+    for axis in axes:
+        bound_um = configuration.compensation.axes[axis].absolute_bound_um
+        if abs(offset_um) > bound_um:
+            raise CommissioningRefusedError(
+                f"axis {axis}: an offset of {offset_um:g} um is outside its absolute bound of {bound_um:g} um; choose "
+                "a smaller --offset-um"
+            )

@@ -1,0 +1,173 @@
+"""Where readings of the movement come from: a displacement channel, an option, or a person's eyes."""
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from config.schema import Configuration
+from daemon import registry
+from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.refusal import CommissioningRefusedError
+from drivers.clock import Clock
+
+SETTLED_LOOKS = 1.5
+"""Rows that come within so many looks at the logger's file may be older than the question."""
+KEPT_ROWS = 10_000
+
+
+class Moment(IntEnum):
+    """When the instrument is read."""
+
+    BEFORE = 0
+    AT_OFFSET = 1
+    AFTER = 2
+
+
+WORDS = {
+    Moment.BEFORE: "at zero, before the offset",
+    Moment.AT_OFFSET: "with the offset applied",
+    Moment.AFTER: "back at zero",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """One reading along one axis."""
+
+    um: float
+    source: str
+    noise_um: float | None = None
+    """Standard deviation of the samples [um], None where there was only one."""
+    samples: int = 1
+
+
+class DisplacementLog:
+    """The displacement channels, followed while the commissioning runs."""
+
+    def __init__(self, configuration: Configuration, clock: Clock) -> None:
+        displacements = configuration.displacements
+        if displacements is None:
+            raise CommissioningRefusedError(
+                "--channel needs displacement channels, and the configuration has no `displacements` section"
+            )
+        self._clock = clock
+        self._names = tuple(channel.name for channel in displacements.channels)
+        self._settle_s = SETTLED_LOOKS * displacements.file.poll_period_s
+        self._source = registry.open_displacement_source(configuration, clock, None)
+        self._rows: deque[tuple[float, Mapping[str, float]]] = deque(maxlen=KEPT_ROWS)
+
+    def check(self, channel: str) -> None:
+        """Refuse a channel that does not exist."""
+        if channel not in self._names:
+            raise CommissioningRefusedError(
+                f"there is no displacement channel {channel}; the configuration has {', '.join(self._names)}"
+            )
+
+    async def follow(self) -> None:
+        """Take rows until cancelled; raises LinkError when the logger's file cannot be read."""
+        try:
+            async for sample in self._source.samples():
+                row = dict(zip(self._names, sample.um.tolist(), strict=True))
+                self._rows.append((self._clock.now().monotonic_s, row))
+        finally:
+            await self._source.close()
+
+    async def mean(self, channels: Sequence[str], samples: int, patience_s: float) -> dict[str, Reading]:
+        """Return means over rows that were measured after this call [um]."""
+        begin_s = self._clock.now().monotonic_s
+        while True:
+            rows = [row for arrived_s, row in self._rows if arrived_s > begin_s + self._settle_s]
+            # The first row may have been measured before the question and written late.
+            found = {name: [row[name] for row in rows[1:] if np.isfinite(row[name])] for name in channels}
+            if all(len(values) >= samples for values in found.values()):
+                return {name: _mean(values[:samples], name) for name, values in found.items()}
+            if self._clock.now().monotonic_s - begin_s > patience_s:
+                fewest = min(found, key=lambda name: len(found[name]))
+                raise CommissioningRefusedError(
+                    f"displacement channel {fewest}: {len(found[fewest])} of {samples} samples came within "
+                    f"{patience_s:g} s; check the logger, or ask for fewer with --samples"
+                )
+            await asyncio.sleep(0.02)
+
+
+def _mean(values: Sequence[float], channel: str) -> Reading:
+    return Reading(
+        um=float(np.mean(values)),
+        source=f"displacement channel {channel}",
+        noise_um=float(np.std(values, ddof=1)) if len(values) > 1 else None,
+        samples=len(values),
+    )
+
+
+class Instruments:
+    """Every source of readings of one commissioning; a channel goes before an option, an option before a person."""
+
+    def __init__(
+        self,
+        dialogue: Dialogue,
+        *,
+        log: DisplacementLog | None,
+        channels: Mapping[str, str],
+        given: Mapping[tuple[str, str], tuple[float, float, float]],
+        samples: int,
+        patience_s: float,
+    ) -> None:
+        """`channels` maps axes to displacement channels, `given` (commanded, observed) axes to three readings [um]."""
+        self._dialogue = dialogue
+        self._log = log
+        self._channels = dict(channels)
+        self._given = dict(given)
+        self._samples = samples
+        self._patience_s = patience_s
+        self._unseen: set[tuple[str, str]] = set()
+        """Pairs of (commanded, observed) axis where the person has no instrument."""
+        if log is not None:
+            for channel in self._channels.values():
+                log.check(channel)
+
+    def observed_by(self, axis: str) -> str:
+        """Return in words what reads this axis when it is commanded."""
+        if axis in self._channels:
+            return f"displacement channel {self._channels[axis]}, mean of {self._samples} samples"
+        return "readings given with --reading" if (axis, axis) in self._given else "your reading of the instrument"
+
+    async def take(self, commanded: str, moment: Moment, axes: Sequence[str]) -> dict[str, Reading]:
+        """Return the readings of the commanded axis and of every other one that is observed."""
+        readings = await self._by_channel(axes)
+        for axis in (commanded, *(axis for axis in axes if axis != commanded)):
+            if axis in readings:
+                continue
+            given = self._given.get((commanded, axis))
+            if given is not None:
+                readings[axis] = Reading(um=given[moment], source="given with --reading")
+            elif (commanded, axis) not in self._unseen:
+                await self._ask(commanded, axis, moment, readings)
+        return readings
+
+    async def _by_channel(self, axes: Sequence[str]) -> dict[str, Reading]:
+        wanted = {axis: self._channels[axis] for axis in axes if axis in self._channels}
+        if not wanted or self._log is None:
+            return {}
+        means = await self._log.mean(tuple(wanted.values()), self._samples, self._patience_s)
+        return {axis: means[channel] for axis, channel in wanted.items()}
+
+    async def _ask(self, commanded: str, axis: str, moment: Moment, readings: dict[str, Reading]) -> None:
+        if axis == commanded:
+            um = await self._dialogue.number(f"Reading along {axis}, {WORDS[moment]} [um]:")
+            if um is None:
+                raise CommissioningRefusedError(
+                    f"axis {axis}: there is no reading {WORDS[moment]}, and without one nothing is proved; read the "
+                    "instrument, or name --channel or --reading"
+                )
+        else:
+            um = await self._dialogue.number(
+                f"Reading along {axis}, which must not move, {WORDS[moment]} [um] (Enter: no instrument there):"
+            )
+            if um is None:
+                self._unseen.add((commanded, axis))
+                return
+        readings[axis] = Reading(um=um, source="read by the person")

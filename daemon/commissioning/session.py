@@ -1,0 +1,129 @@
+"""One commissioning as a command: locks, store, signals, and what is written at the end."""
+
+import asyncio
+import signal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from config.commissioning import CommissioningRecord
+from config.schema import Configuration
+from daemon import registry
+from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.preconditions import refuse_running_daemon
+from daemon.commissioning.procedure import Commissioning, Plan
+from daemon.commissioning.readings import DisplacementLog, Instruments
+from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.station import Station
+from daemon.history.database import HistoryError
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.output.last_block import LastBlock
+from drivers.clock import Clock
+from drivers.contract import Cnc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """Where readings come from beside the person."""
+
+    channels: Mapping[str, str] = field(default_factory=dict)
+    """Axis -> displacement channel."""
+    given: Mapping[tuple[str, str], tuple[float, float, float]] = field(default_factory=dict)
+    """(commanded axis, observed axis) -> readings before, at the offset, after [um]."""
+    samples: int = 10
+    """Samples of a channel per reading."""
+
+
+async def commission(
+    configuration: Configuration,
+    plan: Plan,
+    sources: Sources,
+    dialogue: Dialogue,
+    clock: Clock,
+    *,
+    open_cnc: Callable[[], Cnc] | None = None,
+) -> CommissioningRecord | None:
+    """Commission with the store locked and its audit running; None when only variables were initialised.
+
+    SIGINT, SIGTERM and SIGHUP take the offsets back; a second one leaves the machine as it is. Raises
+    CommissioningRefusedError, DriverError, or CancelledError after such a signal.
+    """
+    refuse_running_daemon(configuration.service.socket)
+    log = DisplacementLog(configuration, clock) if sources.channels else None
+    instruments = Instruments(
+        dialogue,
+        log=log,
+        channels=sources.channels,
+        given=sources.given,
+        samples=sources.samples,
+        patience_s=plan.patience_s,
+    )
+    history = HistoryWriter(
+        configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
+    )
+    try:
+        history.start()
+    except HistoryError as error:
+        raise CommissioningRefusedError(str(error)) from error
+    last_block = LastBlock.beside(configuration.history.path)
+    station = Station(
+        configuration, clock, open_cnc or (lambda: registry.open_cnc(configuration, clock)), history, last_block
+    )
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task is not None
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    try:
+        for number in signals:
+            loop.add_signal_handler(number, task.cancel)
+        work = Commissioning(configuration, plan, station, dialogue, instruments, history, _today, log)
+        return await work.run()
+    finally:
+        for number in signals:
+            loop.remove_signal_handler(number)
+        await asyncio.to_thread(history.close)
+        last_block.close()
+
+
+async def commission_by(
+    configuration: Configuration,
+    plan: Plan,
+    sources: Sources,
+    dialogue: Dialogue,
+    clock: Clock,
+    record_file: Path | None,
+) -> CommissioningRecord | None:
+    """Ask who is there and what with, and whether an old record may go; then commission."""
+    person = plan.person or await dialogue.text("Your name (it stands in the record and the audit):")
+    if not person:
+        raise CommissioningRefusedError("nobody is named who answers for the readings; give --person")
+    instrument = plan.instrument
+    if not instrument and not plan.initialise_only:
+        instrument = await dialogue.text("Instrument (kind and number):")
+    if record_file is not None and not plan.initialise_only and await asyncio.to_thread(record_file.exists):
+        question = f"{record_file} exists and will be replaced as a whole. Go on?"
+        if not await dialogue.confirm(question):
+            raise CommissioningRefusedError(f"you said no to: {question}")
+    named = replace(plan, person=person, instrument=instrument)
+    return await commission(configuration, named, sources, dialogue, clock)
+
+
+def check_destination(path: Path) -> None:
+    """Refuse, before anything moves, a record's place that cannot be written."""
+    if path.is_dir():
+        raise CommissioningRefusedError(f"{path} is a folder; name a file")
+    if not path.parent.is_dir():
+        raise CommissioningRefusedError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+    try:
+        probe = path.parent / f".{path.name}.probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise CommissioningRefusedError(
+            f"{path} cannot be written ({error.strerror}); name another file and copy it there afterwards"
+        ) from error
+
+
+def _today() -> str:
+    return datetime.now(UTC).astimezone().date().isoformat()

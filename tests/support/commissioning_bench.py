@@ -1,0 +1,193 @@
+"""A simulated machine that stands at a safe point, its CNC over real OPC UA, and a person in front of it."""
+
+import asyncio
+import contextlib
+import re
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from config.commissioning import CommissioningRecord
+from config.loader import load_configuration
+from config.machines import shipped_file
+from config.schema import Configuration
+from daemon.commissioning.procedure import Plan
+from daemon.commissioning.session import Sources, commission
+from daemon.history import HistoryReader
+from daemon.history.series import WriteRecord
+from drivers.clock import ScaledClock
+from drivers.sim.day import Day
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.sim.program import standing_program
+from drivers.sim.tcp_relay import TcpRelay
+from drivers.sim.wiring import STRAIGHT, Wiring
+
+SPEED = 20.0
+FOREVER_S = 60.0
+EVER = (0.0, 1e11)
+
+
+class Person:
+    """Reads the simulated machine's instruments without error, agrees to everything, and calls no guard."""
+
+    def __init__(self, bench: "Bench") -> None:
+        self.bench = bench
+        self.interactive = True
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        self.denies: str | None = None
+        """A question with these words is answered with no."""
+        self.eyes: Callable[[str], float | None] = lambda axis: bench.moved_um()[axis]
+        self.on_say: Callable[[str], None] = lambda text: None
+
+    @property
+    def text_said(self) -> str:
+        return "\n".join(self.said)
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+        self.on_say(text)
+
+    async def confirm(self, question: str) -> bool:
+        self.asked.append(question)
+        return self.denies is None or self.denies not in question
+
+    async def confirm_expressly(self, question: str) -> bool:
+        return await self.confirm(question)
+
+    async def number(self, question: str) -> float | None:
+        self.asked.append(question)
+        found = re.search(r"along (\w)", question)
+        assert found is not None, question
+        return self.eyes(found[1])
+
+    async def text(self, question: str) -> str:
+        return "somebody"
+
+
+class Bench:
+    """The machine, and what a commissioning of it needs."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=time.time(), speed=SPEED)
+        described = load_configuration(shipped_file("cfrpmt.yaml"))
+        self.machine = CfrpMachine(
+            Day.draw(7, start="cold"),
+            standing_program(),
+            described.temperatures.sensors,
+            described.cnc.macros,
+            described.compensation.axes,
+        )
+        self.server = SimulatedCncServer(self.machine.nc, described.cnc, port=0)
+        self.relay = TcpRelay(port=0, target_port=0)
+        self.stores = 0
+
+    def reset(self, wiring: Wiring = STRAIGHT) -> None:
+        """Bring the machine back to a commissioned block at zero, with other wiring, and a new store."""
+        self.machine._wiring = wiring
+        self.machine.guard.applied_um.update(dict.fromkeys(("x", "y", "z"), 0.0))
+        self.machine.nc.alarm, self.machine.nc.mode = 0, 1
+        self.machine.initialise_macros()
+        self.machine._next_guard_s = self.machine.time_s
+        self.stores += 1
+
+    def moved_um(self) -> dict[str, float]:
+        """What instruments at the tool point would show [um]."""
+        return self.machine._wiring.moved_um(self.machine.guard.applied_um)
+
+    def call_no_guard(self) -> None:
+        """The program that stands there does not call the guard (any more)."""
+        self.machine._next_guard_s = float("inf")
+
+    def call_guard(self) -> None:
+        """A person calls it in MDI."""
+        nc = self.machine.nc
+        self.machine.guard.run(nc.macros, nc.clock_at(self.machine.time_s))
+
+    def macro(self, number: int) -> float | None:
+        return self.machine.nc.macros.get(number)
+
+    def configuration(self, change: Callable[[dict[str, Any]], None] = lambda content: None) -> Configuration:
+        """The published machine on this bench, with slews that a test can wait for."""
+        content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
+        content["machine"] = "bench <of tests>"
+        endpoint = f"opc.tcp://127.0.0.1:{self.relay.port}/cnc"
+        content["cnc"]["opcua"] = {
+            "endpoint": endpoint,
+            "namespace_uri": "urn:toolpoint:cnc",
+            "allow_insecure_writes": True,
+        }
+        content["cnc"] |= {"timeout_s": 5.0, "stale_after_s": 60.0}
+        for axis in content["compensation"]["axes"].values():
+            axis["slew_um_per_min"] = 100.0
+        content["compensation"]["output"] |= {"validity_s": 100.0}
+        content["history"] = {"path": str(self.directory / f"{self.stores}.sqlite")}
+        content["service"] = {"socket": str(self.directory / "control.sock"), "http_port": None}
+        change(content)
+        path = self.directory / f"{self.stores}.yaml"
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        return load_configuration(path)
+
+    async def commission(
+        self,
+        person: Person,
+        *,
+        change: Callable[[dict[str, Any]], None] = lambda content: None,
+        sources: Sources | None = None,
+        **plan: Any,
+    ) -> CommissioningRecord | None:
+        """Commission as the command does."""
+        configuration = self.configuration(change)
+        content = {
+            "axes": tuple(configuration.compensation.axes),
+            "offset_um": 5.0,
+            "person": "A. Fitter",
+            "instrument": "indicator 7",
+            "patience_s": 60.0,
+        } | plan
+        async with asyncio.timeout(FOREVER_S):
+            return await commission(configuration, Plan(**content), sources or Sources(), person, self.clock)
+
+    @property
+    def store(self) -> Path:
+        return self.directory / f"{self.stores}.sqlite"
+
+    def writes(self) -> list[WriteRecord]:
+        """The audit of the latest commissioning."""
+        with HistoryReader(self.store) as reader:
+            return reader.writes(*EVER)
+
+    def at_rest(self) -> bool:
+        """Nothing asked, nothing enabled, nothing applied."""
+        macros = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+        asked = [self.macro(number) for number in (*macros.values.values(), macros.enable)]
+        applied = self.machine.guard.applied_um.values()
+        return all(not value for value in asked) and all(abs(um) < 1e-9 for um in applied)
+
+    async def run(self) -> None:
+        """Move the machine on until cancelled."""
+        while True:
+            self.machine.advance(self.clock.now().monotonic_s)
+            await asyncio.sleep(0.01)
+
+
+@contextlib.asynccontextmanager
+async def serving(directory: Path) -> AsyncIterator[Bench]:
+    """Serve the bench's CNC through a relay that a test can cut."""
+    bench = Bench(directory)
+    await bench.server.start()
+    bench.relay = TcpRelay(port=0, target_port=bench.server.port)
+    await bench.relay.start()
+    running = asyncio.create_task(bench.run())
+    try:
+        yield bench
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        await bench.relay.stop()
+        await bench.server.stop()
