@@ -1,0 +1,345 @@
+"""Where the request counts from: references that settle, tools, probes, weights, and zero_first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+
+from models.baseline import probe_objection, request_um, weight_of
+from models.compensation import LONGEST_INTERVAL_S, initial_memory, step, why_not_ready
+from models.output import OperatorRequest, OutputInputs, OutputLimits
+from models.records import OutputState, Phase
+
+AXES = ("y", "z")
+LIMITS = OutputLimits(
+    axes=AXES,
+    absolute_bound_um=np.array([30.0, 60.0]),
+    slew_um_per_min=np.array([60.0, 60.0]),
+    step_um=np.array([5.0, 8.0]),
+    deadband_um=np.array([0.01, 0.01]),
+    stale_after_s=60.0,
+    hold_limit_s=600.0,
+    min_confidence=0.6,
+    full_confidence=0.8,
+    probe_bound_um=10.0,
+)
+ON = OperatorRequest(enable=frozenset(AXES))
+
+
+def initial(applied=(0.0, 0.0)):
+    return initial_memory(now_s=0.0, applied_um=np.array(applied), wanted=(False, False))
+
+
+class Machine:
+    """The output with a guard that a test lets run."""
+
+    def __init__(self, applied=(0.0, 0.0), limits=LIMITS):
+        self.memory = initial(applied)
+        self.applied = np.array(applied)
+        self.written = np.array(applied)
+        self.now_s = 0.0
+        self.limits = limits
+        self.state = OutputInputs(
+            now_s=0.0,
+            phase=Phase.SAFE_POINT,
+            link=True,
+            applied_um=self.applied,
+            written_um=self.written,
+            thermal_error_um=np.zeros(2),
+            estimate_age_s=1.0,
+            confidence=1.0,
+            in_domain=True,
+            reference_id="r1",
+            estimate_reference_id="r1",
+            model_id="m1",
+            tool_number=1,
+        )
+
+    def inputs(self, **changes):
+        return replace(
+            self.state, now_s=self.now_s, applied_um=self.applied.copy(), written_um=self.written.copy(), **changes
+        )
+
+    def step(self, count=1, *, guard=True, elapsed_s=1.0, **once):
+        for _ in range(count):
+            self.now_s += elapsed_s
+            self.memory, self.command = step(self.memory, self.inputs(**once), self.limits)
+            once = {}
+            if self.command.write:
+                self.written = self.command.compensation_um.copy()
+            if guard:
+                self.guard()
+        return self
+
+    def guard(self):
+        self.applied = self.applied + np.clip(self.written - self.applied, -self.limits.step_um, self.limits.step_um)
+
+    def set(self, **changes):
+        self.state = replace(self.state, **changes)
+        return self
+
+    def following(self, y=-3.0, z=-20.0):
+        self.set(thermal_error_um=np.array([y, z])).step(request=ON).step(120)
+        assert self.memory.state is OutputState.ACTIVE
+        assert self.applied == pytest.approx([-y, -z], abs=0.02)
+        return self
+
+
+# --- a reference settles ---------------------------------------------------------------
+
+
+def test_what_the_guard_applies_before_the_new_command_is_held_becomes_the_baseline():
+    machine = Machine().following()
+    machine.set(thermal_error_um=np.array([-3.0, -26.0])).step(6, guard=False)
+    pending = machine.written.copy()
+    assert pending[1] > machine.applied[1] + 4.0
+    new = {"reference_id": "r2", "estimate_reference_id": "r2", "thermal_error_um": np.zeros(2)}
+    machine.set(**new)
+    machine.now_s += 1.0
+    machine.memory, _ = step(machine.memory, machine.inputs(), LIMITS)
+    machine.guard()  # before the new command is written, the guard applies the old one
+    after_guard = machine.applied.copy()
+    machine.step(60)
+    assert machine.applied == pytest.approx(after_guard, abs=1e-9)
+    assert machine.memory.baseline_um == pytest.approx(after_guard)
+
+
+def test_a_reference_that_settled_is_followed_again():
+    machine = Machine().following()
+    machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2)).step(3)
+    assert not machine.memory.settling
+    machine.set(thermal_error_um=np.array([1.0, -2.0])).step(30)
+    assert machine.applied == pytest.approx([2.0, 22.0], abs=0.02)
+
+
+# --- tools -------------------------------------------------------------------------------
+
+
+def test_a_tool_setting_moves_nothing_and_is_kept_for_that_tool_alone():
+    machine = Machine().following()
+    machine.set(tool_number=2, thermal_error_um=np.array([-3.0, -24.0])).step(30)
+    assert machine.applied[1] == pytest.approx(24.0, abs=0.02)
+    before = machine.applied.copy()
+    machine.step(tool_setting=(False, True)).step(30)
+    assert machine.applied == pytest.approx(before, abs=1e-9)
+    machine.set(thermal_error_um=np.array([-3.0, -30.0])).step(30)
+    assert machine.applied[1] == pytest.approx(before[1] + 6.0, abs=0.02)
+    machine.set(tool_number=1).step(60)
+    assert machine.applied[1] == pytest.approx(30.0, abs=0.02), "tool 1 counts from the work's reference"
+
+
+def test_the_setting_of_another_tool_survives_a_new_reference_of_the_work():
+    machine = Machine().following()
+    machine.set(tool_number=2).step(2).step(tool_setting=(False, True)).step(5)
+    machine.set(tool_number=1, thermal_error_um=np.array([-3.0, -25.0])).step(30)
+    wanted_of_tool_2 = 20.0 + 5.0
+    machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2)).step(30)
+    machine.set(tool_number=2, thermal_error_um=np.array([0.0, -1.0])).step(60)
+    assert machine.applied[1] == pytest.approx(wanted_of_tool_2 + 1.0, abs=0.02)
+
+
+def test_the_tool_term_counts_beside_the_nose():
+    machine = Machine().following()
+    machine.set(tool_term_um=np.array([0.0, -4.0])).step(60)
+    assert machine.applied == pytest.approx([3.0, 24.0], abs=0.02)
+    machine.set(tool_term_um=np.array([0.0, 0.0])).step(60)
+    assert machine.applied == pytest.approx([3.0, 20.0], abs=0.02)
+
+
+def test_a_tool_term_without_a_temperature_freezes():
+    machine = Machine().following()
+    before = machine.written.copy()
+    machine.set(tool_term_um=np.array([0.0, np.nan])).step(10)
+    assert machine.memory.state is OutputState.HOLD
+    assert np.array_equal(machine.written, before)
+
+
+# --- probes ------------------------------------------------------------------------------
+
+
+def test_a_probe_value_is_cancelled_from_then_on():
+    machine = Machine().following()
+    deviation = np.array([np.nan, 4.0])
+    inputs = machine.inputs()
+    assert probe_objection(machine.memory, inputs, LIMITS, "", deviation) == ""
+    machine.step(probe_um=deviation).step(60)
+    assert machine.applied == pytest.approx([3.0, 16.0], abs=0.02)
+    machine.set(thermal_error_um=np.array([-3.0, -22.0])).step(60)
+    assert machine.applied == pytest.approx([3.0, 18.0], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "changes", "obstacle", "words"),
+    [
+        ([np.nan, 11.0], {}, "", "more than the bound of 10 um"),
+        ([np.nan, np.nan], {}, "", "no axis was probed"),
+        ([np.nan, 1.0], {}, "temperatures are stale", "temperatures are stale"),
+        ([np.nan, 1.0], {"thermal_error_um": np.array([0.0, np.nan])}, "", "no estimate"),
+    ],
+)
+def test_a_probe_value_that_cannot_be_used_is_refused_in_words(deviation, changes, obstacle, words):
+    machine = Machine().following()
+    inputs = machine.inputs(**changes)
+    assert words in probe_objection(machine.memory, inputs, LIMITS, obstacle, np.array(deviation))
+
+
+# --- confidence --------------------------------------------------------------------------
+
+
+def test_the_weight_is_linear_between_the_two_limits():
+    assert [weight_of(c, LIMITS) for c in (0.5, 0.6, 0.7, 0.8, 1.0)] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
+
+
+def test_between_cuts_the_weight_scales_the_estimate_but_not_the_baseline():
+    machine = Machine(applied=(0.0, 10.0))
+    machine.set(thermal_error_um=np.array([0.0, -20.0]))
+    machine.step(request=ON).step(120)
+    assert machine.applied[1] == pytest.approx(30.0, abs=0.02)
+    machine.set(confidence=0.7).step(120)
+    assert machine.applied[1] == pytest.approx(10.0 + 0.5 * 20.0, abs=0.02)
+
+
+def test_in_a_cut_a_falling_confidence_freezes_and_never_scales():
+    machine = Machine().following()
+    before = machine.written.copy()
+    machine.set(phase=Phase.CUTTING, confidence=0.7).step(60)
+    assert machine.memory.state is OutputState.HOLD
+    assert "within a cut" in machine.memory.reason
+    assert np.array_equal(machine.written, before)
+    machine.set(phase=Phase.SAFE_POINT).step(60)
+    assert machine.memory.state is OutputState.ACTIVE
+    assert machine.applied == pytest.approx([1.5, 10.0], abs=0.02)
+
+
+def test_in_a_cut_a_rising_confidence_changes_no_weight():
+    machine = Machine().following()
+    machine.set(confidence=0.7).step(60)
+    machine.set(phase=Phase.CUTTING, confidence=1.0).step(60)
+    assert machine.applied == pytest.approx([1.5, 10.0], abs=0.02)
+
+
+# --- zero first --------------------------------------------------------------------------
+
+
+def test_zero_first_takes_the_offset_out_and_comes_back_with_the_next_reference():
+    machine = Machine().following()
+    machine.set(reference_id=None, zero_first=True).step(5)
+    assert machine.memory.state is OutputState.RETREAT
+    machine.step(120)
+    assert machine.memory.state is OutputState.OFF and not machine.applied.any()
+    assert machine.memory.wanted == (True, True), "nobody switched it off"
+    machine.step(30)
+    assert machine.memory.state is OutputState.OFF
+    new = {"reference_id": "r2", "estimate_reference_id": "r2", "thermal_error_um": np.array([0.0, -2.0])}
+    machine.set(zero_first=False, **new).step(60)
+    assert machine.memory.state is OutputState.ACTIVE
+    assert machine.applied == pytest.approx([0.0, 2.0], abs=0.02)
+
+
+class Histories(RuleBasedStateMachine):
+    """Random histories of everything that the request counts from, with a guard and a watchful CNC."""
+
+    @initialize(applied=st.sampled_from([(0.0, 0.0), (5.0, -20.0)]))
+    def start(self, applied):
+        self.machine = Machine(applied=applied)
+        self.machine.step(request=ON)
+        self.references = 1
+
+    def take(self, elapsed_s=1.0, *, guard_before=False, **once):
+        machine = self.machine
+        if guard_before:
+            machine.guard()
+        before, applied = machine.memory.command_um.copy(), machine.applied.copy()
+        machine.step(guard=False, elapsed_s=elapsed_s, **once)
+        now = machine.command.compensation_um
+        reach = LIMITS.slew_um_per_min * min(elapsed_s, LONGEST_INTERVAL_S) / 60.0 + 1e-9
+        assert np.all(np.isfinite(now))
+        assert np.all((np.abs(now - before) <= reach) | (np.abs(now - applied) <= reach))
+        assert np.all(np.abs(now) <= np.maximum(LIMITS.absolute_bound_um, np.abs(before)) + 1e-9)
+        assert np.all(np.abs(now - applied) <= np.maximum(LIMITS.step_um, np.abs(before - applied)) + 1e-9)
+        assert 0.0 <= machine.memory.weight <= 1.0
+
+    @rule(errors=st.tuples(st.floats(-100, 100), st.floats(-100, 100)), term=st.floats(-20, 20))
+    def estimate(self, errors, term):
+        self.machine.set(thermal_error_um=np.array(errors), tool_term_um=np.array([0.0, term]))
+        self.take()
+
+    @rule()
+    def guard_runs(self):
+        self.machine.guard()
+
+    @rule(guard_before=st.booleans())
+    def new_reference(self, guard_before):
+        self.references += 1
+        name = f"r{self.references}"
+        self.machine.set(reference_id=name, estimate_reference_id=name, thermal_error_um=np.zeros(2))
+        machine = self.machine
+        self.take(guard_before=guard_before)
+        if machine.memory.reference_id == name and machine.memory.state is OutputState.ACTIVE:
+            assert np.allclose(machine.command.compensation_um, machine.memory.baseline_um)
+
+    @rule(axes=st.sampled_from([(True, False), (False, True), (True, True)]))
+    def tool_setting(self, axes):
+        machine = self.machine
+        set_before = machine.applied.copy()
+        self.take(tool_setting=axes)
+        if machine.memory.reference_id is not None and machine.memory.state is OutputState.ACTIVE:
+            chosen = np.array(axes)
+            assert np.allclose(machine.command.compensation_um[chosen], set_before[chosen])
+
+    @rule(number=st.integers(1, 3))
+    def tool_change(self, number):
+        self.machine.set(tool_number=number)
+        self.take()
+
+    @rule(deviation=st.floats(-30, 30))
+    def probe(self, deviation):
+        machine = self.machine
+        deviations = np.array([np.nan, deviation])
+        inputs = machine.inputs()
+        obstacle = why_not_ready(machine.memory, inputs, LIMITS)
+        if not probe_objection(machine.memory, inputs, LIMITS, obstacle, deviations):
+            self.take(probe_um=deviations)
+            if not machine.memory.settling:
+                after = request_um(machine.memory, machine.inputs())
+                assert np.isfinite(after[1])
+
+    @rule(confidence=st.floats(0, 1), phase=st.sampled_from(list(Phase)))
+    def confidence(self, confidence, phase):
+        machine = self.machine
+        weight, state, command = machine.memory.weight, machine.memory.state, machine.memory.command_um.copy()
+        machine.set(confidence=confidence, phase=phase)
+        self.take()
+        following = state in (OutputState.ACTIVE, OutputState.HOLD)
+        if phase is Phase.CUTTING and following:
+            assert machine.memory.weight == weight
+            if weight_of(confidence, LIMITS) < weight and all(machine.memory.wanted) and not machine.memory.settling:
+                assert np.array_equal(machine.memory.command_um, command), "in a cut it freezes"
+
+    @rule(zero_first=st.booleans())
+    def zero_first(self, zero_first):
+        self.machine.set(zero_first=zero_first, reference_id=None if zero_first else f"r{self.references}")
+        self.take()
+
+    @rule(model=st.sampled_from(["m1", "m2"]), errors=st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
+    def change_model(self, model, errors):
+        machine = self.machine
+        changed = machine.memory.model_id not in (None, model) and machine.memory.reference_id is not None
+        before = machine.memory.command_um.copy()
+        machine.set(model_id=model, thermal_error_um=np.array(errors))
+        same = machine.memory.reference_id == machine.state.reference_id and not machine.memory.settling
+        self.take()
+        if changed and same and machine.memory.state is OutputState.ACTIVE:
+            assert np.all(np.abs(machine.memory.command_um - before)[np.array(machine.memory.wanted)] <= 1e-9)
+
+    @rule(link=st.booleans())
+    def link(self, link):
+        self.machine.set(link=link)
+        self.take()
+
+
+TestHistories = Histories.TestCase
+TestHistories.settings = settings(max_examples=80, stateful_step_count=50, deadline=None)
