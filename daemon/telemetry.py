@@ -103,6 +103,12 @@ class Telemetry:
             ["line", "stage"],
             registry=registry,
         )
+        self._temperature_macro = Histogram(
+            "toolpoint_temperature_macro_seconds",
+            "Last byte of a cycle to the read-back of the temperature macro (cnc.temperature_macro), in wall time",
+            buckets=DELAY_BUCKETS_S,
+            registry=registry,
+        )
         self._writes = Counter("toolpoint_writes", "Macro block writes", ["outcome"], registry=registry)
         self._state = Gauge("toolpoint_output_state", "1 for the present output state", ["state"], registry=registry)
         self._axis = Gauge(
@@ -169,6 +175,11 @@ class Telemetry:
             self.echo.add(seconds)
             self._echo.observe(seconds)
             self._last.labels(line, "echoed").set(seconds)
+
+    def temperature_shown(self, trace: Trace) -> None:
+        """Record that a cycle's temperature was written into its own macro and read back."""
+        if trace.read_back is not None:
+            self._temperature_macro.observe(trace.read_back.real_s - trace.last_byte.real_s)
 
     def superseded(self) -> None:
         """Count a value that was replaced before the guard had applied it."""

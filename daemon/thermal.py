@@ -62,13 +62,14 @@ class ThermalTask:
         telemetry: Telemetry,
         model: ThermalModel | None,
         inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel]",
-        deliver: Callable[[ThermalErrorEstimate | Reference | ReferenceRefused], None],
+        deliver: Callable[[ThermalErrorEstimate | Reference | ReferenceRefused | MachineTemperatures], None],
     ) -> None:
         temperatures = configuration.temperatures
         self._clock = clock
         self._history = history
         self._telemetry = telemetry
         self._deliver = deliver
+        self._temperature_is_shown = configuration.cnc.temperature_macro is not None
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
         self._sensor_ids = temperatures.sensor_ids
@@ -151,7 +152,10 @@ class ThermalTask:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
-            await asyncio.sleep(0)
+        if self._temperature_is_shown:
+            self._deliver(temperatures)
+        await asyncio.sleep(0)
+        if renewed is not None:
             self._history.estimate(renewed)
         self._history.temperatures(temperatures, cycle)
         self._telemetry.cycle(cycle)

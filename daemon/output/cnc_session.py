@@ -144,10 +144,10 @@ class CncSession:
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
         return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
 
-    async def write_one(self, number: int, value: float, *, cause: str) -> Receipt:
+    async def write_one(self, number: int, value: float, *, cause: str, trace: Trace | None = None) -> Receipt:
         """Write one macro that is not of the block, read it back, and leave intent and outcome in the audit."""
         now = self._clock.now()
-        trace = Trace(first_byte=now, last_byte=now)
+        trace = trace or Trace(first_byte=now, last_byte=now)
         macros = ((number, value),)
         intent = self._history.write_intent(None, macros, cause)
         try:

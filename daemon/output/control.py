@@ -15,6 +15,7 @@ from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.output.alarm import alarm_of
 from daemon.output.block_writer import BlockWriter
+from daemon.output.cadence import Cadence, woken
 from daemon.output.cnc_link import CncLink
 from daemon.output.cnc_session import CncSession
 from daemon.output.echo_watch import EchoWatch
@@ -26,6 +27,7 @@ from daemon.output.permission import Permission, in_words
 from daemon.output.references import References
 from daemon.output.request_desk import RequestDesk
 from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
+from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
 from daemon.thermal import ReferenceRefused, ReferenceRequest
@@ -38,6 +40,7 @@ from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemor
 from models.records import (
     CompensationCommand,
     FloatArray,
+    MachineTemperatures,
     Phase,
     ProbeSample,
     Reference,
@@ -111,6 +114,7 @@ class ControlTask:
         )
         self._output = configuration.compensation.output
         self._guard_watch = GuardWatch()
+        self._temperature = TemperatureMacro(configuration, telemetry, self.journal, self._permission)
         self._needs_person = ""
         self.writer = BlockWriter(
             clock,
@@ -120,10 +124,12 @@ class ControlTask:
             validity_s=configuration.compensation.output.validity_s,
         )
 
-    def deliver(self, item: ThermalErrorEstimate | Reference | ReferenceRefused) -> None:
+    def deliver(self, item: ThermalErrorEstimate | Reference | ReferenceRefused | MachineTemperatures) -> None:
         """Take an estimate, a new reference, or the thermal task's refusal of one."""
         if isinstance(item, ThermalErrorEstimate):
             self._estimate = self._fresh = item
+        elif isinstance(item, MachineTemperatures):
+            self._temperature.take(item)
         elif isinstance(item, Reference):
             self._adopt_reference(item)
         else:
@@ -187,33 +193,27 @@ class ControlTask:
 
     async def run(self) -> None:
         """Serve until stopped: estimates as they come, polls and ticks as they fall due."""
-        poll_s = max(self._configuration.cnc.poll_period_s, SHORTEST_POLL_REAL_S * self._clock.speed)
-        tick_s = max(self._configuration.compensation.output.tick_s, poll_s)
-        next_poll_s = next_tick_s = self._clock.now().monotonic_s
+        shortest_s, now_s = SHORTEST_POLL_REAL_S * self._clock.speed, self._clock.now().monotonic_s
+        poll = Cadence(max(self._configuration.cnc.poll_period_s, shortest_s), now_s)
+        tick = Cadence(max(self._configuration.compensation.output.tick_s, poll.period_s), now_s)
         while not self._stopping:
-            await self._sleep_until(next_poll_s)
+            await self._sleep_until(poll.next_s)
             now_s = self._clock.now().monotonic_s
             estimate, self._fresh = self._fresh, None
-            if now_s >= next_poll_s:
-                next_poll_s = max(next_poll_s + poll_s, now_s + poll_s / 4)
-                await self._guarded(self._poll())
-            tick = now_s >= next_tick_s
-            if tick:
-                next_tick_s = max(next_tick_s + tick_s, now_s + tick_s / 4)
-                self._on_tick()
-            if estimate is not None or tick or self._requests:
+            if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
+            await self._guarded(self._temperature.show(self.session))
+            if poll.due(now_s):
+                await self._guarded(self._poll())
+            if ticked := tick.due(now_s):
+                self._on_tick()
+            if (ticked and estimate is None) or self._requests:
+                await self._guarded(self._act(None))
 
     async def _sleep_until(self, until_s: float) -> None:
-        if self._fresh is None and not self._requests and not self._stopping:
+        if not (self._fresh or self._requests or self._stopping or self._temperature.due):
             self._wake.clear()
-            wait_s = (until_s - self._clock.now().monotonic_s) / self._clock.speed
-            if wait_s > 0:
-                try:
-                    async with asyncio.timeout(wait_s):
-                        await self._wake.wait()
-                except TimeoutError:
-                    return
+            await woken(self._wake, (until_s - self._clock.now().monotonic_s) / self._clock.speed)
 
     async def _guarded(self, work: Awaitable[None]) -> None:
         """Run one piece of work; a lost link ends the session, an unknown exception is a FAULT."""
