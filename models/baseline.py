@@ -73,12 +73,12 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     rest = ToolRest(
         baseline_um=np.where(chosen, inputs.applied_um, before.baseline_um if before else unset),
         error_um=np.where(chosen, error, before.error_um if before else 0.0),
+        offset_um=np.where(chosen, memory.offset_um, before.offset_um if before else 0.0),
     )
     command = np.where(chosen, inputs.applied_um, memory.command_um)
     return replace(
         memory,
         tools=MappingProxyType({**memory.tools, inputs.tool_number: rest}),
-        offset_um=np.where(chosen, 0.0, memory.offset_um),
         command_um=memory.command_um if memory.state is OutputState.FAULT else command,
         settling=memory.state is not OutputState.FAULT,
     )
@@ -116,11 +116,13 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     Returns
     -------
     numpy.ndarray, shape (n_axes,)
-        baseline + offset - weight (estimate - estimate at the setting + tool term) [um]; NaN without an estimate.
+        baseline + offset since the setting - weight (estimate since the setting + tool term) [um]; NaN without an estimate.
 
     """
     baseline, error = rest_of_tool(memory, inputs)
-    request: FloatArray = baseline + memory.offset_um - memory.weight * (inputs.error_of_tool_point_um - error)
+    tool = memory.tools.get(inputs.tool_number)
+    before = 0.0 if tool is None else np.where(np.isfinite(tool.baseline_um), tool.offset_um, 0.0)
+    request: FloatArray = baseline + memory.offset_um - before - memory.weight * (inputs.error_of_tool_point_um - error)
     return request
 
 
@@ -248,7 +250,12 @@ def _tools_since(memory: OutputMemory, in_spindle: int) -> MappingProxyType[int,
         return MappingProxyType({})
     since = memory.error_um
     others = {number: rest for number, rest in memory.tools.items() if number != in_spindle}
-    return MappingProxyType({n: replace(rest, error_um=rest.error_um - since) for n, rest in others.items()})
+    return MappingProxyType(
+        {
+            number: replace(rest, error_um=rest.error_um - since, offset_um=rest.offset_um - memory.offset_um)
+            for number, rest in others.items()
+        }
+    )
 
 
 def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:

@@ -49,6 +49,8 @@ class ToolRest:
     """What was applied at the tool setting [um], NaN on axes that were not set."""
     error_um: FloatArray
     """Estimate at the tool setting, since the work's reference and without the tool [um]."""
+    offset_um: FloatArray
+    """Offset of probes and changes of model at the tool setting [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

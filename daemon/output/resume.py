@@ -57,6 +57,7 @@ def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
             str(number): {
                 "baseline_um": [None if np.isnan(um) else um for um in tool.baseline_um.tolist()],
                 "error_um": tool.error_um.tolist(),
+                "offset_um": tool.offset_um.tolist(),
             }
             for number, tool in memory.tools.items()
         },
@@ -103,7 +104,7 @@ def with_rest(
 
 def _tool_rest(kept: dict[str, list[float | None]]) -> ToolRest:
     numbers = {name: [np.nan if um is None else um for um in values] for name, values in kept.items()}
-    return ToolRest(baseline_um=np.array(numbers["baseline_um"]), error_um=np.array(numbers["error_um"]))
+    return ToolRest(**{name: np.array(values) for name, values in numbers.items()})
 
 
 def reference_to_state(reference: Reference) -> dict[str, Any]:

@@ -6,7 +6,8 @@ With lambda an eigenvalue of [a][H(j w_c)], Lambda = -1/lambda, and 5-6 to 5-8 b
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,10 +42,16 @@ class StabilityLobes:
     """Axial depth up to which the cut is stable [mm], shape (n,); inf where no lobe limits it."""
     chatter_hz: FloatArray
     """Frequency of the chatter at that depth [Hz], shape (n,); NaN where no lobe limits it."""
-    minimum: LobeMinimum
-    """Of the lobes themselves within the range of speeds, not of the sampled speeds."""
+    minimum: LobeMinimum | None
+    """Of the lobes themselves within the range of speeds, not of the sampled speeds; None: no limit found."""
     feed_deg: float
     warnings: tuple[str, ...] = ()
+    max_depth_mm: float = math.inf
+    """The depth up to which limits were looked for [mm]."""
+
+    def with_warnings(self, warnings: tuple[str, ...]) -> "StabilityLobes":
+        """Return the same lobes with warnings put first."""
+        return replace(self, warnings=(*warnings, *self.warnings))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,12 +97,10 @@ def zeroth_order_lobes(
         When the range is none, the FRF does not cover the tooth-passing band, or nothing can chatter.
 
     """
-    if not 0.0 < from_rpm < to_rpm or points < 2:
-        raise StabilityError(
-            f"{points} points from {from_rpm:g} to {to_rpm:g} 1/min are no range; "
-            "give at least 2 points and a first speed above 0 and below the last"
-        )
-    warnings = check_band(response, cut.teeth, from_rpm, to_rpm)
+    check_range(from_rpm, to_rpm, points)
+    warnings: tuple[str, ...] = ()
+    if isinstance(response, SampledResponse):
+        warnings = check_lines(response.frequency_hz, cut.teeth, from_rpm, to_rpm)
     frequency_hz = response.frequencies_hz(tooth_passing_hz(to_rpm, cut.teeth))
     branches = _branches(response, cut, frequency_hz, feed_deg)
     if not any(bool(np.any(branch.eigenvalue.real > 0.0)) for branch in branches):
@@ -130,22 +135,49 @@ def lowest_over_feed_directions(
         zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=float(feed_deg))
         for feed_deg in np.arange(0.0, 180.0, step_deg)
     ]
+    return lowest_of(each)
+
+
+def lowest_of(each: Sequence[StabilityLobes]) -> StabilityLobes:
+    """Return the lowest of several lobes at each of their common speeds.
+
+    `feed_deg` of the result belongs to the lowest minimum.
+    """
     depths = np.array([lobes.limiting_depth_mm for lobes in each])
     chosen = np.argmin(depths, axis=0)
-    columns = np.arange(points)
-    lowest = min(each, key=lambda lobes: lobes.minimum.depth_mm)
+    columns = np.arange(depths.shape[1])
+    lowest = min(each, key=lambda lobes: lobes.minimum.depth_mm if lobes.minimum else np.inf)
     return StabilityLobes(
-        speed_rpm=each[0].speed_rpm,
+        speed_rpm=lowest.speed_rpm,
         limiting_depth_mm=depths[chosen, columns],
         chatter_hz=np.array([lobes.chatter_hz for lobes in each])[chosen, columns],
         minimum=lowest.minimum,
         feed_deg=lowest.feed_deg,
         warnings=tuple(dict.fromkeys(text for lobes in each for text in lobes.warnings)),
+        max_depth_mm=lowest.max_depth_mm,
     )
 
 
-def check_band(response: ToolPointResponse, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
-    """Return warnings about a sampled FRF's band.
+def check_range(from_rpm: float, to_rpm: float, points: int) -> None:
+    """Refuse speeds that are no range. Raises StabilityError."""
+    if not 0.0 < from_rpm < to_rpm or points < 2:
+        raise StabilityError(
+            f"{points} points from {from_rpm:g} to {to_rpm:g} 1/min are no range; "
+            "give at least 2 points and a first speed above 0 and below the last"
+        )
+
+
+def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
+    """Return warnings about the band of a sampled FRF.
+
+    Parameters
+    ----------
+    frequency_hz
+        Its ascending frequencies [Hz], shape (n,).
+    teeth
+        Number of teeth.
+    from_rpm, to_rpm
+        Range of speeds [1/min].
 
     Raises
     ------
@@ -153,9 +185,7 @@ def check_band(response: ToolPointResponse, teeth: int, from_rpm: float, to_rpm:
         When the FRF ends below the highest tooth-passing frequency or begins above it.
 
     """
-    if not isinstance(response, SampledResponse):
-        return ()
-    low, high = float(response.frequency_hz[0]), float(response.frequency_hz[-1])
+    low, high = float(frequency_hz[0]), float(frequency_hz[-1])
     first, last = tooth_passing_hz(from_rpm, teeth), tooth_passing_hz(to_rpm, teeth)
     if high < last or low > last:
         raise StabilityError(

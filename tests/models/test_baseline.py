@@ -157,6 +157,17 @@ def test_a_tool_term_without_a_temperature_freezes():
     assert np.array_equal(machine.written, before)
 
 
+def test_a_tool_setting_leaves_the_probe_correction_of_the_other_tools_alone():
+    machine = Machine().following()
+    machine.step(probe_um=np.array([np.nan, 4.0])).step(60)
+    machine.set(tool_number=2).step(2).step(tool_setting=(False, True)).step(30)
+    assert machine.applied[1] == pytest.approx(16.0, abs=0.02)
+    machine.set(tool_number=1).step(60)
+    assert machine.applied[1] == pytest.approx(16.0, abs=0.02)
+    machine.set(tool_number=2, thermal_error_um=np.array([-3.0, -21.0])).step(60)
+    assert machine.applied[1] == pytest.approx(17.0, abs=0.02)
+
+
 # --- probes ------------------------------------------------------------------------------
 
 
