@@ -12,6 +12,7 @@ from daemon.output.cnc_session import CncSession
 from daemon.output.journal import Journal
 from daemon.output.permission import Permission
 from daemon.telemetry import Telemetry
+from drivers.contract import FatalDriverError
 from models.records import MachineTemperatures, Trace, WriteOutcome
 
 TEMPERATURE_CAUSE = "temperature"
@@ -43,7 +44,7 @@ class TemperatureMacro:
         return self._due is not None
 
     def take(self, temperatures: MachineTemperatures) -> None:
-        """Take a cycle; a value that is missing leaves the macro as it is, one that is the same is not written again."""
+        """Take a cycle; a missing value leaves the macro as it is, and the same value is not written again."""
         if self._config is None or temperatures.line != self._line:
             return
         values = temperatures.degc if self._config.cleansed else temperatures.measured_degc
@@ -58,7 +59,11 @@ class TemperatureMacro:
         (degc, trace), self._due, self._shown_degc = self._due, None, None
         if session is None or self._journal.fault is not None or self._permission.prohibition(session.cnc):
             return
-        receipt = await session.write_one(self._config.macro, degc, cause=TEMPERATURE_CAUSE, trace=trace)
+        try:
+            receipt = await session.write_one(self._config.macro, degc, cause=TEMPERATURE_CAUSE, trace=trace)
+        except FatalDriverError as error:
+            self._journal.raise_fault(f"a write was refused: {error}")
+            return
         if receipt.outcome is not WriteOutcome.VERIFIED:
             self._journal.raise_fault(f"read-back differs: {receipt.detail}")
             return
