@@ -25,12 +25,14 @@ class KeyProblems(ValueError):
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
 RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
+READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
     RANGE_PATTERN: "a range such as 7-12",
     NUMBER_OR_RANGE_PATTERN: 'a number or a range in quotes, such as "120" or "500-549"',
+    READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }
 """What the patterns ask for, in words."""

@@ -16,6 +16,7 @@ from config.schema.base import (
     Seconds,
     Section,
 )
+from config.schema.guard import GuardConfig
 from config.schema.temperatures import expand_ranges
 
 MacroRange = Annotated[str, Field(pattern=NUMBER_OR_RANGE_PATTERN)]
@@ -238,6 +239,19 @@ class CncConfig(Section):
     temperature_macro: TemperatureMacroConfig | None = Field(
         None, description="one temperature in a macro of its own; none: off"
     )
+    guard: GuardConfig = Field(default_factory=GuardConfig, description="guard macro that the CNC runs at safe points")
+
+    @model_validator(mode="after")
+    def _memory_apart(self) -> "CncConfig":
+        memory = self.guard.memory_of(len(self.macros.values))
+        key = ("guard", "memory")
+        if memory[-1] > 999:
+            raise KeyProblems([(key, f"it needs #{memory[0]} to #{memory[-1]}; there are macros up to #999")])
+        if taken := sorted(set(memory) & {*self.macros.block, *self.macros.allowed}):
+            raise KeyProblems(
+                [(key, f"#{taken[0]} (of #{memory[0]} to #{memory[-1]}) is in the macro map or in `writable` already")]
+            )
+        return self
 
     @model_validator(mode="after")
     def _temperature_has_its_own_macro(self) -> "CncConfig":

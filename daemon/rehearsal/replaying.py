@@ -78,7 +78,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "file": {"path": ""},
             "channels": [{"name": name, "column": name} for name in channels],
         },
-        "cnc": {"macros": macros},
+        "cnc": {"macros": macros, "guard": _guard(channels)},
         "compensation": {
             "model_file": str(model_file.resolve()),
             "commissioning_file": str(record_file),
@@ -103,6 +103,15 @@ def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:
         "echo_status": 581,
         "echo_guard_version": 582,
     }
+
+
+def _guard(channels: tuple[str, ...]) -> dict[str, Any]:
+    """Return the settings of a control that has an axis for every channel."""
+    axes = {
+        name: {"letter": letter, "number": number}
+        for number, (name, letter) in enumerate(zip(channels, "XYZABCUVW", strict=False), start=1)
+    }
+    return {"increment_mm": 0.0001, "axes": axes}
 
 
 def _commissioning(macros: dict[str, Any]) -> dict[str, Any]:

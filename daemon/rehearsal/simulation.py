@@ -111,6 +111,7 @@ def simulated_day(configuration: Configuration, clock: ScaledClock, seed: int | 
         configuration.temperatures.sensors,
         configuration.cnc.macros,
         configuration.compensation.axes,
+        configuration.cnc.guard,
     )
     return Simulation(machine=machine, configuration=configuration, clock=clock)
 
@@ -133,6 +134,7 @@ def recorded_simulation(
             configuration.temperatures.sensors,
             configuration.cnc.macros,
             configuration.compensation.axes,
+            configuration.cnc.guard,
             block_s=recording_map.sample_s,
         )
     except (DriverError, ValueError) as error:

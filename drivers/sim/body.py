@@ -82,6 +82,7 @@ class MachineBody:
         self._zero_um = self.structure.displacement_um(nodes)
         self._index = 0
         self._block_start_s = 0.0
+        self._held_until_s = 0.0
         self._ramp = _Ramp(start_s=0.0, from_rpm=0.0, to_rpm=self.block.spindle_speed_rpm)
 
     @property
@@ -97,7 +98,7 @@ class MachineBody:
     @property
     def block_end_s(self) -> float:
         """When it will end [s]."""
-        return self._block_start_s + self.block.duration_s
+        return max(self._block_start_s + self.block.duration_s, self._held_until_s)
 
     @property
     def spindle_speed_rpm(self) -> float:
@@ -113,11 +114,12 @@ class MachineBody:
         """Move on to `to_s` [s].
 
         `leaving` is called with the end of every stretch within one block, while that block still
-        runs; `entered` after each change of block.
+        runs, and may hold it (`hold`); `entered` after each change of block.
         """
-        while self.block_end_s <= to_s:
-            end_s = self.block_end_s
+        while (end_s := self.block_end_s) <= to_s:
             leaving(end_s)
+            if self.block_end_s > end_s:
+                continue
             self._commit(end_s)
             self._enter(self.program.following(self._index))
             entered()
@@ -125,6 +127,10 @@ class MachineBody:
             leaving(to_s)
             self.time_s = to_s
             self._pass_knots()
+
+    def hold(self, until_s: float) -> None:
+        """Keep the present block running at least until then [s]."""
+        self._held_until_s = max(self._held_until_s, until_s)
 
     def restart_program(self) -> None:
         """Begin the program again from its first block, now."""

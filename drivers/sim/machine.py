@@ -14,11 +14,13 @@ import numpy as np
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
+from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
 from drivers.sim.body import MachineBody
 from drivers.sim.contract import AxisTruth
 from drivers.sim.day import Day
 from drivers.sim.nc import NumericalControl, RunCode
+from drivers.sim.nc_programs import NcPrograms
 from drivers.sim.program import PartProgram
 from drivers.sim.safe_point import SafePointApplication
 from drivers.sim.sensors import RotationJump
@@ -28,8 +30,6 @@ from models.records import FloatArray
 
 CHANNEL_AXES = {channel: channel[0].lower() for channel in CHANNELS}
 """Axis along which each displacement channel measures."""
-GUARD_PERIOD_S = 1.0
-"""In a safe point the block of macro variables is read on entry and then once in this time [s]."""
 TOOL_LENGTH_MM = 150.0
 TOOL_EXPANSION_UM_PER_M_K = 11.0
 """Tool and holder of the shipped programs: steel, from the spindle nose to the tip."""
@@ -45,6 +45,7 @@ class CfrpMachine:
         sensors: Sequence[SensorConfig],
         macro_map: MacroMapConfig,
         axes: Mapping[str, AxisConfig],
+        guard: GuardConfig | None = None,
         *,
         machine_seed: int = 1,
         tool_length_mm: float = TOOL_LENGTH_MM,
@@ -72,12 +73,12 @@ class CfrpMachine:
             power_on_count=int(rng.integers(100, 1000)),
             tool_number=1,
         )
-        self.guard = SafePointApplication(macro_map, axes)
+        self.guard = SafePointApplication(macro_map, axes, guard)
+        self._programs = NcPrograms(self.guard, self._nc)
         self._tool_m = tool_length_mm * 1e-3
         self._tool_um_per_m_k = tool_expansion_um_per_m_k
         self._wiring = wiring
         self._zero: tuple[FloatArray, dict[str, float]] | None = None
-        self._next_guard_s = np.inf
         self.initialise_macros()
         self._entered()
         self._show()
@@ -95,14 +96,14 @@ class CfrpMachine:
         """Move physics and NC on to the simulated time `to_s` [s]; a past time is ignored."""
         if to_s <= self.time_s:
             return
-        self.body.advance(to_s, leaving=self._run_guard_until, entered=self._entered)
+        self.body.advance(to_s, leaving=self._run_programs_until, entered=self._entered)
         self._show()
 
     def power_cycle(self) -> None:
         """Switch the NC off and on; the program begins again with its first block, started by a person."""
         self._nc.power_cycle(self.time_s)
+        self._programs.power_cycle()
         self.body.restart_program()
-        self._next_guard_s = np.inf
         self._entered()
         self._show()
 
@@ -143,16 +144,17 @@ class CfrpMachine:
             self._nc.run = RunCode.STOP
         if block.kind == "positioning":
             self._zero = (self._tool_point_um(), self._wiring.moved_um(self.guard.applied_um))
-        self._next_guard_s = np.inf
-        if block.kind == "safe":
-            self._next_guard_s = self.body.time_s
-            self._run_guard_until(np.nextafter(self._next_guard_s, np.inf))
+        if block.tool_number is not None:
+            self._nc.tool_number = block.tool_number
+        measured = self.truth().get(block.probe or "")
+        self._programs.enter(block, self.body.time_s, probed_um=measured.compensated_um if measured else None)
+        self._run_programs_until(np.nextafter(self.body.time_s, np.inf))
 
-    def _run_guard_until(self, end_s: float) -> None:
-        """Read the block of macro variables at every guard time before `end_s` [s]."""
-        while self._next_guard_s < end_s:
-            self.guard.run(self._nc.macros, self._nc.clock_at(self._next_guard_s))
-            self._next_guard_s += GUARD_PERIOD_S
+    def _run_programs_until(self, end_s: float) -> None:
+        """Let the NC's programs do what falls due before `end_s` [s]; one that waits holds its block."""
+        self._programs.run_until(end_s)
+        if (resumes_s := self._programs.waits_until_s) is not None:
+            self.body.hold(resumes_s)
 
     def _show(self) -> None:
         self.time_s = self.body.time_s

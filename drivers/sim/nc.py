@@ -11,6 +11,10 @@ PERSISTENT = range(500, 1000)
 """Common variables that survive power-off."""
 
 
+CLOCK_WRAP_S = 2_147_483.648
+"""The clock is the control's millisecond timer, which begins again from 0 here (after 24.9 days) [s]."""
+
+
 class ModeCode(IntEnum):
     """Operating mode."""
 
@@ -84,7 +88,7 @@ class NumericalControl:
 
     def clock_at(self, time_s: float) -> float:
         """Return the NC's own clock [s] at the simulated time `time_s` [s]."""
-        return self._clock_zero_s + (time_s - self._powered_at_s) * self._clock_rate
+        return (self._clock_zero_s + (time_s - self._powered_at_s) * self._clock_rate) % CLOCK_WRAP_S
 
     def power_cycle(self, time_s: float) -> None:
         """Switch off and on: volatile variables vacant, clock from 0, one more power-on, program at its head."""

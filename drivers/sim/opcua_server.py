@@ -162,10 +162,10 @@ class SimulatedCncServer:
             await add(getattr(nodes, key), key, kind, _state_reader(nc, attribute, kind))
         echo = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
         writable: dict[ua.NodeId, int] = {}
-        for number in sorted(macros.allowed | echo):
+        for number in sorted(macros.allowed.union(macros.block)):
             text = nodes.macro.format(number=number)
             node_id = await add(text, f"Macro{number}", ua.VariantType.Double, _macro_reader(nc, number))
-            if number not in echo:
+            if number in macros.allowed and number not in echo:
                 await server.get_node(node_id).set_writable()
                 writable[node_id] = number
         server.iserver.attribute_service = _MacroWrites(server.iserver.aspace, nc, writable)

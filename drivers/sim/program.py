@@ -23,6 +23,10 @@ class Block:
     duration_s: float
     spindle_speed_rpm: float = 0.0
     chiller: bool = True
+    tool_number: int | None = None
+    """A tool change at the block's beginning: this tool comes into the spindle."""
+    probe: str | None = None
+    """A probe measures the deviation of this axis at the block's beginning."""
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0:

@@ -10,9 +10,11 @@ import numpy as np
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
+from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
 from drivers.sim.contract import AxisTruth
 from drivers.sim.nc import NumericalControl, RunCode
+from drivers.sim.nc_programs import GUARD_PERIOD_S
 from drivers.sim.safe_point import SafePointApplication
 from models.dataset import Recording
 from models.records import FloatArray
@@ -21,7 +23,6 @@ LEAD_IN_S = 120.0
 """The reference is the mean of a minute, so the first block is shown for longer than that [s]."""
 POSITIONING_S = 20.0
 PROGRAM, POSITIONING, SAFE = 3000, 100, 900
-GUARD_PERIOD_S = 1.0
 ROOM_DEGC = 25.0
 
 
@@ -34,6 +35,7 @@ class RecordedMachine:
         sensors: Sequence[SensorConfig],
         macro_map: MacroMapConfig,
         axes: Mapping[str, AxisConfig],
+        guard: GuardConfig | None = None,
         *,
         block_s: float,
     ) -> None:
@@ -50,7 +52,7 @@ class RecordedMachine:
         self._axes = tuple(axes)
         self.time_s = 0.0
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
-        self._guard = SafePointApplication(macro_map, axes)
+        self._guard = SafePointApplication(macro_map, axes, guard)
         self._guard.initialise(self._nc.macros, self._nc.clock_s)
         self._next_guard_s = LEAD_IN_S + POSITIONING_S
         self._blocks = BlockMeans(block_s, len(self._axes))
@@ -121,7 +123,7 @@ class RecordedMachine:
         return error
 
     def _applied_um(self) -> FloatArray:
-        return np.array([self._guard.applied_um[axis] for axis in self._axes])
+        return np.array(list(self._guard.applied_um.values()))
 
     def _show(self) -> None:
         nc, speed = self._nc, self._recording.speed_rpm

@@ -1,88 +1,119 @@
-"""How the simulated NC takes the compensation over: only at safe points, and only a block it believes."""
+"""The NC programs as the simulated NC runs them: the very text that `toolpoint guard` prints.
+
+The guard reads the block of macro variables at safe points and changes the external work offset by G10. What is
+applied is that offset minus the operator's own, whatever the echo says.
+"""
 
 from collections.abc import Mapping
-from enum import IntEnum
+from functools import lru_cache
 
+from config.guard import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_text
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
+from config.schema.guard import AxisLetter, GuardAxisConfig, GuardConfig
 from drivers.sim.contract import Macros
+from drivers.sim.custom_macro import Interpreter, MacroControl, MacroProgram, compile_programs
 
-LOOK_AHEAD_LIMIT_S = 120.0
-"""A block that claims to be valid for longer than this is not believed [s of the NC's clock]."""
-GUARD_VERSION = 1
+LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "A", "B", "C", "U", "V", "W")
+SIMULATED_INCREMENT_MM = 0.0001
+"""Offsets of the simulated control, where no configuration says otherwise (IS-C) [mm]."""
 
 
-class GuardStatus(IntEnum):
-    """What the last run at a safe point did; anything but APPLIED moved nothing."""
+@lru_cache(maxsize=8)
+def _compiled(text: str) -> dict[int, MacroProgram]:
+    return compile_programs(text)
 
-    APPLIED = 0
-    """The enabled axes were moved towards their values, each by at most its step."""
-    DISABLED = 1
-    """All enable bits are 0: nothing added, what is applied stays, no look at valid_until."""
-    TORN = 2
-    """A sequence number is vacant, or the two differ: the block was being written."""
-    EXPIRED = 3
-    """valid_until is vacant, has passed, or lies further ahead than the limit."""
-    VACANT = 4
-    """The value of an enabled axis, or the enable word itself, is vacant."""
-    OVERSIZE = 5
-    """The value of an enabled axis lies outside its absolute bound."""
+
+def simulated_guard(axes: Mapping[str, AxisConfig]) -> GuardConfig:
+    """Return the guard's settings for a control that exists only here: its axes are numbered in their order."""
+    if {name.lower() for name in axes} <= {"x", "y", "z"}:
+        return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM)
+    numbered = {
+        name: GuardAxisConfig(letter=letter, number=number)
+        for number, (name, letter) in enumerate(zip(axes, LETTERS, strict=False), start=1)
+    }
+    return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM, axes=numbered)
 
 
 class SafePointApplication:
-    """Reads the block of macro variables at a safe point, moves the tool point, and fills the echo."""
+    """The NC programs of one machine on a simulated control."""
 
-    def __init__(self, macro_map: MacroMapConfig, axes: Mapping[str, AxisConfig]) -> None:
+    def __init__(
+        self, macro_map: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig | None = None
+    ) -> None:
+        guard = guard or simulated_guard(axes)
         self._map = macro_map
-        self._axes = dict(axes)
-        self.applied_um: dict[str, float] = dict.fromkeys(axes, 0.0)
-        """What the NC adds to the tool point's position now, per axis [um]."""
+        self._axes = guard_axes(axes, guard)
+        self._memory = guard.memory_of(len(axes))
+        self.programs = GuardPrograms.of(macro_map, guard)
+        self.text = guard_text(macro_map, axes, guard)
+        """What the NC runs."""
+        letters = {axis.number: axis.letter for axis in self._axes.values()}
+        self.control = MacroControl(
+            _NoMacros(),
+            addresses=[letters.get(number, "") for number in range(1, max(letters) + 1)],
+            increment_mm=guard.increment_mm,
+        )
+        if guard.read_ahead_stop.startswith("M"):
+            self.control.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
+        self.interpreter = Interpreter(_compiled(self.text), self.control)
+        self._own_mm = dict.fromkeys(axes, 0.0)
+
+    @property
+    def applied_um(self) -> dict[str, float]:
+        """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um]."""
+        return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
+
+    def change_own_offset(self, axis: str, by_um: float) -> None:
+        """Let the operator add to his own offset by hand [um]."""
+        self._own_mm[axis] += by_um / 1000.0
+        self.control.external_mm[self._axes[axis].number - 1] += by_um / 1000.0
+
+    def place(self, macros: Macros, applied_um: Mapping[str, float]) -> None:
+        """Make the control one that applies these offsets [um] and remembers it."""
+        for place, axis in enumerate(self._axes):
+            if axis in applied_um:
+                mm = applied_um[axis] / 1000.0
+                self.control.external_mm[self._axes[axis].number - 1] = self._own_mm[axis] + mm
+                macros.set(self._map.echo_applied[axis], mm * 1000.0 / self._map.unit_um)
+                macros.set(self._memory[-len(self._axes)] + place, mm)
 
     def initialise(self, macros: Macros, clock_s: float) -> None:
-        """Write the block and the echo as they stand in a commissioned machine that compensates nothing."""
+        """Bring block, echo and memory to what commissioning leaves in a machine that compensates nothing."""
         for number in (self._map.sequence_a, self._map.sequence_b, self._map.enable, *self._map.values.values()):
             macros.set(number, 0.0)
         macros.set(self._map.valid_until, None)
-        self._echo(macros, clock_s, GuardStatus.APPLIED)
+        self._own_mm = {axis: self._external_mm(axis) for axis in self._axes}
+        self.at(macros, clock_s).run(self.programs.initialise, A=1.0)
 
     def run(self, macros: Macros, clock_s: float) -> GuardStatus:
-        """Take over what the block asks for, as far as it may be believed, and echo what was done."""
-        status, wanted_um = self._read(macros, clock_s)
-        for axis, target_um in wanted_um.items():
-            step_um = self._axes[axis].step_um
-            change_um = min(max(target_um - self.applied_um[axis], -step_um), step_um)
-            self.applied_um[axis] += change_um
-        self._echo(macros, clock_s, status)
-        return status
+        """Call the guard once, as a part program does at a safe point; return the status that it echoes."""
+        self.at(macros, clock_s).run(self.programs.guard)
+        return GuardStatus(round(macros.get(self._map.echo_status) or 0.0))
 
-    def _read(self, macros: Macros, clock_s: float) -> tuple[GuardStatus, dict[str, float]]:
-        """Return the status, and for APPLIED the value of every enabled axis [um]; sequence_b is read first."""
-        sequence_b = macros.get(self._map.sequence_b)
-        values = {axis: macros.get(number) for axis, number in self._map.values.items()}
-        valid_until = macros.get(self._map.valid_until)
-        enable = macros.get(self._map.enable)
-        if sequence_b is None or macros.get(self._map.sequence_a) != sequence_b:
-            return GuardStatus.TORN, {}
-        if enable is None:
-            return GuardStatus.VACANT, {}
-        enabled = [axis for bit, axis in enumerate(self._axes) if int(enable) >> bit & 1]
-        if not enabled:
-            return GuardStatus.DISABLED, {}
-        if valid_until is None or not clock_s < valid_until <= clock_s + LOOK_AHEAD_LIMIT_S:
-            return GuardStatus.EXPIRED, {}
-        wanted_um: dict[str, float] = {}
-        for axis in enabled:
-            value = values[axis]
-            if value is None:
-                return GuardStatus.VACANT, {}
-            wanted_um[axis] = value * self._map.unit_um
-            if abs(wanted_um[axis]) > self._axes[axis].absolute_bound_um + self._map.tolerance * self._map.unit_um:
-                return GuardStatus.OVERSIZE, {}
-        return GuardStatus.APPLIED, wanted_um
+    def at(self, macros: Macros, clock_s: float) -> Interpreter:
+        """Return the interpreter with these macro variables, at this time of the NC's clock [s]."""
+        self.control.common = macros
+        self.control.clock_s = clock_s
+        return self.interpreter
 
-    def _echo(self, macros: Macros, clock_s: float, status: GuardStatus) -> None:
-        for axis, number in self._map.echo_applied.items():
-            macros.set(number, self.applied_um[axis] / self._map.unit_um)
-        macros.set(self._map.echo_time, clock_s)
-        macros.set(self._map.echo_status, float(status))
-        macros.set(self._map.echo_guard_version, float(GUARD_VERSION))
+    def power_cycle(self) -> None:
+        """Switch the control off and on: what ran is gone, offsets stay."""
+        self.interpreter.reset()
+        self.control.power_on()
+
+    def _external_mm(self, axis: str) -> float:
+        return self.control.external_mm[self._axes[axis].number - 1]
+
+
+class _NoMacros:
+    """A control before its first call has no macro variables."""
+
+    def get(self, number: int) -> float | None:
+        raise KeyError(f"macro variable #{number} is not there yet")
+
+    def set(self, number: int, value: float | None) -> None:
+        raise KeyError(f"macro variable #{number} is not there yet")
+
+
+__all__ = ["GUARD_VERSION", "GuardStatus", "SafePointApplication", "simulated_guard"]

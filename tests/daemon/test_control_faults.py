@@ -287,8 +287,7 @@ async def test_another_control_behind_the_same_address_is_never_written_to(rig, 
 
 
 async def test_a_scaled_clock_never_drives_a_control_that_is_not_simulated(bench):
-    bench.nc.macros.set(513, 0.005)  # it applies an offset, so that the output begins in HOLD
-    bench.nc.guard.applied_um["z"] = 5.0
+    bench.nc.guard.place(bench.nc.macros, {"z": 5.0})  # so that the output begins in HOLD
     bench.nc.identity = "urn:a-real-control"
     bench.clock.speed = 60.0
     record = record_for(bench.configuration, cnc_identity="urn:a-real-control")
@@ -304,8 +303,7 @@ async def test_a_scaled_clock_never_drives_a_control_that_is_not_simulated(bench
 async def test_an_insecure_connection_is_never_written_over(tmp_path):
     opcua = OpcUaConfig(endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc")
     bench = Bench(tmp_path, cnc={"opcua": opcua})
-    bench.nc.macros.set(513, 0.005)
-    bench.nc.guard.applied_um["z"] = 5.0
+    bench.nc.guard.place(bench.nc.macros, {"z": 5.0})
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert "not secure" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")

@@ -7,7 +7,7 @@ import pytest
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from drivers.sim.nc import MacroTable, NumericalControl, RunCode
-from drivers.sim.safe_point import GUARD_VERSION, LOOK_AHEAD_LIMIT_S, GuardStatus, SafePointApplication
+from drivers.sim.safe_point import GUARD_VERSION, GuardStatus, SafePointApplication
 
 MAP = MacroMapConfig(
     writable=["100-149", "500-549"],
@@ -73,7 +73,7 @@ def test_torn_block_moves_nothing(guarded: Guarded) -> None:
     assert guarded.guard.applied_um["z"] == 0.0
 
 
-@pytest.mark.parametrize("ahead_s", [None, -1.0, 0.0, LOOK_AHEAD_LIMIT_S + 1.0])
+@pytest.mark.parametrize("ahead_s", [None, -1.0, 0.0, 120.0 + 1.0])
 def test_expired_block_keeps_what_is_applied(guarded: Guarded, ahead_s: float | None) -> None:
     guarded.run()
     guarded.write(z=-3.0, sequence=2.0)
@@ -83,7 +83,7 @@ def test_expired_block_keeps_what_is_applied(guarded: Guarded, ahead_s: float | 
 
 
 def test_limit_of_valid_until_itself_counts(guarded: Guarded) -> None:
-    guarded.write(z=2.0, valid_until=CLOCK_S + LOOK_AHEAD_LIMIT_S)
+    guarded.write(z=2.0, valid_until=CLOCK_S + 120.0)
     assert guarded.run() is GuardStatus.APPLIED
 
 

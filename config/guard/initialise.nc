@@ -1,0 +1,27 @@
+O{program}(TOOLPOINT INITIALISE)
+(IN MDI, COMPENSATION OFF, EXTERNAL OFFSET AS THE OPERATOR WANTS IT)
+(G65P{program} FIRST TIME. G65P{program}A1. FORGETS WHAT IS APPLIED)
+{stop}
+IF[#{enable}EQ#0]GOTO10
+IF[#{enable}NE0]GOTO80
+N10
+IF[#1EQ1]GOTO20
+IF[ABS[#{pending}]GT0]GOTO81
+@axes
+IF[ABS[#{echo}]GT0]GOTO81
+@end
+N20#{pending}=0
+#{planned}=0
+#{before}=0
+#{after}=0
+@axes
+#{mirror}=0
+#{echo}=0
+@end
+#{echo_time}=#3001/1000
+#{echo_status}=0
+#{echo_guard_version}={version}
+M99
+N80#3000=110(TOOLPOINT SWITCH IT OFF FIRST)
+N81#3000=111(TOOLPOINT OFFSET IS APPLIED)
+M99

@@ -1,0 +1,5 @@
+O{program}(TOOLPOINT SAFE POINT ENDS)
+(G65P{program} BEFORE THE TOOL GOES BACK TO THE WORK)
+{stop}
+#{safe_flag}=0
+M99

@@ -1,0 +1,76 @@
+"""The programs on the NC side: the guard macro and what belongs to it."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from config.schema.base import READ_AHEAD_STOP_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
+
+AxisLetter = Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"]
+USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "z": ("Z", 3)}
+"""Address letter and number of the axes whose names leave no doubt."""
+PROGRAMS = 5
+"""Numbers that the programs take: guard, initialise, request, safe point begins, safe point ends."""
+SHARED_MEMORY = 4
+"""Memory macros that all axes share: pending axis, planned value, offset before, offset after."""
+
+
+class GuardAxisConfig(Section):
+    """Which axis of the control an axis of the compensation is."""
+
+    letter: AxisLetter = Field(description="its address letter", examples=["Z"])
+    number: int = Field(ge=1, le=9, description="its axis number: its external offset is #5200 + number", examples=[3])
+
+
+class GuardConfig(Section):
+    """The guard macro that the CNC runs at safe points; `toolpoint guard` prints it."""
+
+    program: int = Field(
+        9010, ge=1, le=9999 - PROGRAMS + 1, description=f"O number of the guard; {PROGRAMS} numbers from here are used"
+    )
+    memory: Annotated[int, Field(ge=500, le=999)] = Field(
+        590,
+        description=f"first macro of the guard's own memory, {SHARED_MEMORY} and one per axis; survives power-off, "
+        "outside `writable`",
+    )
+    axes: dict[Name, GuardAxisConfig] = Field(
+        default_factory=dict,
+        description="letter and number of each axis; needed for axes that are not called x, y or z",
+        examples=[{"z": {"letter": "Z", "number": 3}}],
+    )
+    on_expiry: Literal["keep", "zero"] = Field(
+        "keep", description="what an expired block does at a safe point: keep what is applied, or step to zero"
+    )
+    alarm: Literal["message", "stop"] = Field(
+        "message", description="message: stops until cycle start (#3006); stop: alarm that ends the program (#3000)"
+    )
+    look_ahead_s: Seconds = Field(120.0, description="a block valid for longer than this is not believed [s]")
+    increment_mm: float = Field(
+        0.001, ge=1e-6, le=0.01, description="least increment of the control's offsets [mm] (IS-B 0.001, IS-C 0.0001)"
+    )
+    read_ahead_stop: Annotated[str, Field(pattern=READ_AHEAD_STOP_PATTERN)] = Field(
+        "G53", description="block that ends the reading ahead on this control: G53, or an M code made for it"
+    )
+    request_timeout_s: Seconds = Field(10.0, description="how long the request program waits for an answer [s]")
+    on_timeout: Literal["continue", "message", "stop"] = Field(
+        "message", description="what the request program does without an answer"
+    )
+
+    @model_validator(mode="after")
+    def _one_axis_each(self) -> "GuardConfig":
+        problems: list[tuple[KeyPath, str]] = []
+        taken: dict[str | int, str] = {}
+        for name, axis in self.axes.items():
+            for key, value in (("letter", axis.letter), ("number", axis.number)):
+                if value in taken:
+                    problems.append((("axes", name, key), f"{value} is {taken[value]} already"))
+                taken.setdefault(value, name)
+        if self.read_ahead_stop in ("M98", "M99", "M30", "M2"):
+            problems.append((("read_ahead_stop",), f"{self.read_ahead_stop} ends or calls a program"))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    def memory_of(self, axes: int) -> range:
+        """Return the macros of the memory for so many axes."""
+        return range(self.memory, self.memory + SHARED_MEMORY + axes)
