@@ -6,22 +6,11 @@ from typing import Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.thermal_evaluate import evaluate
+from daemon.cli.thermal_options import ProgressBar, hours_option
 
 MOST_WARNINGS = 10
 AUTO = "auto"
-
-
-def _hours(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    first, _, last = value.partition("-")
-    try:
-        hours = float(first), float(last)
-    except ValueError:
-        raise click.BadParameter(f"{value!r} are not two hours such as 0-32") from None
-    if not 0.0 <= hours[0] < hours[1]:
-        raise click.BadParameter(f"{value!r}: the first hour must lie before the last")
-    return hours
 
 
 def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
@@ -38,13 +27,16 @@ def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 
 @click.group()
 def thermal() -> None:
-    """Thermal models: train them from recordings."""
+    """Thermal models: train them from recordings, and evaluate them."""
+
+
+thermal.add_command(evaluate)
 
 
 @thermal.command()
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
-@click.option("--hours", metavar="A-B", callback=_hours, help="Train on these hours of each recording only.")
+@hours_option("--hours", help="Train on these hours of each recording only.")
 @click.option(
     "--interval-min",
     type=FiniteFloat(min=0.0, min_open=True),
@@ -94,7 +86,7 @@ def train(
             split_at_speed_changes=split_at_speed,
         )
         selection = Selection(hours=hours, channels=_names(channels))
-        with _Bar() as bar:
+        with ProgressBar() as bar:
             result = train_from_files(recordings, recording_map, selection, choices, bar.show)
         write_model(result, output)
     except (ConfigurationError, RecordingFileError, DatasetError) as error:
@@ -110,30 +102,6 @@ def _names(channels: str | None) -> tuple[str, ...] | None:
     if channels is None:
         return None
     return tuple(name.strip() for name in channels.split(",") if name.strip())
-
-
-class _Bar:
-    """A progress bar on standard error; nothing where that is no terminal."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(stderr=True)
-        self._progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> "_Bar":
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def show(self, what: str, done: int, total: int) -> None:
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done, total=total)
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -1,0 +1,294 @@
+"""What models with lags are fitted on: temperatures, their lags, lagged spindle speed, and displacements, row by row.
+
+Rows of several recordings stand in one table. A run is a stretch without a long gap; its lags begin
+as if its first row had lasted for ever, and the zero of its displacements is its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from models.cleanse import remove_jumps_at_switching
+from models.dataset import DatasetError, Recording
+from models.records import FloatArray
+from models.thermal.lags import lag_table, speed_inputs
+
+TEMPERATURE_LAGS_MIN = (10.0, 30.0, 90.0, 240.0)
+"""Time constants of the lags of temperatures [min]."""
+SPEED_LAGS_MIN = (3.0, 10.0, 30.0, 90.0, 240.0)
+"""Time constants of the lags of spindle speed and of its square [min]."""
+BRIDGE_MIN = 10.0
+"""A gap is bridged by a straight line up to this length [min]; thermal errors move by up to 12 um in it."""
+NEW_RUN_MIN = 60.0
+"""After a longer gap [min] a run of its own begins."""
+LARGEST_MISSING_SHARE = 0.2
+"""A temperature that misses more of the training rows than this is left out of the model."""
+SMALLEST_SPAN_K = 1e-6
+"""A temperature that moves less in training [K] is constant."""
+JUMP_UM = 3.0
+"""Larger jumps at spindle on/off are taken out of displacements that are trained on [um] (section 3.3.1)."""
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Where each column of a feature table comes from: temperatures, their lags in turn, then lagged speed."""
+
+    sensors: int
+    lags_min: tuple[float, ...]
+    speed_lags_min: tuple[float, ...]
+    """Empty without spindle speed."""
+
+    @property
+    def temperature_columns(self) -> int:
+        """Number of columns that come from temperatures."""
+        return self.sensors * (1 + len(self.lags_min))
+
+    @property
+    def columns(self) -> int:
+        """Number of columns; speed has two per lag, speed and its square."""
+        return self.temperature_columns + 2 * len(self.speed_lags_min)
+
+    def of_sensors(self, sensors: Sequence[int]) -> IntArray:
+        """Return the columns that come from the given sensors (indices from 0)."""
+        first = self.sensors * np.arange(1 + len(self.lags_min))[:, None]
+        return np.sort((first + np.asarray(sorted(sensors), dtype=np.intp)).ravel())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """All rows of one or more recordings, averaged, with what models are fitted on."""
+
+    recording_names: tuple[str, ...]
+    sensor_names: tuple[str, ...]
+    channels: tuple[str, ...]
+    layout: Layout
+    recording: IntArray
+    """Index of the recording of each row, shape (n,)."""
+    run: IntArray
+    """Index of the run of each row, shape (n,), increasing."""
+    time_min: FloatArray
+    """Time since the recording's first row [min], shape (n,)."""
+    speed_rpm: FloatArray | None
+    """Spindle speed [1/min], shape (n,), bridged; None when a recording has none."""
+    speed_missing: BoolArray
+    """Rows in which spindle speed was not known, shape (n,)."""
+    degc: FloatArray
+    """Temperatures [degC], shape (n, n_sensors), bridged: always finite."""
+    missing: BoolArray
+    """Where a temperature was not measured, shape (n, n_sensors)."""
+    long_missing: BoolArray
+    """Of these, where it was missing for longer than is bridged."""
+    features: FloatArray
+    """Temperatures, their lags and lagged speed, shape (n, layout.columns)."""
+    measured_um: FloatArray
+    """Displacements as measured [um], shape (n, n_channels), NaN where missing."""
+    cleansed_um: FloatArray
+    """Displacements without jumps at spindle on/off, for training."""
+    speed_scale_rpm: float
+    """Speed that stands for 1 in the features [1/min]."""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.time_min)
+
+    @property
+    def period_min(self) -> float:
+        """Median time between rows [min]."""
+        steps = np.diff(self.time_min)[np.diff(self.recording) == 0]
+        return float(np.median(steps)) if len(steps) else float("nan")
+
+    def rows_between(self, from_hours: float, to_hours: float) -> BoolArray:
+        """Return which rows lie in ``from_hours <= time < to_hours`` of their recording."""
+        return (self.time_min >= 60.0 * from_hours - 1e-9) & (self.time_min < 60.0 * to_hours - 1e-9)
+
+    def trainable(self) -> BoolArray:
+        """Return which rows have everything that a fit needs, shape (n,)."""
+        known = np.isfinite(self.cleansed_um).all(axis=1) & ~self.long_missing.any(axis=1)
+        return np.asarray(known & ~self.speed_missing)
+
+
+def build_inputs(
+    recordings: Sequence[Recording],
+    *,
+    sample_s: float,
+    lags_min: tuple[float, ...] = TEMPERATURE_LAGS_MIN,
+    speed_lags_min: tuple[float, ...] = SPEED_LAGS_MIN,
+) -> Inputs:
+    """Return the rows of recordings with their lags.
+
+    Parameters
+    ----------
+    recordings
+        With the same columns; each counts its time from its own first row. Spindle speed is used
+        when all of them have it.
+    sample_s
+        They are averaged to this time between rows [s].
+    lags_min, speed_lags_min
+        Time constants [min].
+
+    Returns
+    -------
+    Inputs
+        With as many rows as the averaged recordings have.
+
+    Raises
+    ------
+    DatasetError
+        When the recordings do not have the same columns or sampling.
+
+    """
+    require_same_columns(recordings)
+    averaged = [recording.downsampled(sample_s) for recording in recordings]
+    with_speed = all(r.speed_rpm is not None and np.isfinite(r.speed_rpm).any() for r in averaged)
+    scale_rpm = 1.0
+    if with_speed:
+        scale_rpm = max(float(np.nanmax(np.abs(r.speed_rpm))) for r in averaged if r.speed_rpm is not None) or 1.0
+    layout = Layout(
+        sensors=len(averaged[0].temperature_names),
+        lags_min=lags_min,
+        speed_lags_min=speed_lags_min if with_speed else (),
+    )
+    parts = [_one(recording, layout, with_speed, scale_rpm) for recording in averaged]
+    cleansed = [_without_jumps(raw).downsampled(sample_s).displacements_um for raw in recordings]
+    runs = np.concatenate(
+        [part.run + sum(int(p.run[-1]) + 1 for p in parts[:i] if len(p.run)) for i, part in enumerate(parts)]
+    )
+    return Inputs(
+        recording_names=tuple(recording.name for recording in recordings),
+        sensor_names=averaged[0].temperature_names,
+        channels=averaged[0].displacement_names,
+        layout=layout,
+        recording=np.repeat(np.arange(len(averaged)), [recording.rows for recording in averaged]),
+        run=runs,
+        time_min=np.concatenate([recording.time_s for recording in averaged]) / 60.0,
+        speed_rpm=np.concatenate([part.speed_rpm for part in parts]) if with_speed else None,
+        speed_missing=np.concatenate([part.speed_missing for part in parts]),
+        degc=np.vstack([part.degc for part in parts]),
+        missing=np.vstack([~np.isfinite(recording.temperatures_degc) for recording in averaged]),
+        long_missing=np.vstack([part.long_missing for part in parts]),
+        features=np.vstack([part.features for part in parts]),
+        measured_um=np.vstack([recording.displacements_um for recording in averaged]),
+        cleansed_um=np.vstack(cleansed),
+        speed_scale_rpm=scale_rpm,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    run: IntArray
+    degc: FloatArray
+    long_missing: BoolArray
+    speed_rpm: FloatArray
+    speed_missing: BoolArray
+    features: FloatArray
+
+
+def _one(recording: Recording, layout: Layout, with_speed: bool, scale_rpm: float) -> _Part:
+    time_min = recording.time_s / 60.0
+    run = np.concatenate([[0], np.cumsum(np.diff(time_min) > NEW_RUN_MIN)]).astype(np.intp)
+    degc, long_missing = _bridged(time_min, recording.temperatures_degc)
+    speed_rpm, speed_missing = np.zeros(recording.rows), np.zeros((recording.rows, 1), dtype=np.bool_)
+    if with_speed and recording.speed_rpm is not None:
+        table, speed_missing = _bridged(time_min, recording.speed_rpm[:, None])
+        speed_rpm = table[:, 0]
+    features = np.empty((recording.rows, layout.columns))
+    for index in range(int(run[-1]) + 1):
+        rows = run == index
+        features[rows] = feature_table(layout, time_min[rows], degc[rows], speed_rpm[rows], scale_rpm)
+    return _Part(
+        run=run,
+        degc=degc,
+        long_missing=long_missing,
+        speed_rpm=speed_rpm,
+        speed_missing=speed_missing[:, 0],
+        features=features,
+    )
+
+
+def feature_table(
+    layout: Layout, time_min: FloatArray, degc: FloatArray, speed_rpm: FloatArray, scale_rpm: float
+) -> FloatArray:
+    """Return temperatures, their lags and lagged speed of one run, shape (n, layout.columns).
+
+    Parameters
+    ----------
+    layout
+        Which columns.
+    time_min : shape (n,)
+        Increasing times [min].
+    degc : shape (n, n_sensors)
+        Temperatures [degC], finite.
+    speed_rpm : shape (n,)
+        Spindle speed [1/min], finite.
+    scale_rpm
+        Speed that becomes 1 [1/min].
+
+    """
+    lagged = lag_table(time_min, degc, layout.lags_min)
+    speed = lag_table(time_min, speed_inputs(speed_rpm, scale_rpm), layout.speed_lags_min)
+    return np.hstack([degc, *lagged, *speed])
+
+
+def _bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the table with straight lines over what is missing, and where that is missing for long."""
+    filled = values.copy()
+    long_missing = np.zeros(values.shape, dtype=np.bool_)
+    for column in range(values.shape[1]):
+        known = np.flatnonzero(np.isfinite(values[:, column]))
+        if len(known) == len(values):
+            continue
+        if not len(known):
+            filled[:, column] = 0.0
+            long_missing[:, column] = True
+            continue
+        filled[:, column] = np.interp(time_min, time_min[known], values[known, column])
+        edges = np.searchsorted(known, np.arange(len(values)))
+        after = np.where(edges < len(known), time_min[known[np.minimum(edges, len(known) - 1)]], np.inf)
+        before = np.where(edges > 0, time_min[known[np.maximum(edges - 1, 0)]], -np.inf)
+        long_missing[:, column] = ~np.isfinite(values[:, column]) & (after - before > BRIDGE_MIN)
+    return filled, long_missing
+
+
+def _without_jumps(recording: Recording) -> Recording:
+    if recording.speed_rpm is None:
+        return recording
+    cleansed_um = remove_jumps_at_switching(recording.displacements_um, recording.speed_rpm, JUMP_UM)
+    return replace(recording, displacements_um=cleansed_um)
+
+
+def require_same_columns(recordings: Sequence[Recording]) -> None:
+    """Raise DatasetError unless there is a recording and all have the same columns."""
+    if not recordings:
+        raise DatasetError("there is no recording to train on")
+    first = recordings[0]
+    for other in recordings[1:]:
+        for kind in ("temperature_names", "displacement_names"):
+            if (mine := getattr(first, kind)) != (theirs := getattr(other, kind)):
+                differing = sorted(set(mine) ^ set(theirs)) or ["their order"]
+                raise DatasetError(
+                    f"{first.name} and {other.name} have different {kind.replace('_', ' ')}: {', '.join(differing[:8])}"
+                )
+
+
+def unusable_sensors(inputs: Inputs, rows: BoolArray) -> dict[str, str]:
+    """Return the temperatures that no model may be fitted on in these rows, and why."""
+    found = {}
+    for sensor, name in enumerate(inputs.sensor_names):
+        missing = inputs.missing[rows, sensor]
+        if missing.mean() > LARGEST_MISSING_SHARE:
+            found[name] = f"{missing.mean():.0%} of its training rows are missing"
+        elif np.ptp(inputs.degc[rows, sensor]) < SMALLEST_SPAN_K:
+            found[name] = f"constant at {inputs.degc[rows, sensor][0]:g} degC in training"
+    return found
+
+
+def with_sensors(recording: Recording, names: Sequence[str]) -> Recording:
+    """Return the recording with the named temperatures only, in that order."""
+    columns = [recording.temperature_names.index(name) for name in names]
+    return replace(recording, temperature_names=tuple(names), temperatures_degc=recording.temperatures_degc[:, columns])

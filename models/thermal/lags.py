@@ -1,0 +1,91 @@
+"""First-order lags of temperatures and spindle speed: over a recording, and sample by sample.
+
+A lag with time constant tau follows ``tau dx/dt = u - x``. Between two samples the input is taken
+as a straight line, for which the step below is exact: the result does not depend on how often
+somebody looks, and a short gap is bridged by the line between its ends.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.records import FloatArray
+
+
+def lag_step(
+    lagged: FloatArray, before: FloatArray, now: FloatArray, elapsed_min: float, time_constant_min: float
+) -> FloatArray:
+    """Return a first-order lag after one interval in which its input went straight from one value to another.
+
+    Parameters
+    ----------
+    lagged, before, now : same shape
+        Lag and input at the beginning of the interval, and input at its end.
+    elapsed_min
+        Length of the interval [min]; 0 leaves the lag as it is.
+    time_constant_min
+        Time constant [min], positive.
+
+    Returns
+    -------
+    numpy.ndarray
+        The lag at the end of the interval, in the unit of the input.
+
+    """
+    if elapsed_min <= 0.0:
+        return lagged.copy()
+    decay = np.exp(-elapsed_min / time_constant_min)
+    ramp = (now - before) * (time_constant_min / elapsed_min)
+    return np.asarray(now - ramp + decay * (lagged - before + ramp))
+
+
+def lag_table(time_min: FloatArray, values: FloatArray, time_constants_min: Sequence[float]) -> FloatArray:
+    """Return the lags of a table, which begin as if the first row had lasted for ever.
+
+    Parameters
+    ----------
+    time_min : shape (n,)
+        Increasing times [min].
+    values : shape (n, n_columns)
+        Inputs; every value finite.
+    time_constants_min : length n_lags
+        Time constants [min].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_lags, n, n_columns)
+        In the unit of the inputs.
+
+    """
+    lagged = np.empty((len(time_constants_min), *values.shape))
+    if not len(values):
+        return lagged
+    elapsed_min = np.diff(time_min)
+    for table, time_constant_min in zip(lagged, time_constants_min, strict=True):
+        table[0] = values[0]
+        decay = np.exp(-elapsed_min / time_constant_min)
+        ramp = np.diff(values, axis=0) * (time_constant_min / elapsed_min)[:, None]
+        gained = values[1:] - ramp + decay[:, None] * (ramp - values[:-1])
+        for row in range(1, len(values)):
+            table[row] = gained[row - 1] + decay[row - 1] * table[row - 1]
+    return lagged
+
+
+def speed_inputs(speed_rpm: FloatArray, scale_rpm: float) -> FloatArray:
+    """Return spindle speed and its square, from which the heat of bearings and windings follows.
+
+    Parameters
+    ----------
+    speed_rpm : shape (n,)
+        Spindle speed [1/min].
+    scale_rpm
+        Speed that becomes 1 [1/min].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, 2)
+        ``|n| / scale`` and its square, without unit.
+
+    """
+    relative = np.abs(speed_rpm) / scale_rpm
+    return np.column_stack([relative, np.square(relative)])

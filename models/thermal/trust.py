@@ -1,0 +1,221 @@
+"""Whether a fitted model may be used at all, and how wide its prediction band is: both from training rows alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.dataset import DatasetError
+from models.records import FloatArray
+from models.thermal.families import Fit, Problem, fold_numbers, relative_rmse
+from models.thermal.folds import fold_segments
+from models.thermal.inputs import BoolArray, Inputs, IntArray
+from models.thermal.probing import probed_residual_um
+from models.thermal.watch_fit import smoothed
+
+BAND_QUANTILE = 0.9
+"""The band is the largest, over instants that could have been the reference, of this quantile of what followed."""
+SHORTEST_HORIZON_MIN = 240.0
+"""So much must follow such an instant [min], or half of the run."""
+REFERENCES = 30
+"""So many instants of every run are tried."""
+FEWEST_FOLDS_BEFORE = 2
+"""A fold is predicted from at least so many before it: one warm-up alone is no alternating operation."""
+EXCURSION_SHARE = 0.3
+"""An excursion moves a channel by this share of its span."""
+FEWEST_EXCURSIONS = 2
+"""So many alternating excursions must have been seen ..."""
+FEWEST_RUNS = 3
+"""... or so many separate runs."""
+SMOOTHING_MIN = 10.0
+"""Excursions are counted on displacements smoothed over this time [min]."""
+NOISE_FACTOR = 4.0
+"""A channel moves when its span exceeds the scatter about the smoothed curve by this factor."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trust:
+    """What training says about a model."""
+
+    refused: str | None
+    """Why it must not be activated; None when it may."""
+    band_um: FloatArray
+    """Half width of the prediction band [um], shape (n_channels,); NaN where nothing could be left out."""
+    held_out_relative_rmse: float
+    """RMSE with / without the model on what was left out, mean over the channels; NaN when nothing was."""
+    forward_skill: tuple[float, ...]
+    """1 - RMSE with / without of each fold, predicted from the folds before it."""
+
+
+def judge(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, *, probe_min: float | None = None
+) -> Trust:
+    """Return whether a model may be trusted, and its band.
+
+    The gate: at least two alternating excursions of more than 30 % of the span, or three separate
+    runs; positive skill on what was left out; and positive skill in every forward-chained fold,
+    which is predicted only from what came before it.
+
+    Parameters
+    ----------
+    inputs, rows, fold
+        Training rows and their folds, see `inner_folds`.
+    problem
+        The prepared family.
+    probe_min
+        Time between probes [min] for which the band is wanted; None without probes.
+
+    """
+    numbers = fold_numbers(rows, fold)
+    nothing = np.full(len(inputs.channels), np.nan)
+    if len(numbers) < 2:
+        return Trust(
+            refused="nothing could be left out, so nobody knows how good the model is; record longer",
+            band_um=nothing,
+            held_out_relative_rmse=float("nan"),
+            forward_skill=(),
+        )
+    try:
+        fits = {number: problem.fit(frozenset({number})) for number in numbers}
+        score = relative_rmse(inputs, rows, fold, fits, probe_min)
+        band_um = _band_um(inputs, rows, fold, fits, probe_min)
+    except DatasetError as error:
+        return Trust(
+            refused=f"without one of its folds it cannot be fitted ({error})",
+            band_um=nothing,
+            held_out_relative_rmse=float("nan"),
+            forward_skill=(),
+        )
+    skill = _forward_skill(inputs, rows, fold, problem, numbers)
+    return Trust(
+        refused=_reason(inputs, rows, score, skill),
+        band_um=band_um,
+        held_out_relative_rmse=score,
+        forward_skill=tuple(skill),
+    )
+
+
+def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -> str | None:
+    runs = len(np.unique(inputs.run[rows]))
+    seen = excursions(inputs, rows)
+    if seen < FEWEST_EXCURSIONS and runs < FEWEST_RUNS:
+        return (
+            f"training saw {seen} excursion(s) of more than {EXCURSION_SHARE:.0%} of the span in {runs} run(s); "
+            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record warming, cooling"
+        )
+    if not score < 1.0:
+        return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"
+    if bad := [value for value in skill if not value > 0.0]:
+        return (
+            f"predicted from what came before, {len(bad)} of {len(skill)} folds are worse than without compensation "
+            f"(by {-min(bad):.0%} at worst); record more alternating operation"
+        )
+    return None
+
+
+def _forward_skill(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, numbers: list[int]
+) -> list[float]:
+    """Return the skill of each fold that has enough before it, predicted from those."""
+    found = []
+    for position in range(min(FEWEST_FOLDS_BEFORE, len(numbers) - 1), len(numbers)):
+        later = frozenset(numbers[position:])
+        try:
+            fit = problem.fit(later)
+        except DatasetError:
+            continue
+        found.append(1.0 - relative_rmse(inputs, rows, fold, {numbers[position]: fit}))
+    return found
+
+
+def excursions(inputs: Inputs, rows: BoolArray) -> int:
+    """Return how many alternating excursions the channel that moves most has made in some rows.
+
+    An excursion is a move by more than 30 % of the channel's span, of the smoothed displacement,
+    in the direction opposite to the one before. A channel that hardly leaves its own scatter has none.
+    """
+    best, widest = 0, 0.0
+    for channel in range(len(inputs.channels)):
+        known = rows & np.isfinite(inputs.measured_um[:, channel])
+        segments = [part for part in fold_segments(inputs, known) if len(part) > 2]
+        if not segments:
+            continue
+        smooth = [
+            smoothed(inputs.time_min[part], inputs.measured_um[part, channel][:, None], SMOOTHING_MIN)[:, 0]
+            for part in segments
+        ]
+        span = max(float(np.ptp(curve)) for curve in smooth)
+        steps = np.concatenate([np.diff(inputs.measured_um[part, channel]) for part in segments])
+        scatter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
+        if span <= widest or span <= NOISE_FACTOR * scatter:
+            continue
+        widest, best = span, sum(_alternations(curve, EXCURSION_SHARE * span) for curve in smooth)
+    return best
+
+
+def _alternations(values: FloatArray, least: float) -> int:
+    """Return how many moves of at least `least` in alternating directions a curve makes."""
+    count, direction = 0, 0
+    low = high = float(values[0])
+    for value in values:
+        low, high = min(low, float(value)), max(high, float(value))
+        if direction <= 0 and value - low >= least:
+            count, direction, high = count + 1, 1, float(value)
+        elif direction >= 0 and high - value >= least:
+            count, direction, low = count + 1, -1, float(value)
+    return count
+
+
+def _band_um(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit], probe_min: float | None
+) -> FloatArray:
+    """Return the half width that held from (nearly) every instant that could have been the reference."""
+    series_um = left_out_series_um(inputs, rows, fold, fits)
+    widths: list[FloatArray] = []
+    for run in np.unique(inputs.run[rows]):
+        chosen = np.flatnonzero(rows & (inputs.run == run) & np.isfinite(series_um).all(axis=1))
+        if not len(chosen):
+            continue
+        time_min, residual_um = inputs.time_min[chosen], series_um[chosen]
+        if probe_min is not None:
+            widths += _probed_widths(fold[chosen], time_min, residual_um, probe_min)
+            continue
+        shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
+        references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
+        for first in references[:: max(1, len(references) // REFERENCES)]:
+            later = np.abs(residual_um[first:] - residual_um[first])
+            widths.append(np.quantile(later, BAND_QUANTILE, axis=0))
+    return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def _probed_widths(fold: IntArray, time_min: FloatArray, residual_um: FloatArray, probe_min: float) -> list[FloatArray]:
+    probed = np.abs(probed_residual_um(time_min, residual_um - residual_um[0], probe_min))
+    return [np.quantile(probed[fold == number], BAND_QUANTILE, axis=0) for number in np.unique(fold)]
+
+
+def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:
+    """Return measured minus estimated over all training rows, each fold by the fit that left it out.
+
+    Parameters
+    ----------
+    inputs, rows, fold
+        Training rows and their folds.
+    fits
+        Fold -> the fit without it.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, n_channels)
+        About the mean of the same run's rows that the fit was trained on [um]; NaN elsewhere.
+
+    """
+    series_um = np.full(inputs.measured_um.shape, np.nan)
+    for number, fit in fits.items():
+        level_um = inputs.measured_um - fit.estimate_um(inputs.features, inputs.features[0], inputs.time_min)
+        out = rows & (fold == number)
+        for run in np.unique(inputs.run[out]):
+            of_run = inputs.run == run
+            trained = level_um[rows & of_run & ~out]
+            trained = trained[np.isfinite(trained).all(axis=1)]
+            zero = trained.mean(axis=0) if len(trained) else 0.0
+            series_um[out & of_run] = level_um[out & of_run] - zero
+    return series_um

@@ -1,0 +1,292 @@
+"""Watches temperature sensors: each is predicted from all others, and the one that departs is excluded.
+
+Three signs, each with limits from training: a slew no healthy sensor showed (spike, step, open
+circuit), a value that does not change any more (stuck), and a departure from what the other
+sensors say (step, drift, scale). The last needs no regression per sensor: with P the inverse of
+the damped covariance of all columns, sensor s departs from its prediction by
+``(P[S, S]^-1 P[S, :] x)[0]``, S its own columns. Leaving a suspect out is a block elimination in P.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from models.records import FloatArray
+from models.thermal.inputs import BRIDGE_MIN, Layout
+from models.thermal.lags import lag_step, speed_inputs
+
+WATCH_LAGS_MIN = (10.0, 90.0)
+"""Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
+FAST_MIN = 10.0
+"""Departures are smoothed over this time [min] ..."""
+SLOW_MIN = 240.0
+"""... and count against their own mean over this time [min]: what a machine does slowly is no fault."""
+CONFIRM_MIN = 10.0
+"""A departure must last so long [min] before a sensor is blamed."""
+THRESHOLD_FACTOR = 2.0
+"""Limits are this many times the largest value on stretches that were left out in training."""
+SLEW_MARGIN_K_PER_MIN = 0.3
+"""Added to twice the largest slew of training [K/min]."""
+FLAT_MIN = 15.0
+"""A value that stays identical for so long [min] is stuck, unless training saw longer."""
+FLAT_FACTOR = 1.5
+"""... and then this many times the longest that training saw."""
+SAME_K = 1e-6
+"""Values closer than this are identical [K]."""
+MOST_SUSPECTS = 12
+"""So many sensors, those that depart most, are tried as the one to exclude."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorWatch:
+    """What healthy sensors look like, fitted in training."""
+
+    layout: Layout
+    centre: FloatArray
+    """Mean of each column in training, shape (d,)."""
+    gain: FloatArray
+    """1 / standard deviation of each column, 0 where it does not move, shape (d,)."""
+    precision: FloatArray
+    """Inverse of the damped covariance of the scaled columns, shape (d, d)."""
+    threshold_k: FloatArray
+    """Largest departure of a healthy sensor [K], shape (n_sensors,)."""
+    slew_k_per_min: FloatArray
+    """Largest slew of a healthy sensor [K/min], shape (n_sensors,)."""
+    flat_min: FloatArray
+    """Longest time for which a healthy sensor stays identical [min], shape (n_sensors,)."""
+    speed_scale_rpm: float
+    """Speed that stands for 1 in the columns [1/min]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blame:
+    """A sensor that was excluded, and why."""
+
+    sensor: int
+    """Index, from 0."""
+    time_min: float
+    sign: str
+    """`slew`, `flat`, `departure` or `missing`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WatchState:
+    """What the watch remembers from one sample to the next."""
+
+    time_min: float
+    degc: FloatArray
+    """The latest value of each sensor [degC], the one before where it was missing."""
+    known_min: FloatArray
+    """When each sensor was last known [min]."""
+    flat_since_min: FloatArray
+    """Since when each sensor has had its value [min]."""
+    speed: FloatArray
+    """Inputs from spindle speed, shape (2,)."""
+    lagged: FloatArray
+    """Lags of temperatures, shape (n_lags, n_sensors)."""
+    speed_lagged: FloatArray
+    """Lags of the inputs from speed, shape (n_speed_lags, 2)."""
+    fast: FloatArray
+    """Scaled columns, smoothed, shape (d,)."""
+    slow: FloatArray
+    """The same over the long time."""
+    over_min: FloatArray
+    """For how long each sensor has departed [min], shape (n_sensors,)."""
+    blamed: tuple[Blame, ...] = field(default=())
+
+    @property
+    def excluded(self) -> tuple[int, ...]:
+        """Indices of the excluded sensors, sorted."""
+        return tuple(sorted({blame.sensor for blame in self.blamed}))
+
+
+def without_columns(precision: FloatArray, columns: Sequence[int]) -> FloatArray:
+    """Return the precision of what is left without some columns; those become zero."""
+    out = np.asarray(columns, dtype=np.intp)
+    if not len(out):
+        return precision
+    found = precision - precision[:, out] @ np.linalg.solve(precision[np.ix_(out, out)], precision[out])
+    found[out], found[:, out] = 0.0, 0.0
+    return found
+
+
+def departure_maps(
+    layout: Layout, precision: FloatArray, gain: FloatArray, skip: Sequence[int] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Return what turns scaled columns into the departure of every sensor from its prediction.
+
+    Parameters
+    ----------
+    layout, precision, gain
+        See `SensorWatch`.
+    skip
+        Sensors that `precision` does not hold any more.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard
+        deviation that the model itself expects [K], shape (n_sensors,).
+
+    """
+    sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
+    maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
+    if not sensors:
+        return maps, expected
+    own = np.stack([layout.of_sensors([s]) for s in sensors])
+    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]])
+    maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
+    expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
+    return maps, expected
+
+
+class Watcher:
+    """Steps the state of a watch; keeps only what follows from the watch itself.
+
+    Parameters
+    ----------
+    watch
+        Limits and predictions from training.
+
+    """
+
+    def __init__(self, watch: SensorWatch) -> None:
+        self.watch = watch
+        self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
+        _, self._usual = self._map(())
+
+    def _map(self, excluded: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        if excluded not in self._maps:
+            watch = self.watch
+            if len(self._maps) > 512:
+                self._maps.clear()
+            remaining = without_columns(watch.precision, watch.layout.of_sensors(excluded).tolist() if excluded else [])
+            self._maps[excluded] = departure_maps(watch.layout, remaining, watch.gain, excluded)
+        return self._maps[excluded]
+
+    def begin(self, time_min: float, degc: FloatArray, speed_rpm: float) -> WatchState:
+        """Return the state at the first sample; a sensor without a value begins at its mean of training."""
+        watch = self.watch
+        count = watch.layout.sensors
+        filled = np.where(np.isfinite(degc), degc, watch.centre[:count])
+        speed = speed_inputs(np.array([np.nan_to_num(speed_rpm)]), watch.speed_scale_rpm)[0]
+        lagged = np.tile(filled, (len(watch.layout.lags_min), 1))
+        speed_lagged = np.tile(speed, (len(watch.layout.speed_lags_min), 1))
+        columns = self._columns(filled, lagged, speed_lagged)
+        return WatchState(
+            time_min=time_min,
+            degc=filled,
+            known_min=np.full(count, time_min),
+            flat_since_min=np.full(count, time_min),
+            speed=speed,
+            lagged=lagged,
+            speed_lagged=speed_lagged,
+            fast=columns,
+            slow=columns.copy(),
+            over_min=np.zeros(count),
+        )
+
+    def _columns(self, degc: FloatArray, lagged: FloatArray, speed_lagged: FloatArray) -> FloatArray:
+        columns = np.concatenate([degc, lagged.ravel(), speed_lagged.ravel()])
+        return np.asarray((columns - self.watch.centre) * self.watch.gain)
+
+    def step(
+        self, state: WatchState, time_min: float, degc: FloatArray, speed_rpm: float, *, blame: bool = True
+    ) -> WatchState:
+        """Return the state after a sample.
+
+        Parameters
+        ----------
+        state
+            Before it.
+        time_min
+            Its time [min], on the clock of the state.
+        degc : shape (n_sensors,)
+            Temperatures [degC], NaN where missing.
+        speed_rpm
+            Spindle speed [1/min]; NaN repeats the last one.
+        blame
+            Whether sensors may be excluded; False while the watch only fills its memory.
+
+        Returns
+        -------
+        WatchState
+            With what was blamed so far; an excluded sensor stays excluded.
+
+        """
+        elapsed_min = time_min - state.time_min
+        if elapsed_min <= 0.0:
+            return state
+        advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
+        if not blame:
+            return replace(advanced, over_min=np.zeros_like(advanced.over_min), blamed=state.blamed)
+        at_once = self._blame_at_once(state, advanced, degc)
+        if at_once:
+            advanced = replace(advanced, blamed=(*advanced.blamed, *at_once))
+        return self._blame_departures(advanced, elapsed_min)
+
+    def _advance(
+        self, state: WatchState, time_min: float, elapsed_min: float, degc: FloatArray, speed_rpm: float
+    ) -> WatchState:
+        watch, known = self.watch, np.isfinite(degc)
+        filled = np.where(known, degc, state.degc)
+        speed = state.speed
+        if np.isfinite(speed_rpm):
+            speed = speed_inputs(np.array([speed_rpm]), watch.speed_scale_rpm)[0]
+        lagged, speed_lagged = np.empty_like(state.lagged), np.empty_like(state.speed_lagged)
+        for index, constant_min in enumerate(watch.layout.lags_min):
+            lagged[index] = lag_step(state.lagged[index], state.degc, filled, elapsed_min, constant_min)
+        for index, constant_min in enumerate(watch.layout.speed_lags_min):
+            speed_lagged[index] = lag_step(state.speed_lagged[index], state.speed, speed, elapsed_min, constant_min)
+        columns = self._columns(filled, lagged, speed_lagged)
+        fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
+        same = np.abs(filled - state.degc) <= SAME_K
+        return WatchState(
+            time_min=time_min,
+            degc=filled,
+            known_min=np.where(known, time_min, state.known_min),
+            flat_since_min=np.where(same, state.flat_since_min, time_min),
+            speed=speed,
+            lagged=lagged,
+            speed_lagged=speed_lagged,
+            fast=fast,
+            slow=fast + np.exp(-elapsed_min / SLOW_MIN) * (state.slow - fast),
+            over_min=state.over_min,
+            blamed=state.blamed,
+        )
+
+    def _blame_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[Blame]:
+        watch, excluded = self.watch, set(now.excluded)
+        slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
+        signs = {
+            "missing": now.time_min - now.known_min > BRIDGE_MIN,
+            "slew": np.isfinite(degc) & (slew > watch.slew_k_per_min),
+            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min),
+        }
+        found = []
+        for sign, applies in signs.items():
+            for sensor in np.flatnonzero(applies):
+                if int(sensor) not in excluded:
+                    excluded.add(int(sensor))
+                    found.append(Blame(sensor=int(sensor), time_min=now.time_min, sign=sign))
+        return found
+
+    def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
+        """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""
+        maps, expected = self._map(excluded)
+        widening = np.divide(expected, self._usual, out=np.ones_like(expected), where=self._usual > 0.0)
+        limit_k = self.watch.threshold_k * np.maximum(widening, 1.0)
+        return np.asarray(np.abs(maps @ (state.fast - state.slow)) / limit_k)
+
+    def _blame_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
+        excluded = state.excluded
+        departures = self.relative_departures(state, excluded)
+        over_min = np.where(departures > 1.0, state.over_min + elapsed_min, 0.0)
+        if not (over_min >= CONFIRM_MIN).any():
+            return replace(state, over_min=over_min)
+        suspects = [int(s) for s in np.argsort(departures)[::-1][:MOST_SUSPECTS] if departures[s] > 0.0]
+        rests = [float(self.relative_departures(state, tuple(sorted({*excluded, s}))).max()) for s in suspects]
+        culprit = suspects[int(np.argmin(rests))]
+        blame = Blame(sensor=culprit, time_min=state.time_min, sign="departure")
+        return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, blame))
