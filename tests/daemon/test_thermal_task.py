@@ -284,3 +284,32 @@ async def test_the_task_survives_what_nobody_expected(task):
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_sensor_that_returns_is_rebased_so_that_its_return_moves_nothing(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=[22.0, 22.0, 22.0])
+    before = task.estimates[-1].thermal_error_um.copy()
+    await task.minutes(4, spindle=[np.nan, 22.0, 22.0])
+    assert task.estimates[-1].imputed
+    imputed = task.estimates[-1].thermal_error_um.copy()
+    await task.minutes(4, spindle=[29.0, 22.0, 22.0])
+    returned = task.estimates[-1]
+    assert returned.imputed == ()
+    assert returned.thermal_error_um == pytest.approx(imputed, abs=1e-9)
+    assert imputed == pytest.approx(before, abs=1e-9)
+    await task.minutes(4, spindle=[29.5, 22.0, 22.0])
+    assert not np.allclose(task.estimates[-1].thermal_error_um, imputed), "and from then on it counts"
+    rebased = task.references[-1]
+    assert rebased.reference_id == "r1" and rebased.degc[0] == pytest.approx(27.0, abs=0.01)
+
+
+async def test_a_sensor_that_was_missing_at_the_reference_counts_from_its_first_value_on(task):
+    await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
+    await task.ask()
+    await task.minutes(2, spindle=[np.nan, 21.0, 21.0])
+    imputed = task.estimates[-1].thermal_error_um.copy()
+    await task.minutes(3, spindle=[35.0, 21.0, 21.0])
+    assert task.estimates[-1].thermal_error_um == pytest.approx(imputed, abs=1e-9)
+    assert task.estimates[-1].imputed == ()

@@ -1,0 +1,260 @@
+"""Requests of the NC program: reference, tool setting, probe, tool change; lost, late and unknown ones."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import Bench, Z, running
+
+from daemon.history import HistoryReader
+from daemon.thermal import ReferenceRefused, ReferenceRequest
+from models.records import WriteOutcome
+
+COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE = 520, 521, 522, 523, 524
+REFERENCE, PROBE, TOOL_CHANGE = 1, 2, 3
+Y_AXIS, Z_AXIS = 2, 3
+
+
+@pytest.fixture
+def bench(tmp_path):
+    bench = Bench(tmp_path)
+    for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE):
+        bench.nc.macros.set(number, 0.0)
+    return bench
+
+
+@pytest.fixture
+async def rig(bench):
+    async with running(bench.rig()) as rig:
+        yield rig
+
+
+def ask(bench, counter, kind, axis=0, value_mm=0.0):
+    for number, value in ((KIND, kind), (AXIS, axis), (VALUE, value_mm), (COUNTER, counter)):
+        bench.nc.macros.set(number, float(value))
+
+
+def answer(bench):
+    return bench.nc.macros.get(ACKNOWLEDGE)
+
+
+def last_asked(rig):
+    return next(item for item in reversed(rig.asked) if isinstance(item, ReferenceRequest))
+
+
+async def test_a_reference_is_answered_only_when_it_is_in_force_and_the_cnc_holds_its_value(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, REFERENCE)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    assert answer(bench) == 0.0, "nobody has set the reference yet"
+    rig.set_reference(last_asked(rig).reference_id)
+    before = bench.nc.macros.get(Z)
+    await rig.turn()
+    await rig.turn()
+    assert answer(bench) == 1.0
+    assert bench.nc.macros.get(Z) == pytest.approx(before)
+    assert rig.control.memory.baseline_um[2] == pytest.approx(before * 1000.0)
+
+
+async def test_a_refused_reference_is_answered_with_minus_and_leaves_the_old_one(rig, bench):
+    await rig.active()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    asked = last_asked(rig)
+    rig.control.deliver(ReferenceRefused(reference_id=asked.reference_id, why="no temperature has arrived"))
+    await rig.turn()
+    assert answer(bench) == -1.0
+    assert rig.control.reference.reference_id == "r1"
+    assert any("no temperature" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_probe_value_corrects_the_output_and_stands_in_the_history(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, PROBE, Z_AXIS, 0.003)
+    await rig.follow(0.0, -8.0, 40)
+    assert answer(bench) == 1.0
+    assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        (probe,) = reader.probes(0.0, 2.0**40)
+    assert (probe.axis, probe.deviation_um, probe.accepted) == ("z", pytest.approx(3.0), True)
+    assert probe.applied_um == pytest.approx(8.0, abs=0.11)
+    assert probe.thermal_error_um == pytest.approx(-8.0)
+
+
+@pytest.mark.parametrize(
+    ("axis", "value_mm", "words"),
+    [(Z_AXIS, 0.05, "more than the bound"), (0, 0.001, "needs one axis"), (1, 0.001, "no estimate")],
+)
+async def test_a_probe_value_that_cannot_be_used_moves_nothing(rig, bench, axis, value_mm, words):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    before = rig.applied["z"]
+    ask(bench, 1, PROBE, axis, value_mm)
+    await rig.follow(0.0, -8.0, 10)
+    assert answer(bench) == -1.0
+    assert rig.applied["z"] == before
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        events = [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "refused"]
+        assert any(words in text for text in events), events
+        assert all(not probe.accepted for probe in reader.probes(0.0, 2.0**40))
+
+
+async def test_a_tool_setting_moves_nothing_and_a_tool_change_selects_it(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    assert answer(bench) == 1.0
+    ask(bench, 2, REFERENCE, Z_AXIS)
+    await rig.follow(0.0, -8.0, 4)
+    assert answer(bench) == 2.0
+    assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
+    assert list(rig.control.memory.tools) == [1], "the tool is the one that the CNC reports"
+
+
+async def test_a_tool_setting_without_a_reference_of_the_work_is_refused(rig, bench):
+    await rig.turn()
+    ask(bench, 1, REFERENCE, Z_AXIS)
+    await rig.turn()
+    assert answer(bench) == -1.0
+
+
+@pytest.mark.parametrize(("kind", "axis", "words"), [(7, 0, "kind 7"), (REFERENCE, 9, "axis 9")])
+async def test_an_unknown_request_is_refused_in_words(rig, bench, kind, axis, words):
+    await rig.active()
+    ask(bench, 1, kind, axis)
+    await rig.turn()
+    await rig.turn()
+    assert answer(bench) == -1.0
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        assert any(words in event.text for event in reader.events(0.0, 2.0**40))
+
+
+async def test_requests_that_were_never_seen_end_the_reference(rig, bench):
+    await rig.active()
+    ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+    await rig.turn()
+    assert rig.control.reference is None
+    assert any("2 request(s) of the NC program were missed" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_program_that_gives_up_waiting_has_no_reference(rig, bench):
+    await rig.active()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    bench.nc.macros.set(KIND, 0.0)
+    await rig.turn()
+    assert rig.control.reference is None
+    assert answer(bench) == 0.0
+
+
+async def test_a_request_from_before_the_start_is_refused(bench):
+    ask(bench, 5, REFERENCE)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.turn()
+        assert answer(bench) == -5.0
+        assert not rig.asked
+
+
+async def test_a_reference_is_not_taken_up_when_the_program_asked_for_something_meanwhile(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    ask(bench, 1, REFERENCE)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        assert any("while the daemon was away" in notice for notice in rig.control.journal.notices)
+
+
+async def test_no_answer_in_a_fault(rig, bench):
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+    await rig.turn()
+    await rig.turn()
+    assert rig.state == "FAULT"
+    assert answer(bench) == 0.0, "in FAULT nothing is written"
+
+
+async def test_the_answer_is_audited_with_intent_and_outcome_and_does_not_hide_the_block(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -8.0, 20)
+        ask(bench, 1, TOOL_CHANGE, 0, 1.0)
+        await rig.turn()
+        await rig.history.flushed()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        with HistoryReader(rig.history.path) as reader:
+            (record,) = [w for w in reader.writes(0.0, 2.0**40) if w.cause == "handshake"]
+            assert record.outcome is WriteOutcome.VERIFIED
+            assert dict(record.macros) == {ACKNOWLEDGE: 1.0}
+            assert Z in reader.last_written_macros()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.state == "HOLD", "its own block is known again, no foreign value"
+
+
+async def test_a_positioning_that_polling_missed_is_noticed_by_the_handshake(rig, bench):
+    await rig.active()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    assert any("passed between two polls" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_positioning_that_polling_saw_too_is_no_notice(rig, bench):
+    await rig.active()
+    bench.nc.sequence_number = 100
+    await rig.turn()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    assert not any("between two polls" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_clock_that_went_on_too_little_while_the_daemon_was_away_is_a_power_cycle(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    bench.clock.monotonic_s += 60.0
+    bench.nc.clock_zero_s -= 50.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        assert any("switched off and on" in notice for notice in rig.control.journal.notices)
+
+
+async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_a_reference_before(tmp_path):
+    bench = Bench(tmp_path)
+    reference = bench.configuration.compensation.reference.model_copy(
+        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
+    )
+    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -8.0, 40)
+        bench.nc.sequence_number = 50
+        await rig.turn(rig.estimate(0.0, -8.0))
+        assert rig.state == "RETREAT" and rig.control.reference is None
+        rig.set_reference("early")
+        assert rig.control.reference is None
+        assert any("zero_first" in notice for notice in rig.control.journal.notices)
+        for _ in range(40):
+            await rig.turn()
+        assert rig.state == "OFF" and np.allclose(list(rig.applied.values()), 0.0)
+        bench.nc.sequence_number = 100
+        rig.set_reference("late")
+        await rig.turn()
+        await rig.follow(0.0, -3.0, 20)
+        assert rig.state == "ACTIVE"
+        assert rig.applied["z"] == pytest.approx(3.0, abs=0.11)
