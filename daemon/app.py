@@ -12,6 +12,7 @@ import structlog
 from config.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
+from daemon.backup.scheduling import BackupJob
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.operation.commands import CommandDesk
@@ -64,7 +65,9 @@ def load_record(path: Path | None) -> CommissioningRecord | None:
 class Daemon:
     """One machine's daemon."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, parts: Parts = PARTS) -> None:
+    def __init__(
+        self, configuration: Configuration, clock: Clock, parts: Parts = PARTS, *, config_path: Path | None = None
+    ) -> None:
         self._configuration = configuration
         self._parts = parts
         self._clock = clock
@@ -77,6 +80,9 @@ class Daemon:
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
         )
+        self._backups: BackupJob | None = None
+        if configuration.history.backup is not None and config_path is not None:
+            self._backups = BackupJob(configuration, config_path, configuration.history.backup, self._report)
         self._loaded = load_released(configuration, own_account())
         model, obstacle = self._loaded.model, self._loaded.obstacle
         if obstacle:
@@ -121,8 +127,8 @@ class Daemon:
         """Run until cancelled or told to stop by a signal."""
         configuration = self._configuration
         self._history.start()
-        self._history.event("daemon", "started", "daemon")
-        self._history.event("model", self._loaded.in_words(), "daemon")
+        self._report("daemon", "started")
+        self._report("model", self._loaded.in_words())
         scheduler = self._parts.housekeeping(self._history, configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -134,6 +140,8 @@ class Daemon:
                 controlling = tasks.create_task(self.control.run())
                 running = [tasks.create_task(work) for work in (self.thermal.run(), *self._links())]
                 scheduler.start()
+                if self._backups is not None:
+                    self._backups.start()
                 gc.collect()
                 gc.freeze()
                 self._service_manager.ready("running")
@@ -147,7 +155,9 @@ class Daemon:
         finally:
             if scheduler.running:
                 scheduler.shutdown(wait=False)
-            self._history.event("daemon", "stopped", "daemon")
+            if self._backups is not None:
+                self._backups.stop()
+            self._report("daemon", "stopped")
             await asyncio.to_thread(self._history.close)
             self._last_block.close()
 
@@ -167,7 +177,7 @@ class Daemon:
             words = f"{found.in_words()}; the model in use stays"
             self.board.model = self._loaded.picture() | {"problem": found.obstacle}
         log.info("model.reload", outcome=words)
-        self._history.event("model", words, "daemon")
+        self._report("model", words)
 
     # --- links ---------------------------------------------------------------------------
 
@@ -249,6 +259,9 @@ class Daemon:
         self._telemetry.links((health.name, health.up) for health in self._healths)
         if self.thermal.latest is not None:
             self._telemetry.sensors_usable(self.thermal.usable)
+
+    def _report(self, kind: str, text: str) -> None:
+        self._history.event(kind, text, "daemon")
 
     def _on_acknowledged(self, line: str, number: int) -> None:
         self.board.acknowledged[line] = number

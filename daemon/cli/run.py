@@ -35,6 +35,6 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     configure_logging(configuration.service.log_level)
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     try:
-        asyncio.run(Daemon(configuration, clock).run())
+        asyncio.run(Daemon(configuration, clock, config_path=config_path).run())
     except HistoryError as error:
         refuse(str(error))

@@ -13,8 +13,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from control_rig import SENSOR_IDS, machine
+from control_rig import machine
 from other_user import OTHER, as_root, as_user
+from small_model import model
 
 from config.schema import Configuration
 from config.schema.compensation import ReleaseConfig
@@ -23,7 +24,7 @@ from daemon.release.reach import Account, account_of_daemon, how_it_could_change
 from daemon.release.releasing import proposals, release, release_by_policy, rollback, shelf_of
 from daemon.release.shelf import ReleaseError
 from models.thermal.artifact import model_to_json
-from models.thermal.model import ThermalModel, make_test_vectors
+from models.thermal.model import ThermalModel
 
 STRANGER = Account(user_id=OTHER)
 
@@ -34,29 +35,6 @@ def folder() -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         yield Path(name)
-
-
-def model(name: str = "ridge-1", band_um: float = 2.0) -> ThermalModel:
-    count = len(SENSOR_IDS)
-    coefficients = np.vstack([np.full(count, 0.5), np.full(count, 1.0)])
-    pair = (np.full(count, 21.0), np.full(count, 20.0))
-    return ThermalModel(
-        model_id=name,
-        kind="ridge",
-        channels=("Y1", "Z1"),
-        sensor_ids=SENSOR_IDS,
-        sensor_names=tuple(f"t{i}" for i in SENSOR_IDS),
-        coefficients_um_per_k=coefficients,
-        drift_um_per_min=np.zeros(2),
-        interval_min=1.0,
-        ridge_k2=1.0,
-        lowest_increment_k=np.full(count, -20.0),
-        highest_increment_k=np.full(count, 20.0),
-        band_um=np.full(2, band_um),
-        training=(),
-        created="2026-01-01T00:00:00Z",
-        test_vectors=make_test_vectors(coefficients, np.zeros(2), (pair,)),
-    )
 
 
 def configured(folder: Path, **changes: object) -> Configuration:

@@ -1,0 +1,160 @@
+"""Make a back-up, also while the daemon writes its store."""
+
+import io
+import os
+import re
+import tarfile
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import BinaryIO
+
+from config.schema import Configuration
+from daemon.backup.manifest import (
+    COMMISSIONING_NAME,
+    CONFIGURATION_NAME,
+    LAST_BLOCK_NAME,
+    LEFT_OUT,
+    MANIFEST_NAME,
+    MODEL_NAME,
+    RELEASES_NAME,
+    STORE_NAME,
+    BackedUpFile,
+    BackupError,
+    Manifest,
+    last_block_beside,
+    sha256_of_stream,
+)
+from daemon.history.database import HistoryError, schema_version
+from daemon.history.retention import backup as copy_store
+from daemon.release.shelf import released
+
+SUFFIX = ".tar"
+BACKUP_MODE = 0o640
+
+
+def backup_name(machine: str, now: datetime) -> str:
+    """Return the name that a back-up gets in a folder of back-ups."""
+    return f"{_prefix(machine)}{now.astimezone(UTC):%Y%m%dT%H%M%SZ}{SUFFIX}"
+
+
+def _prefix(machine: str) -> str:
+    return f"toolpoint-{re.sub(r'[^A-Za-z0-9]+', '-', machine).strip('-').lower() or 'machine'}-"
+
+
+def existing_backups(folder: Path, machine: str) -> list[Path]:
+    """Return the machine's back-ups in a folder, the oldest first; other files there are none of them."""
+    form = re.compile(re.escape(_prefix(machine)) + r"\d{8}T\d{6}Z" + re.escape(SUFFIX))
+    return sorted(path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
+
+
+def remove_old(folder: Path, machine: str, keep: int) -> list[Path]:
+    """Remove all but the newest `keep` of the machine's back-ups in a folder; return what was removed."""
+    old = existing_backups(folder, machine)[:-keep]
+    for path in old:
+        path.unlink(missing_ok=True)
+    return old
+
+
+def make_backup(configuration: Configuration, config_path: Path, destination: Path) -> Manifest:
+    """Write a back-up to a new file that is complete or not there; raises BackupError."""
+    if destination.exists():
+        raise BackupError(f"{destination} exists already and is left as it is; name a new file")
+    partial = destination.with_name(f".{destination.name}.partial")
+    try:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".toolpoint-backup-", dir=destination.parent) as work:
+            store = Path(work) / "history.sqlite"
+            copy_store(configuration.history.path, store)
+            sources = list(_sources(configuration, config_path, store))
+            manifest = _manifest(configuration, sources)
+            _write(partial, manifest, sources)
+        partial.replace(destination)
+    except HistoryError as error:
+        raise BackupError(str(error)) from error
+    except OSError as error:
+        raise BackupError(f"{destination}: the back-up cannot be made: {error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return manifest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """One file for the back-up: a copy of our own, or what was read of it once, because the daemon goes on writing."""
+
+    name: str
+    came_from: Path
+    copy: Path | None = None
+    content: bytes = b""
+
+    def open(self) -> BinaryIO:
+        """Return the file's content as a stream."""
+        return self.copy.open("rb") if self.copy is not None else io.BytesIO(self.content)
+
+    def described(self) -> BackedUpFile:
+        """Return what the manifest says of it."""
+        with self.open() as stream:
+            digest = sha256_of_stream(stream)
+        size_bytes = self.copy.stat().st_size if self.copy is not None else len(self.content)
+        return BackedUpFile(name=self.name, sha256=digest, size_bytes=size_bytes, came_from=str(self.came_from))
+
+
+def _sources(configuration: Configuration, config_path: Path, store: Path) -> Iterator[Source]:
+    yield Source(name=STORE_NAME, came_from=configuration.history.path, copy=store)
+    for name, path in _files_beside(configuration, config_path):
+        yield Source(name=name, came_from=path, content=path.read_bytes())
+
+
+def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the name in the back-up and the place of every file beside the store."""
+    yield CONFIGURATION_NAME, config_path
+    if (last_block := last_block_beside(configuration.history.path)).is_file():
+        yield LAST_BLOCK_NAME, last_block
+    record = configuration.compensation.commissioning_file
+    if record is not None and record.is_file():
+        yield COMMISSIONING_NAME, record
+    model_file = configuration.compensation.model_file
+    if model_file is None:
+        return
+    if model_file.is_file():
+        yield MODEL_NAME, Path(os.path.realpath(model_file))
+    for path in sorted((model_file.parent / "releases").glob("[0-9]*/*.json")):
+        yield f"{RELEASES_NAME}/{path.parent.name}/{path.name}", path
+
+
+def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manifest:
+    model_file = configuration.compensation.model_file
+    record = released(model_file)[0] if model_file is not None else None
+    return Manifest(
+        toolpoint=version("toolpoint"),
+        machine=configuration.machine,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        store_schema=schema_version(),
+        active_release=record.number if record is not None else None,
+        files=[source.described() for source in sources],
+        left_out=list(LEFT_OUT),
+    )
+
+
+def _write(partial: Path, manifest: Manifest, sources: Sequence[Source]) -> None:
+    content = manifest.model_dump_json(indent=2).encode() + b"\n"
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, BACKUP_MODE)
+    with os.fdopen(descriptor, "wb") as file:
+        with tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as archive:
+            archive.addfile(_entry(MANIFEST_NAME, len(content)), io.BytesIO(content))
+            for source, item in zip(sources, manifest.files, strict=True):
+                with source.open() as stream:
+                    archive.addfile(_entry(item.name, item.size_bytes), stream)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _entry(name: str, size_bytes: int) -> tarfile.TarInfo:
+    entry = tarfile.TarInfo(name)
+    entry.size, entry.mode = size_bytes, 0o644
+    entry.mtime = int(datetime.now(UTC).timestamp())
+    return entry

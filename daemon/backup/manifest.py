@@ -1,0 +1,66 @@
+"""What a back-up holds, and how each file in it is proved."""
+
+import hashlib
+from pathlib import Path
+from typing import IO, Literal
+
+from pydantic import Field
+
+from config.schema.base import Section
+
+MANIFEST_NAME = "manifest.json"
+STORE_NAME = "store/history.sqlite"
+LAST_BLOCK_NAME = "store/last-block"
+CONFIGURATION_NAME = "configuration/toolpoint.yaml"
+COMMISSIONING_NAME = "commissioning/record.json"
+MODEL_NAME = "models/model.json"
+RELEASES_NAME = "models/releases"
+READ_BYTES = 2**20
+LEFT_OUT = (
+    "the CNC's password, private keys and certificates: keep those apart, or make new ones",
+    "the program itself: install the version named here",
+)
+
+
+class BackupError(Exception):
+    """A back-up or a restoration is refused or failed; the text says why and what to do."""
+
+
+class BackedUpFile(Section):
+    """One file of the back-up."""
+
+    name: str = Field(pattern=r"^[a-z]+/[A-Za-z0-9_./-]+$")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    size_bytes: int = Field(ge=0)
+    came_from: str
+
+
+class Manifest(Section):
+    """The first file of a back-up."""
+
+    format_version: Literal[1] = 1
+    toolpoint: str = Field(description="version that made the back-up")
+    machine: str
+    created: str = Field(description="date and time in UTC, ISO 8601")
+    store_schema: int = Field(ge=1)
+    active_release: int | None = Field(None, ge=1, description="which released model was active")
+    files: list[BackedUpFile]
+    left_out: list[str]
+
+    @property
+    def release_files(self) -> list[str]:
+        """Names of the files of all releases."""
+        return [file.name for file in self.files if file.name.startswith(f"{RELEASES_NAME}/")]
+
+
+def last_block_beside(store: Path) -> Path:
+    """Return the small file that says what was being written, which belongs to a store."""
+    return store.with_name(f"{store.name}.last-block")
+
+
+def sha256_of_stream(stream: IO[bytes]) -> str:
+    """Return the digest of what is left in a stream."""
+    digest = hashlib.sha256()
+    while chunk := stream.read(READ_BYTES):
+        digest.update(chunk)
+    return digest.hexdigest()

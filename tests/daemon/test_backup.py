@@ -1,0 +1,370 @@
+"""Back-ups are whole or not there; what is restored starts nothing by itself."""
+
+import io
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tarfile
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import machine, record_for
+from other_user import OTHER, as_root
+from small_model import model
+
+from config.loader import load_configuration
+from config.schema.service import BackupConfig
+from daemon.backup.making import existing_backups, make_backup, remove_old
+from daemon.backup.manifest import BackupError, last_block_beside
+from daemon.backup.restoring import read_manifest, restore
+from daemon.backup.scheduling import BackupJob
+from daemon.history import HistoryReader
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.output.last_block import LastBlock
+from daemon.release.releasing import release, rollback
+from drivers.clock import SystemClock
+from models.thermal.artifact import model_to_json
+
+EVER = (0.0, 1e11)
+
+
+class Installation:
+    """Configuration, store, models and record of one machine in a folder, as files name them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.config_path = folder / "etc/toolpoint.yaml"
+        for name in ("etc", "state", "models"):
+            (folder / name).mkdir(parents=True)
+        rig = machine(folder / "state")
+        content = json.loads(rig.model_dump_json(exclude_defaults=True))
+        content["machine"] = "Mill 7 (hall)"
+        content["history"] = {"path": "../state/history.sqlite"}
+        content["compensation"] |= {
+            "model_file": "../models/model.json",
+            "commissioning_file": "commissioning.json",
+            "allow_writable_model_directory": True,
+        }
+        self.config_path.write_text("# written by hand\n" + yaml.safe_dump(content), encoding="utf-8")
+        self.configuration = load_configuration(self.config_path)
+        (folder / "etc/commissioning.json").write_text(record_for(rig).model_dump_json(), encoding="utf-8")
+
+    def writer(self) -> HistoryWriter:
+        return HistoryWriter(
+            self.configuration.history.path,
+            clock=SystemClock(),
+            machine=MachineLayout.from_configuration(self.configuration),
+        )
+
+    def fill(self) -> None:
+        """Leave what a daemon that was killed at work leaves."""
+        writer = self.writer()
+        writer.start()
+        writer.put_state("wanted", {"y": True, "z": True})
+        writer.put_state("reference", {"reference_id": "r"})
+        writer.put_state("alive_utc_s", time.time())
+        writer.event("note", "before the back-up", "anna")
+        writer.close()
+        kept = LastBlock.beside(self.configuration.history.path)
+        kept.keep({500: (7.0,), 503: (0.01,)})
+        kept.close()
+
+    def release(self, *names: str) -> None:
+        for name in names:
+            path = self.folder / f"{name}.json"
+            path.write_text(model_to_json(model(name)), encoding="utf-8")
+            release(self.configuration, path, person="anna")
+
+    def backup(self, name: str = "backup.tar") -> Path:
+        path = self.folder / name
+        make_backup(self.configuration, self.config_path, path)
+        return path
+
+
+@pytest.fixture
+def installation(tmp_path: Path) -> Installation:
+    made = Installation(tmp_path / "here")
+    made.fill()
+    return made
+
+
+def state_of(store: Path) -> dict[str, object]:
+    with closing(sqlite3.connect(store)) as connection:
+        return {key: json.loads(text) for key, text in connection.execute("SELECT key, json FROM state")}
+
+
+def elsewhere(installation: Installation) -> Path:
+    """Return where the configuration would lie on another computer."""
+    return installation.folder.parent / "there/etc/toolpoint.yaml"
+
+
+# --- making ----------------------------------------------------------------------------------
+
+
+def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):
+    installation.release("ridge-1", "ridge-2")
+    writer = installation.writer()
+    writer.start()
+    try:
+        writer.event("note", "while it runs", "anna").result(30)
+        path = installation.backup()
+        writer.event("note", "afterwards", "anna").result(30)
+    finally:
+        writer.close()
+    manifest = read_manifest(path)
+    assert [file.name for file in manifest.files] == [
+        "store/history.sqlite",
+        "configuration/toolpoint.yaml",
+        "store/last-block",
+        "commissioning/record.json",
+        "models/model.json",
+        "models/releases/0001/model.json",
+        "models/releases/0001/release.json",
+        "models/releases/0002/model.json",
+        "models/releases/0002/release.json",
+    ]
+    assert manifest.machine == "Mill 7 (hall)" and manifest.active_release == 2
+    assert any("password" in words for words in manifest.left_out)
+    assert path.stat().st_mode & 0o007 == 0
+    with tarfile.open(path) as archive:
+        archive.extract("store/history.sqlite", installation.folder / "out", filter="fully_trusted")
+        configuration = archive.extractfile("configuration/toolpoint.yaml")
+        assert configuration is not None and configuration.read() == installation.config_path.read_bytes()
+    with HistoryReader(installation.folder / "out/store/history.sqlite") as reader:
+        assert [event.text for event in reader.events(*EVER)] == ["before the back-up", "while it runs"]
+    assert sorted(p.name for p in installation.folder.iterdir() if p.name.startswith(".")) == []
+
+
+def test_a_backup_overwrites_nothing_and_leaves_nothing_half_done(installation):
+    path = installation.backup()
+    with pytest.raises(BackupError, match="exists already"):
+        installation.backup()
+    installation.configuration.history.path.unlink()
+    with pytest.raises(BackupError, match="there is no history store"):
+        installation.backup("second.tar")
+    assert sorted(p.name for p in installation.folder.iterdir()) == ["backup.tar", "etc", "models", "state"]
+    assert read_manifest(path).store_schema >= 1
+
+
+def test_only_this_machines_backups_are_removed(installation):
+    folder = installation.folder / "backups"
+    folder.mkdir()
+    mine = [f"toolpoint-mill-7-hall-2026010{day}T000000Z.tar" for day in range(1, 6)]
+    others = ["toolpoint-mill-8-20200101T000000Z.tar", "toolpoint-mill-7-hall-by-hand.tar", "notes.txt"]
+    for name in (*mine, *others):
+        (folder / name).touch()
+    assert [path.name for path in existing_backups(folder, "Mill 7 (hall)")] == mine
+    assert [path.name for path in remove_old(folder, "Mill 7 (hall)", 2)] == mine[:3]
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*mine[3:], *others])
+
+
+# --- proving ---------------------------------------------------------------------------------
+
+
+def rewritten(path: Path, change: str) -> Path:
+    """Return a copy of a back-up in which one thing is wrong."""
+    copy = path.with_name(f"{change}.tar")
+    with tarfile.open(path) as archive, tarfile.open(copy, "w") as out:
+        for member in archive.getmembers():
+            stream = archive.extractfile(member)
+            assert stream is not None
+            content = stream.read()
+            if change == "flipped" and member.name == "store/history.sqlite":
+                content = content[:-1] + bytes([content[-1] ^ 1])
+            if change == "shortened" and member.name == "store/last-block":
+                content = content[:-3]
+            if change == "missing" and member.name == "commissioning/record.json":
+                continue
+            if change == "link" and member.name == "commissioning/record.json":
+                member.type, member.linkname, content = tarfile.SYMTYPE, "/etc/passwd", b""
+            if change == "version" and member.name == "manifest.json":
+                content = content.replace(b'"format_version": 1', b'"format_version": 2')
+            if change == "climbing" and member.name == "manifest.json":
+                content = content.replace(b"commissioning/record.json", b"commissioning/../../../x")
+            member.name = (
+                "commissioning/../../../x"
+                if change == "climbing" and member.name == "commissioning/record.json"
+                else member.name
+            )
+            member.size = len(content)
+            out.addfile(member, io.BytesIO(content))
+        if change == "extra":
+            out.addfile(tarfile.TarInfo("store/more"), io.BytesIO())
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("flipped", "store/history.sqlite was damaged"),
+        ("shortened", "store/last-block was damaged"),
+        ("missing", "other files than its manifest names"),
+        ("extra", "other files than its manifest names"),
+        ("link", "commissioning/record.json is no plain file"),
+        ("climbing", "is no plain file"),
+        ("version", "format_version"),
+    ],
+)
+def test_a_backup_that_is_not_whole_is_refused(installation, change, words):
+    path = rewritten(installation.backup(), change)
+    target = elsewhere(installation)
+    with pytest.raises(BackupError, match=words):
+        restore(path, target, person="anna", replace=False)
+    assert not target.parent.exists()
+
+
+def test_what_is_no_backup_is_refused(tmp_path):
+    path = tmp_path / "x.tar"
+    path.write_bytes(b"nothing of the kind")
+    with pytest.raises(BackupError, match="no whole back-up"):
+        read_manifest(path)
+    with tarfile.open(path, "w") as archive:
+        archive.addfile(tarfile.TarInfo("other"), io.BytesIO())
+    with pytest.raises(BackupError, match="does not begin with manifest"):
+        read_manifest(path)
+
+
+# --- restoring -------------------------------------------------------------------------------
+
+
+def test_an_empty_installation_gets_everything_but_the_will_to_move(installation):
+    installation.release("ridge-1", "ridge-2")
+    rollback(installation.configuration, person="ben")
+    path, target = installation.backup(), elsewhere(installation)
+    done = restore(path, target, person="anna (uid 1)", replace=False)
+    assert done.kept == ()
+    assert target.read_text(encoding="utf-8").startswith("# written by hand\n")
+    there = load_configuration(target)
+    store, model_file = there.history.path, there.compensation.model_file
+    assert store.resolve() == (target.parents[1] / "state/history.sqlite").resolve() and model_file is not None
+    assert str(model_file.readlink()) == "releases/0003/model.json"
+    assert "ridge-1" in model_file.read_text(encoding="utf-8")
+    state = state_of(store)
+    assert list(state) == ["fault"] and "compare the macro variables" in str(state["fault"])
+    assert not last_block_beside(store).exists(), "what was being written then says nothing about now"
+    with HistoryReader(store) as reader:
+        events = reader.events(*EVER)
+    assert [event.kind for event in events] == ["note", "restored"] and events[1].person == "anna (uid 1)"
+    assert there.compensation.commissioning_file is not None and there.compensation.commissioning_file.is_file()
+
+
+def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation):
+    installation.release("ridge-1")
+    path = installation.backup()
+    before = installation.config_path.read_bytes()
+    with pytest.raises(BackupError, match="--replace moves what is there aside") as refused:
+        restore(path, installation.config_path, person="anna", replace=False)
+    for name in ("toolpoint.yaml", "history.sqlite", "commissioning.json", "releases", "model.json"):
+        assert name in str(refused.value)
+    writer = installation.writer()
+    writer.start()
+    writer.event("note", "after the back-up")
+    writer.close()
+    installation.config_path.write_text("changed: true\n", encoding="utf-8")
+    done = restore(path, installation.config_path, person="anna", replace=True)
+    kept = {item.name.split(".before-restore-")[0]: item for item in done.kept}
+    assert {"toolpoint.yaml", "history.sqlite", "history.sqlite.last-block", "releases", "model.json"} <= set(kept)
+    assert installation.config_path.read_bytes() == before
+    assert kept["toolpoint.yaml"].read_text(encoding="utf-8") == "changed: true\n"
+    with HistoryReader(kept["history.sqlite"]) as reader:
+        assert reader.events(*EVER)[-1].text == "after the back-up"
+        assert reader.get_state("wanted") == {"y": True, "z": True}
+
+
+def test_a_running_daemon_is_not_restored_over(installation):
+    path = installation.backup()
+    writer = installation.writer()
+    writer.start()
+    try:
+        with pytest.raises(BackupError, match=r"writes this store.*systemctl stop"):
+            restore(path, installation.config_path, person="anna", replace=True)
+    finally:
+        writer.close()
+    assert state_of(installation.configuration.history.path)["wanted"] == {"y": True, "z": True}
+
+
+@as_root
+def test_what_is_restored_belongs_to_whoever_owns_the_folder(installation):
+    path, target = installation.backup(), elsewhere(installation)
+    state = target.parents[1] / "state"
+    state.mkdir(parents=True)
+    os.chown(state, OTHER, OTHER)
+    restore(path, target, person="anna", replace=False)
+    owners = {item.name: item.stat().st_uid for item in state.iterdir()}
+    assert owners == {"history.sqlite": OTHER, "history.sqlite.lock": OTHER}
+
+
+def test_half_a_restoration_is_undone(installation, monkeypatch):
+    path = installation.backup()
+    before = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
+    copy, copied = shutil.copyfile, []
+
+    def until_the_disk_is_full(source: Path, destination: Path) -> None:
+        if copied:
+            raise OSError(28, "No space left on device")
+        copied.append(copy(source, destination))
+
+    monkeypatch.setattr("daemon.backup.restoring.shutil.copyfile", until_the_disk_is_full)
+    with pytest.raises(BackupError, match="No space left"):
+        restore(path, installation.config_path, person="anna", replace=True)
+    after = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
+    lock = Path(f"{installation.configuration.history.path}.lock")
+    assert {k: v for k, v in after.items() if k != lock} == {k: v for k, v in before.items() if k != lock}
+
+
+# --- the daemon's own ------------------------------------------------------------------------
+
+
+async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):
+    folder, said = installation.folder / "backups", []
+    config = BackupConfig(directory=folder, every_hours=1.0, keep=2)
+    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
+    assert job.due(time.time())
+    folder.mkdir()
+    await job.run_if_due()
+    (made,) = existing_backups(folder, "Mill 7 (hall)")
+    read_manifest(made)
+    assert said[0][0] == "backup" and str(made) in said[0][1] and "MiB" in said[0][1]
+    await job.run_if_due()
+    assert len(said) == 1, "the newest is young"
+    now_s = made.stat().st_mtime
+    assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
+
+
+async def test_a_backup_that_fails_is_said_once(installation):
+    said: list[tuple[str, str]] = []
+    config = BackupConfig(directory=installation.folder / "etc/toolpoint.yaml/no", every_hours=1.0)
+    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
+    for _ in range(2):
+        await job.run_if_due()
+    ((kind, text),) = said
+    assert kind == "backup" and "failed" in text
+
+
+def test_the_commands(installation):
+    def toolpoint(*words: str) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(
+            [sys.executable, "-P", "-m", "daemon.cli", *words], capture_output=True, text=True, timeout=120, check=False
+        )
+
+    config = ("--config", str(installation.config_path))
+    nowhere = toolpoint("backup", *config)
+    assert nowhere.returncode == 2 and "history.backup.directory" in nowhere.stderr
+    made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", "-")
+    assert made.returncode == 0 and json.loads(made.stdout)["manifest"]["machine"] == "Mill 7 (hall)"
+    proved = toolpoint("restore", str(installation.folder / "b.tar"), "--verify", *config)
+    assert proved.returncode == 0 and "whole" in proved.stderr
+    refused = toolpoint("restore", str(installation.folder / "b.tar"), *config)
+    assert refused.returncode == 1 and "--replace" in refused.stderr and "Traceback" not in refused.stderr
+    done = toolpoint("restore", str(installation.folder / "b.tar"), "--replace", *config)
+    assert done.returncode == 0 and "acknowledge" in done.stderr
