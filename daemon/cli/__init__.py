@@ -27,6 +27,8 @@ COMMANDS = {
     "history": "daemon.cli.history:history",
     "export": "daemon.cli.history:export",
     "thermal": "daemon.cli.thermal:thermal",
+    "backup": "daemon.cli.backup:backup",
+    "restore": "daemon.cli.backup:restore",
     "model": "daemon.cli.model:model",
     "stability": "daemon.cli.stability:stability",
 }
