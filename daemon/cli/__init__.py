@@ -16,6 +16,7 @@ COMMANDS = {
     "replay": "daemon.cli.replay:replay",
     "check": "daemon.cli.check:check",
     "doctor": "daemon.cli.doctor:doctor",
+    "guard": "daemon.cli.guard:guard",
     "sample-config": "daemon.cli.configuration:sample_config",
     "config-schema": "daemon.cli.configuration:config_schema",
     "status": "daemon.cli.operate:status",

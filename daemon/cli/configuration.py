@@ -34,11 +34,11 @@ def sample_config(machine: str | None, output: Path | None) -> None:
     from config.sample import sample_configuration
 
     if machine is None:
-        _deliver(sample_configuration(), output)
+        deliver(sample_configuration(), output)
         return
     if machine not in machine_names():
         refuse(f"no machine {machine!r} ships with Toolpoint; there are {', '.join(machine_names())}")
-    _deliver(shipped_file(f"{machine}.yaml").read_text(encoding="utf-8"), output)
+    deliver(shipped_file(f"{machine}.yaml").read_text(encoding="utf-8"), output)
 
 
 @click.command("config-schema")
@@ -47,10 +47,10 @@ def config_schema(output: Path | None) -> None:
     """Print the JSON Schema of the configuration, for editors that check and complete while you type."""
     from config.json_schema import configuration_json_schema
 
-    _deliver(json.dumps(configuration_json_schema(), indent=2) + "\n", output)
+    deliver(json.dumps(configuration_json_schema(), indent=2) + "\n", output)
 
 
-def _deliver(text: str, output: Path | None) -> None:
+def deliver(text: str, output: Path | None) -> None:
     """Write to standard output or to a file that does not exist yet."""
     if output is None:
         click.echo(text, nl=False)
