@@ -27,8 +27,13 @@ GUARD_SAYS = {
     3: "the block has expired (status 3): the guard's clock is not the one that is configured, or its limit is shorter",
     4: "a value is vacant (status 4): the guard reads other variables than the map says",
     5: "the value is outside its bound (status 5): the guard's bound is smaller than the offset, or its unit differs",
+    6: "the control is in inch mode (status 6): command G21",
+    7: "cutter compensation or a canned cycle is active (status 7): command G40 and G80",
+    8: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
+    9: "the external work offset was changed in between (status 9): run the guard's initialise program in MDI",
 }
 """What a guard that does not apply the block says by its status."""
+NO_MEMORY = "its echo of what is applied is vacant: run the guard's initialise program in MDI, then the guard again"
 RECONNECTING_S = 2.0
 RECONNECTS = 15
 """A lost link is tried so often before the machine is left as it is."""
@@ -181,11 +186,19 @@ class Commissioning:
         since_s = station.cnc_clock_s
         self._say(f"The guard must run once while nothing is asked of it. {CALL_THE_GUARD}")
 
-        def heard() -> bool:
-            echo = station.echo
-            return echo.time_s is not None and echo.time_s > since_s and bool(np.all(np.isfinite(echo.applied_um)))
+        told = False
 
-        await self._wait_for_guard(heard, "it has not run")
+        def heard() -> bool:
+            nonlocal told
+            echo = station.echo
+            ran = echo.time_s is not None and echo.time_s > since_s
+            known = bool(np.all(np.isfinite(echo.applied_um)))
+            if ran and not known and not told:
+                told = True
+                self._say(f"The guard ran, but {NO_MEMORY}.")
+            return ran and known
+
+        await self._wait_for_guard(heard, lambda: NO_MEMORY if told else "it has not run")
         guard_version = station.echo.guard_version
         if guard_version is None or guard_version != round(guard_version):
             raise CommissioningRefusedError(
@@ -251,9 +264,9 @@ class Commissioning:
         if not station.applied(wanted_um):
             values = ", ".join(f"{axis} {um:+.2f} um" for axis, um in zip(station.axes, wanted_um, strict=True) if um)
             self._say(f"The CNC holds {values or 'zero'}. {CALL_THE_GUARD}")
-        await self._wait_for_guard(lambda: station.applied(wanted_um), "it has not applied what was asked")
+        await self._wait_for_guard(lambda: station.applied(wanted_um), lambda: "it has not applied what was asked")
 
-    async def _wait_for_guard(self, done: Callable[[], bool], complaint: str) -> None:
+    async def _wait_for_guard(self, done: Callable[[], bool], complaint: Callable[[], str]) -> None:
         """Wait for the guard; say what it says when it refuses, end with a sentence when it never does."""
         station = self._station
         begin_s = station.clock.now().monotonic_s
@@ -269,8 +282,9 @@ class Commissioning:
             if station.clock.now().monotonic_s - begin_s > self._plan.patience_s:
                 last = GUARD_SAYS.get(said or -1, "") if said else ""
                 raise CommissioningRefusedError(
-                    f"waited {self._plan.patience_s:g} s for the guard: {last or complaint}; {self._echo_in_words()}. Check that the guard is "
-                    "loaded, that the program or MDI really calls it, and that cnc.macros names the variables it uses"
+                    f"waited {self._plan.patience_s:g} s for the guard: {last or complaint()}; "
+                    f"{self._echo_in_words()}. Check that the guard is loaded, that "
+                    "the program or MDI really calls it, and that cnc.macros names the variables it uses"
                 )
             await station.next_beat()
 

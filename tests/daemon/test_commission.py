@@ -1,6 +1,5 @@
 """Commissioning of the simulated machine over real OPC UA, and attacks on it."""
 
-import asyncio
 import sys
 from pathlib import Path
 

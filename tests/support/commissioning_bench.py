@@ -22,13 +22,15 @@ from drivers.clock import ScaledClock
 from drivers.sim.day import Day
 from drivers.sim.machine import CfrpMachine
 from drivers.sim.opcua_server import SimulatedCncServer
-from drivers.sim.program import standing_program
+from drivers.sim.program import Block, PartProgram, standing_program
 from drivers.sim.tcp_relay import TcpRelay
 from drivers.sim.wiring import STRAIGHT, Wiring
 
-SPEED = 20.0
+SPEED = 40.0
 FOREVER_S = 60.0
 EVER = (0.0, 1e11)
+STOPPED = PartProgram(number=9101, blocks=(Block(sequence_number=10, kind="idle", duration_s=3600.0),))
+"""Nothing runs: a person calls the guard by hand, or nobody does."""
 
 
 class Person:
@@ -69,40 +71,46 @@ class Person:
         return "somebody"
 
 
+class PresentNc:
+    """The NC of the machine that stands on the bench now, for a server that outlives machines."""
+
+    def __init__(self, bench: "Bench") -> None:
+        object.__setattr__(self, "_bench", bench)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bench.machine.nc, name)
+
+
 class Bench:
     """The machine, and what a commissioning of it needs."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self.clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=time.time(), speed=SPEED)
-        described = load_configuration(shipped_file("cfrpmt.yaml"))
+        self._described = load_configuration(shipped_file("cfrpmt.yaml"))
+        self.stores = 0
+        self.reset()
+        self.server = SimulatedCncServer(PresentNc(self), self._described.cnc, port=0)
+        self.relay = TcpRelay(port=0, target_port=0)
+
+    def reset(self, wiring: Wiring = STRAIGHT, program: PartProgram | None = None) -> None:
+        """Put a new machine in the old one's place, with a commissioned block at zero, and take a new store."""
+        self.wiring = wiring
         self.machine = CfrpMachine(
             Day.draw(7, start="cold"),
-            standing_program(),
-            described.temperatures.sensors,
-            described.cnc.macros,
-            described.compensation.axes,
+            program or standing_program(),
+            self._described.temperatures.sensors,
+            self._described.cnc.macros,
+            self._described.compensation.axes,
+            wiring=wiring,
         )
-        self.server = SimulatedCncServer(self.machine.nc, described.cnc, port=0)
-        self.relay = TcpRelay(port=0, target_port=0)
-        self.stores = 0
-
-    def reset(self, wiring: Wiring = STRAIGHT) -> None:
-        """Bring the machine back to a commissioned block at zero, with other wiring, and a new store."""
-        self.machine._wiring = wiring
-        self.machine.guard.applied_um.update(dict.fromkeys(("x", "y", "z"), 0.0))
-        self.machine.nc.alarm, self.machine.nc.mode = 0, 1
-        self.machine.initialise_macros()
-        self.machine._next_guard_s = self.machine.time_s
+        self._origin_s = self.clock.now().monotonic_s
+        self.frozen = False
         self.stores += 1
 
     def moved_um(self) -> dict[str, float]:
         """What instruments at the tool point would show [um]."""
-        return self.machine._wiring.moved_um(self.machine.guard.applied_um)
-
-    def call_no_guard(self) -> None:
-        """The program that stands there does not call the guard (any more)."""
-        self.machine._next_guard_s = float("inf")
+        return self.wiring.moved_um(self.machine.guard.applied_um)
 
     def call_guard(self) -> None:
         """A person calls it in MDI."""
@@ -122,7 +130,7 @@ class Bench:
             "namespace_uri": "urn:toolpoint:cnc",
             "allow_insecure_writes": True,
         }
-        content["cnc"] |= {"timeout_s": 5.0, "stale_after_s": 60.0}
+        content["cnc"] |= {"timeout_s": 5.0, "stale_after_s": 300.0}
         for axis in content["compensation"]["axes"].values():
             axis["slew_um_per_min"] = 100.0
         content["compensation"]["output"] |= {"validity_s": 100.0}
@@ -148,7 +156,7 @@ class Bench:
             "offset_um": 5.0,
             "person": "A. Fitter",
             "instrument": "indicator 7",
-            "patience_s": 60.0,
+            "patience_s": 900.0,
         } | plan
         async with asyncio.timeout(FOREVER_S):
             return await commission(configuration, Plan(**content), sources or Sources(), person, self.clock)
@@ -164,7 +172,7 @@ class Bench:
 
     def at_rest(self) -> bool:
         """Nothing asked, nothing enabled, nothing applied."""
-        macros = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+        macros = self._described.cnc.macros
         asked = [self.macro(number) for number in (*macros.values.values(), macros.enable)]
         applied = self.machine.guard.applied_um.values()
         return all(not value for value in asked) and all(abs(um) < 1e-9 for um in applied)
@@ -172,7 +180,8 @@ class Bench:
     async def run(self) -> None:
         """Move the machine on until cancelled."""
         while True:
-            self.machine.advance(self.clock.now().monotonic_s)
+            if not self.frozen:
+                self.machine.advance(self.clock.now().monotonic_s - self._origin_s)
             await asyncio.sleep(0.01)
 
 

@@ -1,0 +1,395 @@
+"""What a commissioning finds wrong, and how it leaves the machine: over real OPC UA."""
+
+import asyncio
+import itertools
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pytest_asyncio
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from commissioning_bench import STOPPED, Bench, Person, serving
+
+from daemon.commissioning.refusal import CommissioningRefusedError, ForeignWriterError
+from daemon.commissioning.session import Sources
+from daemon.history.database import WriterLock
+from daemon.operation.control_socket import ControlSocket
+from drivers.contract import LinkError
+from drivers.sim.wiring import Wiring
+from models.records import WriteOutcome
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+REVERSED = Wiring(um_per_um={"z": {"z": -1.0}})
+SWAPPED = Wiring(um_per_um={"z": {"y": 1.0}, "y": {"z": 1.0}})
+INCH = Wiring(um_per_um={"z": {"z": 25.4}})
+DIAMETER = Wiring(um_per_um={"x": {"x": 0.5}})
+SKEW = Wiring(um_per_um={"z": {"z": 1.0, "x": 0.5}})
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def served(tmp_path_factory):
+    async with serving(tmp_path_factory.mktemp("attacks")) as bench:
+        yield bench
+
+
+@pytest.fixture
+def bench(served) -> Bench:
+    served.reset()
+    return served
+
+
+class Obedient(Person):
+    """Calls the guard by hand when told to, until so much is applied."""
+
+    until_um = float("inf")
+
+    def say(self, text: str) -> None:
+        super().say(text)
+        if "Call the guard" in text and self.bench.machine.guard.applied_um["z"] < self.until_um:
+            asyncio.get_running_loop().call_later(0.1, self.bench.call_guard)
+
+
+async def refused(bench: Bench, person: Person | None = None, **changes) -> str:
+    with pytest.raises(CommissioningRefusedError) as error:
+        await bench.commission(person or Person(bench), **changes)
+    return str(error.value)
+
+
+# --- what the readings show ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wiring", "axis", "words"),
+    [
+        (REVERSED, "z", "doubles the error"),
+        (SWAPPED, "z", "axis y by 5.00 um instead"),
+        (INCH, "z", "taken for inches"),
+        (DIAMETER, "x", "radius"),
+        (SKEW, "z", "axis x by 2.50 um moved as well"),
+    ],
+)
+async def test_a_machine_that_is_wired_wrongly_is_found_and_left_at_zero(bench, wiring, axis, words):
+    bench.reset(wiring)
+    said = await refused(bench, axes=(axis,))
+    assert words in said and f"axis {axis}" in said
+    assert bench.at_rest()
+
+
+async def test_swapped_axes_are_found_without_an_instrument_at_the_other(bench):
+    bench.reset(SWAPPED)
+    person = Person(bench)
+    person.eyes = lambda axis: bench.moved_um()[axis] if axis == "z" else None
+    assert "look which axis moved" in await refused(bench, person, axes=("z",))
+    assert bench.at_rest()
+
+
+async def test_a_reversed_sign_and_a_scale_are_recorded_only_when_a_person_accepts_them(bench):
+    bench.reset(Wiring(um_per_um={"z": {"z": -2.0}}))
+    both = {"accept_reversed": frozenset("z"), "accept_scale": frozenset("z")}
+    record = await bench.commission(Person(bench), axes=("z",), **both)
+    assert record is not None
+    assert (record.axes["z"].sign, record.axes["z"].scale) == (-1, 2.0)
+    bench.reset(INCH)
+    assert "taken for inches" in await refused(bench, axes=("z",), **both)
+
+
+async def test_an_instrument_that_does_not_come_back_proves_nothing(bench):
+    person = Person(bench)
+    given = {("z", "z"): (0.0, 5.0, 1.5)}
+    assert "drifts" in await refused(bench, person, axes=("z",), sources=Sources(given=given))
+    assert bench.at_rest()
+
+
+async def test_without_a_reading_nothing_is_proved(bench):
+    person = Person(bench)
+    person.eyes = lambda axis: None
+    assert "no reading" in await refused(bench, person, axes=("z",))
+    assert bench.at_rest()
+
+
+# --- the displacement channel ----------------------------------------------------------
+
+
+async def log_rows(bench: Bench, path: Path, noise_um: float) -> None:
+    """Write a logger's file: a row every 50 ms, in the layout of the configuration."""
+    rng = np.random.default_rng(3)
+    with path.open("w", encoding="utf-8") as file:
+        file.write("time,Y1,Y2,Z1,Z2,Z3\n")
+        while True:
+            moment = bench.clock.now().utc_s
+            moved = bench.moved_um()
+            values = [moved["y"], moved["y"], moved["z"], moved["z"], moved["z"]]
+            fields = [f"{um + noise_um * rng.standard_normal():.3f}" for um in values]
+            file.write(f"{moment:.3f}," + ",".join(fields) + "\n")
+            file.flush()
+            await asyncio.sleep(0.02)
+
+
+def with_log(path: Path):
+    def change(content):
+        content["displacements"]["file"] = {
+            "path": str(path),
+            "header": "time",
+            "time_format": "%s",
+            "poll_period_s": 2.0,
+        }
+
+    return change
+
+
+@pytest.mark.parametrize(("noise_um", "words"), [(0.1, ""), (1.5, "scatters")])
+async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, noise_um, words):
+    path = tmp_path / "logger.csv"
+    writing = asyncio.create_task(log_rows(bench, path, noise_um))
+    await asyncio.sleep(0.1)
+    work = {
+        "axes": ("z",),
+        "sources": Sources(channels={"z": "Z1", "y": "Y1"}, samples=8),
+        "change": with_log(path),
+    }
+    person = Person(bench)
+    person.eyes = lambda axis: None
+    try:
+        if words:
+            assert words in await refused(bench, person, **work)
+        else:
+            record = await bench.commission(person, **work)
+            assert record is not None
+            found = record.axes["z"]
+            assert found.measured_um == pytest.approx(5.0, abs=0.3)
+            assert found.others_um == pytest.approx({"y": 0.0}, abs=0.3)
+            assert found.readings is not None and found.readings.samples == 8
+            assert found.readings.noise_um == pytest.approx(0.1, abs=0.09)
+            assert found.readings.source == "displacement channel Z1"
+    finally:
+        writing.cancel()
+        await asyncio.gather(writing, return_exceptions=True)
+    assert bench.at_rest()
+
+
+async def test_a_channel_that_does_not_exist_or_says_nothing_is_refused(bench, tmp_path):
+    assert "no displacement channel Q9" in await refused(bench, sources=Sources(channels={"z": "Q9"}))
+    path = tmp_path / "silent.csv"
+    path.write_text("time,Y1,Y2,Z1,Z2,Z3\n", encoding="utf-8")
+    work = {"axes": ("z",), "sources": Sources(channels={"z": "Z1"}), "change": with_log(path), "patience_s": 10.0}
+    assert "0 of 10 samples" in await refused(bench, **work)
+    assert bench.at_rest()
+
+
+# --- the guard -------------------------------------------------------------------------
+
+
+async def test_a_guard_that_is_never_called_moves_nothing(bench):
+    bench.reset(program=STOPPED)
+    person = Person(bench)
+    said = await refused(bench, person, axes=("z",), patience_s=10.0)
+    assert "it has not run" in said and "really calls it" in said
+    assert "Nothing has been moved" in person.text_said
+    assert bench.at_rest()
+    assert {value for write in bench.writes() for _, value in write.macros} <= {0.0}, "only initialised"
+
+
+async def test_a_person_who_calls_the_guard_by_hand_commissions(bench):
+    bench.reset(program=STOPPED)
+    person = Obedient(bench)
+    record = await bench.commission(person, axes=("z",))
+    assert record is not None and list(record.axes) == ["z"]
+    assert bench.at_rest()
+
+
+async def test_a_guard_that_stops_being_called_with_an_offset_applied_is_left_and_said(bench):
+    bench.reset(program=STOPPED)
+    person = Obedient(bench)
+    person.until_um = 4.9
+    await refused(bench, person, axes=("z",), patience_s=10.0)
+    assert "LEFT BEHIND: the guard applies 5.00 um along z" in person.text_said
+    values = bench.configuration().cnc.macros
+    assert bench.macro(values.values["z"]) == 0.0
+    assert bench.macro(values.enable) == 4.0, "an echo that is not zero is not switched off silently"
+    # A second commissioning takes the offset back first.
+    again = Obedient(bench)
+    assert await bench.commission(again, axes=("z",)) is not None
+    assert any("still applies an offset" in question for question in again.asked)
+    assert bench.at_rest()
+
+
+async def test_offset_larger_than_the_guards_step_goes_in_legs(bench):
+    person = Person(bench)
+    record = await bench.commission(person, axes=("y",), offset_um=12.0)
+    assert record is not None and record.axes["y"].measured_um == pytest.approx(12.0, abs=0.06)
+    steps = [write.compensation_um["y"] or 0.0 for write in bench.writes() if write.compensation_um]
+    assert max(steps) == 12.0
+    assert max(abs(b - a) for a, b in itertools.pairwise(steps)) <= 5.0 + 1e-9
+    assert bench.at_rest()
+
+
+# --- links, signals, strangers ---------------------------------------------------------
+
+
+async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench):
+    person = Person(bench)
+
+    async def cut() -> None:
+        await bench.relay.stop()
+        await asyncio.sleep(0.5)
+        await bench.relay.start()
+
+    cuts = []
+
+    def read(axis: str) -> float:
+        if bench.machine.guard.applied_um["z"] > 4.9 and not cuts:
+            cuts.append(asyncio.create_task(cut()))
+        return bench.moved_um()[axis]
+
+    async def slowly(question: str) -> float | None:
+        number = await Person.number(person, question)
+        await asyncio.sleep(0.5 if cuts else 0.0)
+        return number
+
+    person.eyes, person.number = read, slowly
+    with pytest.raises(LinkError):
+        await bench.commission(person, axes=("z",))
+    assert cuts and "Everything is back at zero" in person.text_said
+    assert bench.at_rest()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_an_interrupt_takes_the_offset_back(bench, number):
+    person = Person(bench)
+
+    def read(axis: str) -> float:
+        if bench.machine.guard.applied_um["z"] > 4.9:
+            os.kill(os.getpid(), number)
+        return bench.moved_um()[axis]
+
+    person.eyes = read
+    with pytest.raises(asyncio.CancelledError):
+        await bench.commission(person, axes=("z",))
+    assert "Stopped (interrupted)" in person.text_said and "Everything is back at zero" in person.text_said
+    assert bench.at_rest()
+    unfinished = [write for write in bench.writes() if write.outcome is WriteOutcome.INTENDED]
+    assert not unfinished
+
+
+async def test_a_second_writer_ends_everything_without_another_write(bench):
+    person = Person(bench)
+    number = bench.configuration().cnc.macros.values["z"]
+
+    def read(axis: str) -> float:
+        if bench.machine.guard.applied_um["z"] > 4.9:
+            bench.machine.nc.macros.set(number, 0.025)
+        return bench.moved_um()[axis]
+
+    async def slowly(question: str) -> float | None:
+        answer = await Person.number(person, question)
+        await asyncio.sleep(0.2)
+        return answer
+
+    person.eyes, person.number = read, slowly
+    with pytest.raises(ForeignWriterError, match=f"#{number}"):
+        await bench.commission(person, axes=("z",))
+    assert "nothing more is written" in person.text_said and "LEFT BEHIND" in person.text_said
+    assert bench.macro(number) == 0.025
+
+
+async def test_an_alarm_in_the_middle_takes_the_offset_back_as_far_as_it_goes(bench):
+    person = Person(bench)
+
+    def read(axis: str) -> float:
+        if bench.machine.guard.applied_um["z"] > 4.9:
+            bench.machine.nc.alarm = 1
+        return bench.moved_um()[axis]
+
+    async def slowly(question: str) -> float | None:
+        answer = await Person.number(person, question)
+        await asyncio.sleep(0.2)
+        return answer
+
+    person.eyes, person.number = read, slowly
+    assert "alarm is active" in await refused(bench, person, axes=("z",))
+    assert "LEFT BEHIND" in person.text_said
+
+
+# --- before anything begins ------------------------------------------------------------
+
+
+async def test_vacant_variables_are_initialised_and_audited(bench):
+    macros = bench.machine.nc.macros
+    for number in (500, 501, 502, 503, 504, 505, 524):
+        macros.set(number, None)
+    assert await bench.commission(Person(bench), initialise_only=True) is None
+    assert {bench.macro(number) for number in (500, 501, 502, 503, 504, 505, 524)} == {0.0}
+    assert bench.macro(120) is None, "valid_until stays vacant"
+    (write,) = bench.writes()
+    assert (write.cause, write.person, write.outcome) == ("commission", "A. Fitter", WriteOutcome.VERIFIED)
+    assert write.macros[0] == (500, 0.0) and write.macros[-1] == (505, 0.0)
+
+
+async def test_foreign_values_are_shown_and_left_alone_unless_a_person_says_so(bench):
+    bench.machine.nc.macros.set(502, 123.4)
+    person = Person(bench)
+    person.denies = "Overwrite"
+    said = await refused(bench, person)
+    assert "#502 = 123.4" in said and bench.macro(502) == 123.4 and bench.writes() == []
+    person.denies = None
+    assert await bench.commission(person, axes=("z",)) is not None
+    assert bench.at_rest()
+
+
+async def test_a_running_daemon_is_left_alone(bench):
+    async def handle(request, peer):
+        return {}
+
+    serving_socket = asyncio.create_task(ControlSocket(bench.directory / "control.sock", None, handle).run())
+    await asyncio.sleep(0.2)
+    try:
+        assert "the daemon is running" in await refused(bench)
+    finally:
+        serving_socket.cancel()
+        await asyncio.gather(serving_socket, return_exceptions=True)
+
+
+async def test_a_store_that_has_a_writer_is_left_alone(bench):
+    with WriterLock(bench.store):
+        assert "writes this store" in await refused(bench)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ({"alarm": 1}, "alarm is active"),
+        ({"mode": 3}, "mode edit"),
+        ({"spindle_speed_rpm": 500.0}, "spindle turns"),
+        ({"sequence_number": 210}, "not at a configured safe point"),
+    ],
+)
+async def test_a_machine_that_is_not_at_rest_is_refused(bench, state, words):
+    bench.frozen = True
+    for name, value in state.items():
+        setattr(bench.machine.nc, name, value)
+    assert words in await refused(bench)
+    assert bench.writes() == []
+
+
+async def test_an_insecure_connection_and_a_wrong_offset_are_refused(bench):
+    def insecure(content):
+        content["cnc"]["opcua"]["allow_insecure_writes"] = False
+
+    assert "allow_insecure_writes" in await refused(bench, change=insecure)
+    assert "too small" in await refused(bench, offset_um=1.0)
+    assert "outside its absolute bound" in await refused(bench, offset_um=31.0)
+
+
+async def test_a_no_ends_it(bench):
+    person = Person(bench)
+    person.denies = "Is this the control"
+    assert "you said no" in await refused(bench, person)
+    person.denies = "in place"
+    assert "you said no" in await refused(bench, person)
+    assert bench.at_rest()
