@@ -25,6 +25,7 @@ COMMANDS = {
     "enable": "daemon.cli.operate:enable",
     "disable": "daemon.cli.operate:disable",
     "acknowledge": "daemon.cli.operate:acknowledge",
+    "commission": "daemon.cli.commission:commission",
     "history": "daemon.cli.history:history",
     "export": "daemon.cli.history:export",
     "thermal": "daemon.cli.thermal:thermal",

@@ -139,9 +139,7 @@ class ControlTask:
 
     def request(self, request: OperatorRequest, person: str) -> str:
         """Queue what a person asks for; return why it is refused, '' when it is taken."""
-        refusal = self._permission.objection(
-            request, self.session.cnc if self.session is not None else None, reached=self.memory is not None
-        )
+        refusal = self._permission.objection(request, self.session, reached=self.memory is not None)
         if refusal:
             self.journal.event("refused", f"{in_words(request)}: {refusal}", person)
             return refusal
@@ -393,6 +391,5 @@ class ControlTask:
         return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
 
     def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
-        session = self.session
-        refusals = self._permission.refusals(session.cnc if session is not None else None, axes)
+        refusals = self._permission.refusals(self.session, axes)
         return (*refusals, self._needs_person) if self._needs_person else refusals

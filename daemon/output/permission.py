@@ -1,9 +1,10 @@
 """Who and what may move the machine: everything that stands against switching an axis on."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from config.commissioning import CommissioningRecord, commissioning_obstacle
 from config.schema import Configuration
+from daemon.output.cnc_session import CncSession
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY, Cnc
 from models.output import OperatorRequest
@@ -27,12 +28,12 @@ class Permission:
         self._axes = tuple(axes)
         self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
 
-    def refusals(self, cnc: Cnc | None, axes: frozenset[str], guard_version: float | None = None) -> tuple[str, ...]:
-        """Return what stands against compensating these axes, the most fundamental first.
-
-        `guard_version` is what the guard echoes, None where it has not been heard.
-        """
-        of_control = () if cnc is None else self._obstacles_of_control(cnc, axes, guard_version)
+    def refusals(self, session: CncSession | None, axes: frozenset[str]) -> tuple[str, ...]:
+        """Return what stands against compensating these axes, the most fundamental first."""
+        of_control: Iterable[str] = ()
+        if session is not None:
+            guard_version = None if session.echo is None else session.echo.guard_version
+            of_control = self._obstacles_of_control(session.cnc, axes, guard_version)
         return tuple(obstacle for obstacle in (self._model_obstacle, *of_control) if obstacle)
 
     def prohibition(self, cnc: Cnc) -> str:
@@ -63,13 +64,11 @@ class Permission:
                 "or set cnc.opcua.allow_insecure_writes: true"
             )
 
-    def objection(
-        self, request: OperatorRequest, cnc: Cnc | None, *, reached: bool, guard_version: float | None = None
-    ) -> str:
+    def objection(self, request: OperatorRequest, session: CncSession | None, *, reached: bool) -> str:
         """Return why a person's request is refused, '' when it may be taken."""
         if not reached:
             return "the CNC has not been reached yet, so what it applies is unknown"
-        if request.acknowledge and cnc is None:
+        if request.acknowledge and session is None:
             return "there is no link to the CNC, so what it holds is unknown; acknowledge again when the link is back"
         if unknown := sorted((request.enable | request.disable) - set(self._axes)):
             return f"there is no axis {', '.join(unknown)}; axes are {', '.join(self._axes)}"
@@ -78,7 +77,7 @@ class Permission:
                 f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "
                 "so it stays disabled"
             )
-        refusals = self.refusals(cnc, request.enable, guard_version) if request.enable else ()
+        refusals = self.refusals(session, request.enable) if request.enable else ()
         return refusals[0] if refusals else ""
 
 
