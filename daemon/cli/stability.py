@@ -1,6 +1,7 @@
 """`toolpoint stability`: lobes, spindle speed, chatter."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,8 +45,12 @@ def stability() -> None:
 )
 @click.option("--from-rpm", type=POSITIVE, default=2000.0, show_default=True, help="First spindle speed [1/min].")
 @click.option("--to-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
-@click.option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 200 (sdm).")
-@click.option("--max-depth-mm", type=POSITIVE, help="Look no deeper than this [mm]; deeper limits show as this.")
+@click.option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 100 (sdm).")
+@click.option(
+    "--max-depth-mm",
+    type=POSITIVE,
+    help="Look no deeper than this [mm]; a speed that is stable up to there shows this depth and no frequency.",
+)
 @click.option(
     "--at",
     "at",
@@ -70,52 +75,48 @@ def lobes(
     """Limiting depth of cut over spindle speed for the milling CASE."""
     from config.problems import ConfigurationError
     from config.stability_case import load_stability_case
+    from daemon.stability.lobes import LobesRequest, find_lobes, radii_at
     from drivers.frf_csv import FrfFileError
     from models.stability.errors import StabilityError
 
     if method == "zoa" and (at or steps is not None):
         refuse("--at and --steps belong to the semi-discretisation; add --method sdm")
+    request = LobesRequest(
+        method=method, from_rpm=from_rpm, to_rpm=to_rpm, points=points, max_depth_mm=max_depth_mm, steps=steps
+    )
     try:
-        found = _zeroth_order(load_stability_case(case_path), from_rpm, to_rpm, points or 400)
+        case = load_stability_case(case_path)
+        if at:
+            content = radii_at(case, at, steps)
+            _show_radii(content)
+        else:
+            found = find_lobes(case, request)
+            content = lobes_content(found, method, max_depth_mm)
+            _show(found)
     except (ConfigurationError, FrfFileError) as error:
         refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
-    _show(found)
-    write_json(json_path, lobes_content(found, method, max_depth_mm))
-
-
-def _zeroth_order(case: Any, from_rpm: float, to_rpm: float, points: int) -> "StabilityLobes":
-    from daemon.stability.case_files import response_of
-    from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
-
-    response, cut = response_of(case), case.cut()
-    if case.feed_deg == "all":
-        return lowest_over_feed_directions(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
-    return zeroth_order_lobes(
-        response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=float(case.feed_deg)
-    )
+    write_json(json_path, content)
 
 
 def lobes_content(found: "StabilityLobes", method: str, max_depth_mm: float | None) -> dict[str, Any]:
     """Return lobes as JSON; a depth at `max_depth_mm` [mm] without a frequency is stable up to there."""
+    if max_depth_mm is None and math.isfinite(found.max_depth_mm):
+        max_depth_mm = found.max_depth_mm
     depths, chatter = [], []
     for depth, frequency in zip(found.limiting_depth_mm, found.chatter_hz, strict=True):
         beyond = not math.isfinite(depth) or (max_depth_mm is not None and depth > max_depth_mm)
         depths.append(max_depth_mm if beyond else float(depth))
         chatter.append(None if beyond or not math.isfinite(frequency) else float(frequency))
-    minimum = found.minimum
     return {
         "method": method,
         "feed_deg": found.feed_deg,
         "speed_rpm": [float(speed) for speed in found.speed_rpm],
         "limiting_depth_mm": depths,
         "chatter_hz": chatter,
-        "minimum": {
-            "speed_rpm": minimum.speed_rpm,
-            "depth_mm": minimum.depth_mm,
-            "chatter_hz": minimum.chatter_hz,
-        },
+        "max_depth_mm": max_depth_mm,
+        "minimum": None if found.minimum is None else asdict(found.minimum),
         "warnings": list(found.warnings),
     }
 
@@ -124,8 +125,20 @@ def _show(found: "StabilityLobes") -> None:
     for warning in found.warnings:
         click.echo(f"warning: {warning}", err=True)
     minimum = found.minimum
+    if minimum is None:
+        return
     click.echo(
         f"{found.speed_rpm[0]:g} to {found.speed_rpm[-1]:g} 1/min: stable everywhere up to {minimum.depth_mm:.4g} mm "
         f"(lowest at {minimum.speed_rpm:.0f} 1/min, chatter at {minimum.chatter_hz:.1f} Hz)",
         err=True,
     )
+
+
+def _show_radii(content: dict[str, Any]) -> None:
+    for point in content["points"]:
+        word = "stable" if point["spectral_radius"] < 1.0 else "chatter"
+        click.echo(
+            f"{point['speed_rpm']:g} 1/min, {point['depth_mm']:g} mm: {word} "
+            f"(spectral radius {point['spectral_radius']:.6f})",
+            err=True,
+        )

@@ -5,6 +5,8 @@ import numpy as np
 from config.stability_case import DirectionCase, ModeCase, StabilityCase
 from drivers.frf_csv import FrequencyResponse, read_frf_csv
 from models.stability.errors import StabilityError
+from models.stability.frf_modal_fit import fit_modes
+from models.stability.lobes_zoa import check_lines
 from models.stability.response import (
     ModalResponse,
     Mode,
@@ -49,6 +51,34 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
 def modal_response(modes: dict[str, tuple[Mode, ...]]) -> ModalResponse:
     """Return the modes of the keys x, y, xy and yx as a structure."""
     return ModalResponse(xx=modes.get("x", ()), yy=modes.get("y", ()), xy=modes.get("xy", ()), yx=modes.get("yx", ()))
+
+
+def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tuple[ModalResponse, tuple[str, ...]]:
+    """Return the modes of a case, fitted where a direction is an FRF, and warnings about the fits.
+
+    Raises
+    ------
+    FrfFileError
+        For a file that is no FRF.
+    StabilityError
+        When an FRF does not cover the tooth-passing band of the speeds [1/min], or no modes follow it.
+
+    """
+    modes: dict[str, tuple[Mode, ...]] = {}
+    warnings: tuple[str, ...] = ()
+    for name in PLACES:
+        direction = getattr(case, name)
+        if not isinstance(direction, DirectionCase):
+            continue
+        if direction.frf is None:
+            modes[name] = _modes(direction)
+            continue
+        samples = read_frf_csv(direction.frf)
+        warnings += check_lines(samples.frequency_hz, case.teeth, from_rpm, to_rpm)
+        fit = fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
+        modes[name] = fit.modes
+        warnings += tuple(f"{direction.frf}: {warning}" for warning in fit.warnings)
+    return modal_response(modes), tuple(dict.fromkeys(warnings))
 
 
 def _modes(direction: DirectionCase) -> tuple[Mode, ...]:

@@ -107,7 +107,13 @@ def zeroth_order_lobes(
         raise StabilityError("no frequency of this response can chatter; is the FRF a receptance in m/N?")
     speed_rpm = np.linspace(from_rpm, to_rpm, points)
     depth_m, chatter_hz = _envelope(branches, cut, speed_rpm)
-    minimum, at_edge = _minimum(response, cut, branches, feed_deg, (from_rpm, to_rpm))
+    ends = [
+        LobeMinimum(
+            speed_rpm=float(speed_rpm[i]), depth_mm=mm_from_m(float(depth_m[i])), chatter_hz=float(chatter_hz[i])
+        )
+        for i in (0, -1)
+    ]
+    minimum, at_edge = _minimum(response, cut, branches, feed_deg, ends)
     if at_edge:
         warnings += (
             f"the lowest depth lies at the edge of the FRF ({minimum.chatter_hz:g} Hz); "
@@ -288,9 +294,10 @@ def _minimum(
     cut: Cut,
     branches: tuple[_Branch, ...],
     feed_deg: float,
-    range_rpm: tuple[float, float],
+    ends: Sequence[LobeMinimum],
 ) -> tuple[LobeMinimum, bool]:
-    """Return the lowest point within a range, and whether it lies at the end of the frequencies."""
+    """Return the lowest point between two ends of the envelope, and whether the band of frequencies cuts it off."""
+    range_rpm = ends[0].speed_rpm, ends[1].speed_rpm
     found: list[tuple[LobeMinimum, bool]] = []
     peaks = [(branch, peak) for branch in branches for peak in _peaks(branch)]
     peaks.sort(key=lambda pair: -float(pair[0].eigenvalue[pair[1]].real))
@@ -305,11 +312,7 @@ def _minimum(
             depth_mm = mm_from_m(1.0 / (cut.tangential_n_per_m2 * eigenvalue.real))
             place = LobeMinimum(speed_rpm=speed_rpm, depth_mm=depth_mm, chatter_hz=frequency_hz)
             found.append((place, peak in (0, len(branch.frequency_hz) - 1)))
-    ends = np.array(range_rpm)
-    for speed, depth, chatter in zip(ends, *_envelope(branches, cut, ends), strict=True):
-        if np.isfinite(depth):
-            place = LobeMinimum(speed_rpm=float(speed), depth_mm=mm_from_m(float(depth)), chatter_hz=float(chatter))
-            found.append((place, False))
+    found += [(end, False) for end in ends if math.isfinite(end.depth_mm)]
     if not found:
         raise StabilityError(
             f"no lobe reaches {range_rpm[0]:g} to {range_rpm[1]:g} 1/min with this response; widen the range of "

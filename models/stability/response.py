@@ -176,7 +176,9 @@ class SampledResponse:
         smallest = float(np.abs(samples).max(initial=0.0)) * 1e-12 + 1e-300
         inverses = 1.0 / np.where(np.abs(samples) < smallest, smallest, samples)
         direct, inverse = np.sum(weights * samples, axis=1), np.sum(weights * inverses, axis=1)
-        smoother = (_roughness(inverses.astype(np.complex128)) < _roughness(samples)) & (np.abs(samples).min(axis=1) > smallest)
+        smoother = (_roughness(inverses.astype(np.complex128)) < _roughness(samples)) & (
+            np.abs(samples).min(axis=1) > smallest
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
             matrix: ComplexArray = np.where(smoother, 1.0 / inverse, direct)
         return matrix

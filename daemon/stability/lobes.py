@@ -1,0 +1,80 @@
+"""Lobes of a stability case, by either method."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from config.stability_case import ALL_DIRECTIONS, StabilityCase
+from daemon.stability.case_files import modal_response_of, response_of
+from models.stability.errors import StabilityError
+from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
+from models.stability.lobes_zoa import StabilityLobes, lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
+from models.stability.state_space import state_space
+
+POINTS = {"zoa": 400, "sdm": 100}
+STEPS_AT_A_POINT = 200
+"""Converged to 1e-3 in spectral radius; see the page on stability."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LobesRequest:
+    """What lobes are asked for."""
+
+    method: str
+    """`zoa` or `sdm`."""
+    from_rpm: float
+    to_rpm: float
+    points: int | None = None
+    max_depth_mm: float | None = None
+    steps: int | None = None
+
+
+def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
+    """Return the lobes of a case; raises FrfFileError and StabilityError."""
+    cut = case.cut()
+    points = request.points or POINTS[request.method]
+    from_rpm, to_rpm = request.from_rpm, request.to_rpm
+    everywhere = case.feed_deg == ALL_DIRECTIONS
+    feed_deg = 0.0 if everywhere else float(case.feed_deg)
+    if request.method == "zoa":
+        response = response_of(case)
+        if everywhere:
+            return lowest_over_feed_directions(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
+        return zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=feed_deg)
+    modes, warnings = modal_response_of(case, from_rpm, to_rpm)
+    depth, steps = request.max_depth_mm, request.steps
+    if everywhere:
+        found = semi_discretised_over_feed_directions(
+            modes, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, max_depth_mm=depth, steps=steps
+        )
+    else:
+        found = semi_discretised_lobes(
+            modes,
+            cut,
+            from_rpm=from_rpm,
+            to_rpm=to_rpm,
+            points=points,
+            feed_deg=feed_deg,
+            max_depth_mm=depth,
+            steps=steps,
+        )
+    return found.with_warnings(warnings)
+
+
+def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps: int | None) -> dict[str, Any]:
+    """Return the spectral radius at pairs of speed [1/min] and depth [mm]; raises FrfFileError, StabilityError."""
+    if case.feed_deg == ALL_DIRECTIONS:
+        raise StabilityError("a spectral radius needs one direction of the feed; give feed_deg a number")
+    speeds = [speed for speed, _ in points]
+    modes, warnings = modal_response_of(case, min(speeds), max(speeds))
+    cut, structure = case.cut(), state_space(modes, float(case.feed_deg))
+    found = []
+    for speed, depth in points:
+        taken = steps or max(STEPS_AT_A_POINT, default_steps(structure, cut, speed))
+        radius = spectral_radius(semi_discretisation(structure, cut, taken), speed, np.array([depth]))[0]
+        found.append(
+            {"speed_rpm": speed, "depth_mm": depth, "spectral_radius": float(radius), "stable": bool(radius < 1.0)}
+        )
+    return {"method": "sdm", "points": found, "warnings": list(warnings)}

@@ -1,0 +1,165 @@
+"""A milling cut in the time domain: teeth, chips, regeneration, loss of contact.
+
+Many cuts are simulated side by side, step by step. Nothing is linearised and no equation of the
+stability library is used: each tooth removes what stands between it and the surface that the teeth
+before it left, and a tooth that has left the material cuts nothing, however far back the last cut
+at that place lies.
+
+Frame: x along the feed, y to its left; the spindle turns clockwise seen from above. `bearing` is the
+angle of a tooth counter-clockwise from the feed, so that it falls as time goes on.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray
+
+SILENT = 1e-9
+"""Change from tooth to tooth, in feeds per tooth, below which nothing moves any more."""
+FADED = 0.5
+"""A stable cut's vibration falls at least to this share between the two windows of `is_stable`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillingCuts:
+    """Cuts side by side; every array has one entry per cut unless its shape says otherwise."""
+
+    teeth: int
+    """The same for all."""
+    speed_rpm: FloatArray
+    axial_depth_m: FloatArray
+    first_bearing_rad: FloatArray
+    """Where teeth leave the air and meet the work: the larger bearing of the arc [rad]."""
+    last_bearing_rad: FloatArray
+    """Where they leave it [rad]."""
+    tangential_n_per_m2: FloatArray
+    radial_n_per_m2: FloatArray
+    feed_per_tooth_m: FloatArray
+    feed_direction_rad: FloatArray
+    """Against the machine's X, counter-clockwise [rad]."""
+    mode_frequency_hz: FloatArray
+    """Shape (n_cuts, n_modes)."""
+    mode_damping_ratio: FloatArray
+    """Shape (n_cuts, n_modes)."""
+    mode_stiffness_n_per_m: FloatArray
+    """Shape (n_cuts, n_modes)."""
+    mode_axis: tuple[int, ...]
+    """0 for a mode along the machine's X, 1 along Y, for each mode."""
+    helix_lag_rad: FloatArray | None = None
+    """Angle by which the edge's top lags behind its tip [rad]; None: straight edges."""
+    slices: int = 1
+    """Axial slices of a helical edge."""
+
+
+def arc_of(milling: str, radial_depth_m: float, diameter_m: float) -> tuple[float, float]:
+    """Return the bearings [rad] at which teeth meet and leave the work.
+
+    The front half of the tool cuts. Up-milling has the work on the left of the feed, where a tooth
+    meets it at 90 degrees; down-milling has it on the right.
+    """
+    if milling == "slot":
+        return math.pi / 2.0, -math.pi / 2.0
+    inner = math.asin(1.0 - 2.0 * radial_depth_m / diameter_m)
+    return (math.pi / 2.0, inner) if milling == "up" else (-inner, -math.pi / 2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillingSample:
+    """The state after one step."""
+
+    displacement_m: FloatArray
+    """Of the tool along X and Y of the machine, shape (n_cuts, 2)."""
+    acceleration_m_s2: FloatArray
+    """Shape (n_cuts, 2)."""
+    force_n: FloatArray
+    """On the tool along X and Y of the machine, shape (n_cuts, 2)."""
+
+
+def mill(cuts: MillingCuts, passings: int, steps_per_passing: int = 400) -> Iterator[MillingSample]:
+    """Yield the state after every step of so many tooth passings, from rest at the first contact."""
+    count = len(cuts.speed_rpm)
+    step_s = (60.0 / (cuts.speed_rpm * cuts.teeth * steps_per_passing))[:, None]
+    edges = _Edges(cuts, steps_per_passing)
+    axis = np.array(cuts.mode_axis)
+    angular = 2.0 * np.pi * cuts.mode_frequency_hz
+    mass = cuts.mode_stiffness_n_per_m / angular**2
+    drag = 2.0 * cuts.mode_damping_ratio * angular
+    place = np.zeros_like(angular)
+    speed = np.zeros_like(angular)
+    force = edges.force(0, np.zeros((count, 2)))
+    change = force[:, axis] / mass
+    to_axes = np.eye(2)[axis]
+    for step in range(1, passings * steps_per_passing + 1):
+        place = place + step_s * speed + 0.5 * step_s**2 * change
+        force = edges.force(step, place @ to_axes)
+        push = force[:, axis] / mass - angular**2 * place
+        speed = (speed + 0.5 * step_s * (change + push)) / (1.0 + 0.5 * step_s * drag)
+        change = push - drag * speed
+        yield MillingSample(displacement_m=place @ to_axes, acceleration_m_s2=change @ to_axes, force_n=force)
+
+
+class _Edges:
+    """The cutting edges over stations around the tool, and the surface that each station carries."""
+
+    def __init__(self, cuts: MillingCuts, steps_per_passing: int) -> None:
+        self._cuts, self._per_passing = cuts, steps_per_passing
+        self._around = cuts.teeth * steps_per_passing
+        width = 2.0 * np.pi / self._around
+        stations = np.pi / 2.0 - width * np.arange(self._around)
+        bearing = np.mod(stations + np.pi, 2.0 * np.pi) - np.pi
+        self._cosine, self._sine = np.cos(bearing), np.sin(bearing)
+        before = (cuts.first_bearing_rad[:, None] - bearing) / width + 0.5
+        behind = (bearing - cuts.last_bearing_rad[:, None]) / width + 0.5
+        self._share = np.clip(before, 0.0, 1.0) * np.clip(behind, 0.0, 1.0)
+        self._fed = cuts.feed_per_tooth_m[:, None] * self._cosine
+        self._surface = np.repeat(-self._fed[:, None, :], cuts.slices, axis=1)
+        lag = np.zeros(len(cuts.speed_rpm)) if cuts.helix_lag_rad is None else cuts.helix_lag_rad
+        middles = (np.arange(cuts.slices) + 0.5) / cuts.slices if cuts.helix_lag_rad is not None else np.zeros(1)
+        self._lag = np.rint(lag[:, None] * middles / width).astype(np.intp)
+        cosine, sine = np.cos(cuts.feed_direction_rad), np.sin(cuts.feed_direction_rad)
+        self._turn = np.stack((np.stack((cosine, sine), -1), np.stack((-sine, cosine), -1)), axis=1)
+        self._tangential = (cuts.tangential_n_per_m2 * cuts.axial_depth_m / cuts.slices)[:, None]
+        self._radial = (cuts.radial_n_per_m2 * cuts.axial_depth_m / cuts.slices)[:, None]
+        self._rows = np.arange(len(cuts.speed_rpm))[:, None]
+        self._columns = np.arange(cuts.slices)[None, :]
+
+    def force(self, step: int, displacement_m: FloatArray) -> FloatArray:
+        """Return the force on the tool in machine axes [N], and cut the surface, shapes (n_cuts, 2)."""
+        local = np.einsum("nij,nj->ni", self._turn, displacement_m)
+        total = np.zeros_like(local)
+        for tooth in range(self._cuts.teeth):
+            station = (step + tooth * self._per_passing - self._lag) % self._around
+            cosine, sine = self._cosine[station], self._sine[station]
+            reach = local[:, :1] * cosine + local[:, 1:] * sine
+            left = self._surface[self._rows, self._columns, station]
+            chip = np.maximum(reach - left, 0.0)
+            share = self._share[self._rows, station]
+            self._surface[self._rows, self._columns, station] = (
+                np.where(share > 0.0, np.maximum(left, reach), 0.0) - self._fed[self._rows, station]
+            )
+            tangential, radial = self._tangential * share * chip, self._radial * share * chip
+            total[:, 0] += np.sum(-tangential * sine - radial * cosine, axis=1)
+            total[:, 1] += np.sum(tangential * cosine - radial * sine, axis=1)
+        force: FloatArray = np.einsum("nji,nj->ni", self._turn, total)
+        return force
+
+
+def is_stable(cuts: MillingCuts, passings: int = 300, steps_per_passing: int = 400) -> np.ndarray:
+    """Return, per cut, whether what differs from one tooth passing to the next dies away."""
+    before = np.zeros((len(cuts.speed_rpm), 2))
+    changes = np.zeros((passings, len(cuts.speed_rpm)))
+    for number, sample in enumerate(mill(cuts, passings, steps_per_passing), start=1):
+        if number % steps_per_passing == 0:
+            changes[number // steps_per_passing - 1] = np.linalg.norm(sample.displacement_m - before, axis=1)
+            before = sample.displacement_m
+    window = max(passings // 8, 4)
+    early = np.sqrt(np.mean(changes[passings // 2 : passings // 2 + window] ** 2, axis=0))
+    late = np.sqrt(np.mean(changes[-window:] ** 2, axis=0))
+    stable: np.ndarray = (late < FADED * early) | (late < SILENT * cuts.feed_per_tooth_m)
+    return stable
+
+
+__all__ = ["MillingCuts", "MillingSample", "arc_of", "is_stable", "mill"]

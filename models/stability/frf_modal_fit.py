@@ -1,0 +1,184 @@
+"""Modes fitted to a measured receptance by vector fitting (rational functions with common poles).
+
+The poles are moved until a rational function of them fits the samples in least squares (Gustavsen
+and Semlyen, 1999); poles that grow are mirrored. The order is raised until the fit follows the
+samples, or stops getting better. Poles outside the band stand for everything that lies there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray
+from models.stability.errors import StabilityError
+from models.stability.response import ComplexArray, Mode, modal_receptance
+
+MOST_PAIRS = 12
+ROUNDS = 30
+GOOD_FIT = 1e-3
+"""A relative residual below which the order is not raised further."""
+WORTHWHILE = 0.9
+"""A higher order must bring the residual below this share."""
+PATIENCE = 3
+"""So many higher orders in a row that bring nothing end the search."""
+POOR_FIT = 0.25
+"""A relative residual above which the fit is refused."""
+CLEAR_FIT = 0.05
+LEAST_DAMPING = 1e-5
+WIDTH_IN_LINES = 0.5
+"""A resonance narrower than this many lines of the FRF is noise on one of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModalFit:
+    """Modes whose sum follows a receptance."""
+
+    modes: tuple[Mode, ...]
+    relative_residual: float
+    """Root mean square of the difference over that of the samples."""
+    warnings: tuple[str, ...] = ()
+
+
+def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | None = None) -> ModalFit:
+    """Fit modes to a receptance.
+
+    Parameters
+    ----------
+    frequency_hz
+        Ascending [Hz], shape (n,).
+    receptance
+        Displacement per force [m/N], shape (n,), complex.
+    pairs
+        Number of pole pairs; None finds it.
+
+    Returns
+    -------
+    ModalFit
+        Modes in ascending frequency and how well they fit.
+
+    Raises
+    ------
+    StabilityError
+        With too few samples, or when no sum of up to twelve modes follows them.
+
+    """
+    if len(frequency_hz) < 16:
+        raise StabilityError(
+            f"an FRF of {len(frequency_hz)} frequencies is too short for a modal fit; give at least 16"
+        )
+    most = min(MOST_PAIRS, len(frequency_hz) // 4)
+    best: ModalFit | None = None
+    in_vain = 0
+    for count in [pairs] if pairs is not None else range(1, most + 1):
+        modes = _vector_fit(frequency_hz, receptance, count)
+        difference = modal_receptance(modes, frequency_hz) - receptance
+        residual = float(np.linalg.norm(difference) / np.linalg.norm(receptance))
+        if best is None or residual < WORTHWHILE * best.relative_residual:
+            best, in_vain = ModalFit(modes=modes, relative_residual=residual), 0
+        else:
+            in_vain += 1
+        if best.relative_residual < GOOD_FIT or in_vain == PATIENCE:
+            break
+    assert best is not None
+    if best.relative_residual > POOR_FIT:
+        raise StabilityError(
+            f"no sum of up to {most} modes follows this FRF (residual {best.relative_residual:.0%}); "
+            "check its unit and coherence, or give modes instead of frf"
+        )
+    if best.relative_residual > CLEAR_FIT:
+        text = f"the modes follow the FRF with a residual of {best.relative_residual:.1%} only"
+        return ModalFit(modes=best.modes, relative_residual=best.relative_residual, warnings=(text,))
+    return best
+
+
+def _vector_fit(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int) -> tuple[Mode, ...]:
+    scale = 2.0 * np.pi * float(frequency_hz[-1])
+    laplace: ComplexArray = (2j * np.pi * frequency_hz / scale).astype(np.complex128)
+    low = max(frequency_hz[0], 0.02 * frequency_hz[-1])
+    start = np.linspace(low, frequency_hz[-1], pairs + 2)[1:-1] / frequency_hz[-1]
+    poles: ComplexArray = (start * (-0.01 + 1j)).astype(np.complex128)
+    weight: FloatArray = 1.0 / np.sqrt(np.abs(receptance) + 1e-3 * np.abs(receptance).max())
+    target = (receptance / np.abs(receptance).max()).astype(np.complex128)
+    for _ in range(ROUNDS):
+        moved = _moved(laplace, target, poles, weight)
+        done = len(moved) == len(poles) and bool(np.abs(moved - poles).max() < 1e-10)
+        poles = moved
+        if done:
+            break
+    line = float(np.median(np.diff(frequency_hz))) / float(frequency_hz[-1])
+    wide_enough = 2.0 * np.abs(poles.real) > WIDTH_IN_LINES * line
+    if bool(np.any(wide_enough)):
+        poles = poles[wide_enough]
+    return _residues(laplace, receptance, poles, weight, scale)
+
+
+def _basis(laplace: ComplexArray, quadratics: Sequence[tuple[float, float]]) -> ComplexArray:
+    """Return 1 and s over each ``s^2 + c1 s + c0``, shape (n, 2 pairs)."""
+    columns = []
+    for c1, c0 in quadratics:
+        denominator = laplace**2 + c1 * laplace + c0
+        columns += [1.0 / denominator, laplace / denominator]
+    return np.stack(columns, axis=1)
+
+
+def _quadratics(poles: ComplexArray) -> list[tuple[float, float]]:
+    return [(-2.0 * float(pole.real), float(abs(pole)) ** 2) for pole in poles]
+
+
+def _real_rows(matrix: ComplexArray | FloatArray) -> FloatArray:
+    return np.concatenate((matrix.real, matrix.imag))
+
+
+def _moved(laplace: ComplexArray, target: ComplexArray, poles: ComplexArray, weight: FloatArray) -> ComplexArray:
+    """Return the zeros of the fitted sigma: the next poles, upper half plane, mirrored to decay."""
+    quadratics = _quadratics(poles)
+    basis = _basis(laplace, quadratics)
+    system = _real_rows(weight[:, None] * np.hstack((basis, -target[:, None] * basis)))
+    right = _real_rows(weight * target)
+    size = np.linalg.norm(system, axis=0)
+    solution = np.linalg.lstsq(system / size, right, rcond=None)[0] / size
+    sigma = solution[basis.shape[1] :]
+    denominators = [np.array([1.0, c1, c0]) for c1, c0 in quadratics]
+    polynomial = _product(denominators)
+    for number in range(len(quadratics)):
+        others = _product(denominators[:number] + denominators[number + 1 :])
+        share = np.convolve(sigma[2 * number : 2 * number + 2][::-1], others)
+        polynomial[-len(share) :] += share
+    return _upper(np.roots(polynomial).astype(np.complex128))
+
+
+def _product(polynomials: Sequence[FloatArray]) -> FloatArray:
+    product: FloatArray = np.array([1.0])
+    for polynomial in polynomials:
+        product = np.convolve(product, polynomial)
+    return product
+
+
+def _upper(roots: ComplexArray) -> ComplexArray:
+    """Return one decaying pole per pair; two real roots become a pair of the same size, well damped."""
+    upper = [complex(root) for root in roots if root.imag > 1e-12]
+    real = sorted(abs(float(root.real)) for root in roots if abs(root.imag) <= 1e-12)
+    for first, second in zip(real[::2], real[1::2], strict=False):
+        size = max(np.sqrt(first * second), 1e-6)
+        upper.append(complex(-0.7 * size, 0.7 * size))
+    decaying = [complex(-max(abs(pole.real), LEAST_DAMPING * abs(pole)), pole.imag) for pole in upper]
+    return np.array(sorted(decaying, key=abs), dtype=np.complex128)
+
+
+def _residues(
+    laplace: ComplexArray, receptance: ComplexArray, poles: ComplexArray, weight: FloatArray, scale: float
+) -> tuple[Mode, ...]:
+    basis = _basis(laplace, _quadratics(poles))
+    system = _real_rows(weight[:, None] * basis)
+    size = np.linalg.norm(system, axis=0)
+    gains = np.linalg.lstsq(system / size, _real_rows(weight * receptance), rcond=None)[0] / size
+    return tuple(
+        Mode(
+            frequency_hz=float(abs(pole)) * scale / (2.0 * np.pi),
+            damping_ratio=float(-pole.real / abs(pole)),
+            displacement_gain_per_kg=float(gains[2 * number]) * scale**2,
+            velocity_gain_s_per_kg=float(gains[2 * number + 1]) * scale,
+        )
+        for number, pole in enumerate(poles)
+    )

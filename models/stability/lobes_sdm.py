@@ -1,0 +1,262 @@
+"""Stability lobes and charts by semi-discretisation: the first depth at which the spectral radius is 1."""
+
+import numpy as np
+
+from models.records import FloatArray
+from models.stability.errors import StabilityError
+from models.stability.lobes_zoa import LobeMinimum, StabilityLobes, check_range, lowest_of
+from models.stability.milling import Cut, directional_matrix, tooth_passing_hz
+from models.stability.response import ModalResponse
+from models.stability.semi_discretisation import (
+    SemiDiscretisation,
+    chatter_frequency_hz,
+    default_steps,
+    semi_discretisation,
+    spectral_radius,
+)
+from models.stability.state_space import StateSpace, state_space
+from models.units import mm_from_m
+
+LEVELS = 36
+"""Depths tried at each speed, in a geometric row, before the first limit is narrowed down."""
+SHALLOWEST = 0.5
+DEEPEST = 60.0
+"""First and, by default, last of these depths, in multiples of `typical_depth_mm`."""
+NARROWING_POINTS = 3
+NARROWING_ROUNDS = 3
+MINIMUM_POINTS = 9
+MINIMUM_ROUNDS = 3
+LOWEST_CANDIDATES = 3
+
+
+def typical_depth_mm(response: ModalResponse, cut: Cut) -> float:
+    """Return the order of magnitude of the limiting depth [mm]: loop gain 1 at the softest frequency."""
+    frequency_hz = response.frequencies_hz(0.0)
+    softest = float(np.linalg.norm(response.receptance_m_per_n(frequency_hz), axis=(1, 2)).max())
+    angles = np.linspace(0.0, 2.0 * np.pi / cut.teeth, 721)
+    mean = float(np.linalg.norm(directional_matrix(cut, angles), axis=(1, 2)).mean())
+    return mm_from_m(1.0 / (cut.tangential_n_per_m2 * mean * softest))
+
+
+def spectral_radius_chart(
+    response: ModalResponse,
+    cut: Cut,
+    speed_rpm: FloatArray,
+    depth_mm: FloatArray,
+    *,
+    steps: int | None = None,
+    feed_deg: float = 0.0,
+) -> FloatArray:
+    """Return the spectral radius at every speed and depth.
+
+    Parameters
+    ----------
+    response
+        Modes of the structure, in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    speed_rpm
+        Shape (n,) [1/min].
+    depth_mm
+        Shape (m,) [mm].
+    steps
+        Steps per tooth passing; None chooses them at each speed.
+    feed_deg
+        Direction of the feed against X [deg].
+
+    Returns
+    -------
+    FloatArray
+        Shape (n, m).
+
+    Raises
+    ------
+    StabilityError
+        When nothing can move, or a speed or depth is not above 0.
+
+    """
+    methods = _Methods(state_space(response, feed_deg), cut, steps)
+    return np.array([spectral_radius(methods.at(speed), speed, depth_mm) for speed in speed_rpm.tolist()])
+
+
+def semi_discretised_lobes(
+    response: ModalResponse,
+    cut: Cut,
+    *,
+    from_rpm: float,
+    to_rpm: float,
+    points: int,
+    feed_deg: float = 0.0,
+    max_depth_mm: float | None = None,
+    steps: int | None = None,
+) -> StabilityLobes:
+    """Return the lobes between two spindle speeds, flip lobes with them.
+
+    Parameters
+    ----------
+    response
+        Modes of the structure, in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    from_rpm, to_rpm
+        Range of speeds [1/min].
+    points
+        Number of evenly spaced speeds.
+    feed_deg
+        Direction of the feed against X [deg].
+    max_depth_mm
+        Greatest depth tried [mm]; None takes 60 times `typical_depth_mm`. An island of instability
+        that spans less than some 15 % of its depth may be missed.
+    steps
+        Steps per tooth passing; None chooses them at each speed.
+
+    Returns
+    -------
+    StabilityLobes
+        inf where the cut is stable up to the greatest depth.
+
+    Raises
+    ------
+    StabilityError
+        When the range is none or nothing can move.
+
+    """
+    check_range(from_rpm, to_rpm, points)
+    methods = _Methods(state_space(response, feed_deg), cut, steps)
+    typical_mm = typical_depth_mm(response, cut)
+    deepest_mm = max_depth_mm or DEEPEST * typical_mm
+    levels_mm = np.geomspace(min(SHALLOWEST * typical_mm, 0.5 * deepest_mm), deepest_mm, LEVELS)
+    speed_rpm = np.linspace(from_rpm, to_rpm, points)
+    limits = np.array([_limit_mm(methods, speed, levels_mm) for speed in speed_rpm.tolist()])
+    chatter_hz = np.array(
+        [_chatter_hz(methods, *pair) for pair in zip(speed_rpm.tolist(), limits.tolist(), strict=True)]
+    )
+    minimum = _minimum(methods, speed_rpm, limits, levels_mm)
+    warnings = () if minimum else (f"stable everywhere up to {deepest_mm:.4g} mm, the greatest depth tried",)
+    return StabilityLobes(
+        speed_rpm=speed_rpm,
+        limiting_depth_mm=limits,
+        chatter_hz=chatter_hz,
+        minimum=minimum,
+        feed_deg=feed_deg,
+        warnings=warnings,
+        max_depth_mm=deepest_mm,
+    )
+
+
+def semi_discretised_over_feed_directions(
+    response: ModalResponse,
+    cut: Cut,
+    *,
+    from_rpm: float,
+    to_rpm: float,
+    points: int,
+    max_depth_mm: float | None = None,
+    steps: int | None = None,
+    step_deg: float = 15.0,
+) -> StabilityLobes:
+    """Return, at each speed, the lowest lobes over feed directions `step_deg` [deg] apart; else as above."""
+    return lowest_of(
+        [
+            semi_discretised_lobes(
+                response,
+                cut,
+                from_rpm=from_rpm,
+                to_rpm=to_rpm,
+                points=points,
+                feed_deg=float(feed_deg),
+                max_depth_mm=max_depth_mm,
+                steps=steps,
+            )
+            for feed_deg in np.arange(0.0, 180.0, step_deg)
+        ]
+    )
+
+
+class _Methods:
+    """The prepared steps, kept per number of steps."""
+
+    def __init__(self, structure: StateSpace, cut: Cut, steps: int | None) -> None:
+        self._structure, self._cut, self._steps = structure, cut, steps
+        self._prepared: dict[int, SemiDiscretisation] = {}
+
+    def at(self, speed_rpm: float) -> SemiDiscretisation:
+        steps = self._steps or default_steps(self._structure, self._cut, speed_rpm)
+        if steps not in self._prepared:
+            self._prepared[steps] = semi_discretisation(self._structure, self._cut, steps)
+        return self._prepared[steps]
+
+
+def _limit_mm(methods: _Methods, speed_rpm: float, levels_mm: FloatArray) -> float:
+    """Return the first depth with spectral radius 1 [mm], inf when there is none."""
+    method = methods.at(speed_rpm)
+    depths = levels_mm
+    low_mm, low = 0.0, 0.0
+    high_mm, high = np.inf, np.inf
+    for number in range(NARROWING_ROUNDS + 1):
+        if number:
+            depths = np.linspace(low_mm, high_mm, NARROWING_POINTS + 2)[1:-1]
+        radius = spectral_radius(method, speed_rpm, depths)
+        unstable = np.flatnonzero(radius >= 1.0)
+        first = int(unstable[0]) if len(unstable) else len(depths)
+        if first > 0:
+            low_mm, low = float(depths[first - 1]), float(radius[first - 1])
+        if first < len(depths):
+            high_mm, high = float(depths[first]), float(radius[first])
+        if not np.isfinite(high_mm):
+            return np.inf
+    if low_mm == 0.0 or high <= low:
+        return high_mm
+    return low_mm + (high_mm - low_mm) * (1.0 - low) / (high - low)
+
+
+def _chatter_hz(methods: _Methods, speed_rpm: float, limit_mm: float) -> float:
+    if not np.isfinite(limit_mm):
+        return np.nan
+    return chatter_frequency_hz(methods.at(speed_rpm), speed_rpm, limit_mm)[0]
+
+
+def _minimum(
+    methods: _Methods, speed_rpm: FloatArray, limits_mm: FloatArray, levels_mm: FloatArray
+) -> LobeMinimum | None:
+    """Return the lowest point of the lobes, searched between the sampled speeds."""
+    padded = np.concatenate(([np.inf], limits_mm, [np.inf]))
+    bottoms = np.flatnonzero(np.isfinite(limits_mm) & (limits_mm <= padded[:-2]) & (limits_mm <= padded[2:]))
+    if not len(bottoms):
+        return None
+    found: list[tuple[float, float]] = []
+    for bottom in bottoms[np.argsort(limits_mm[bottoms])][:LOWEST_CANDIDATES].tolist():
+        best = float(limits_mm[bottom]), float(speed_rpm[bottom])
+        low, high = speed_rpm[max(bottom - 1, 0)], speed_rpm[min(bottom + 1, len(speed_rpm) - 1)]
+        for _ in range(MINIMUM_ROUNDS):
+            trial = np.linspace(low, high, MINIMUM_POINTS)
+            best = min(best, *((_limit_mm(methods, speed, levels_mm), speed) for speed in trial.tolist()))
+            width = (high - low) / (MINIMUM_POINTS - 1)
+            low, high = max(best[1] - width, speed_rpm[0]), min(best[1] + width, speed_rpm[-1])
+        found.append(best)
+    depth_mm, speed = min(found)
+    return LobeMinimum(speed_rpm=speed, depth_mm=depth_mm, chatter_hz=_chatter_hz(methods, speed, depth_mm))
+
+
+def lobe_kind(chatter_hz: float, speed_rpm: float, teeth: int) -> str:
+    """Return `flip` where the vibration repeats every second tooth, else `hopf`.
+
+    Parameters
+    ----------
+    chatter_hz
+        Chatter frequency [Hz].
+    speed_rpm
+        Spindle speed [1/min].
+    teeth
+        Number of teeth.
+
+    Raises
+    ------
+    StabilityError
+        When the speed is not above 0.
+
+    """
+    if not speed_rpm > 0.0:
+        raise StabilityError("the speed must be above 0 1/min")
+    turns = chatter_hz / tooth_passing_hz(speed_rpm, teeth)
+    return "flip" if abs(turns % 1.0 - 0.5) < 1e-6 else "hopf"

@@ -1,0 +1,119 @@
+"""Stability: times, convergence, and 500 cases before the time-domain referee.
+
+Run by hand: `python tests/benchmarks/bench_stability.py [--cases 500]`. Nothing here passes or fails.
+"""
+
+import argparse
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from models.stability.lobes_sdm import spectral_radius_chart
+from models.stability.lobes_zoa import zeroth_order_lobes
+from models.stability.milling import Cut, MillingMode, engagement_rad
+from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
+from models.stability.semi_discretisation import semi_discretisation, spectral_radius
+from models.stability.state_space import state_space
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from milling_cases import OFF_BOUNDARY, random_cases
+
+BENCHMARK = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
+STEPS = (20, 40, 80, 120, 200)
+REFERENCE_STEPS = 800
+
+
+def cut(mode: str, radial_mm: float, teeth: int = 2) -> Cut:
+    start_rad, exit_rad = engagement_rad(MillingMode(mode), radial_mm, 10.0)
+    return Cut(teeth=teeth, start_rad=start_rad, exit_rad=exit_rad, tangential_n_per_m2=6e8, radial_ratio=1.0 / 3.0)
+
+
+def timed(what: str, work: Callable[[], object], repeats: int) -> None:
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - begun))
+    print(f"{what}: median {statistics.median(times):.1f} ms, slowest {max(times):.1f} ms of {repeats}")
+
+
+def lobes_from_an_frf() -> None:
+    lines_hz = np.arange(384, 3201) * 12800 / 16384
+    modes = ModalResponse(
+        xx=(mode_from_stiffness(664.0, 0.03, 6e6), mode_from_stiffness(1500.0, 0.02, 2e7)),
+        yy=(mode_from_stiffness(601.0, 0.025, 4e6),),
+    )
+    receptance = modes.receptance_m_per_n(lines_hz)
+    noise = np.random.default_rng(1).normal(size=(2, *receptance.shape)) * 0.02
+    for name, samples in (("clean", receptance), ("2 % noise", receptance * (1.0 + noise[0] + 1j * noise[1]))):
+        response = SampledResponse(frequency_hz=lines_hz, receptance=samples)
+        timed(
+            f"lobes, 2000 to 14000 1/min, 400 speeds, FRF of 2817 lines in X and Y, {name}",
+            lambda response=response: zeroth_order_lobes(
+                response, cut("down", 1.0, 4), from_rpm=2000.0, to_rpm=14000.0, points=400
+            ),
+            40,
+        )
+
+
+def chart() -> None:
+    speeds, depths = np.linspace(5000.0, 25000.0, 200), np.linspace(0.05, 5.0, 100)
+    timed(
+        "semi-discretisation, 200 x 100, one mode, 40 steps, one thread",
+        lambda: spectral_radius_chart(BENCHMARK, cut("down", 1.0), speeds, depths, steps=40),
+        3,
+    )
+
+
+def convergence() -> None:
+    rng = np.random.default_rng(3)
+    errors = np.zeros((200, len(STEPS)))
+    for row in errors:
+        mode = str(rng.choice(["up", "down", "slot"]))
+        case = cut(mode, 10.0 if mode == "slot" else float(rng.uniform(0.3, 9.5)))
+        structure = state_space(BENCHMARK)
+        speed, depth = float(rng.uniform(5000.0, 25000.0)), np.array([math.exp(rng.uniform(-2.0, 1.1))])
+        exact = spectral_radius(semi_discretisation(structure, case, REFERENCE_STEPS), speed, depth)[0]
+        for place, steps in enumerate(STEPS):
+            row[place] = abs(spectral_radius(semi_discretisation(structure, case, steps), speed, depth)[0] - exact)
+    print(f"error of the spectral radius against {REFERENCE_STEPS} steps, 200 random cuts of the benchmark")
+    for place, steps in enumerate(STEPS):
+        percentiles = np.percentile(errors[:, place], (50, 90, 100))
+        print(
+            f"  {steps:4} steps: median {percentiles[0]:.1e}, 90 % {percentiles[1]:.1e}, largest {percentiles[2]:.1e}"
+        )
+
+
+def referee(cases: int) -> None:
+    agreed = 0
+    begun = time.perf_counter()
+    for teeth in (1, 2, 3, 4):
+        drawn = random_cases(teeth, cases // 4, seed=1)
+        same = drawn.agree(passings=400, steps_per_passing=400)
+        agreed += int(same.sum())
+        for place in np.flatnonzero(~same):
+            print(f"  differs: {drawn.described[place]}")
+    total = 4 * (cases // 4)
+    print(
+        f"time-domain referee: {agreed} of {total} agree ({agreed / total:.1%}) where the radius is off 1 by more than "
+        f"{OFF_BOUNDARY}; {time.perf_counter() - begun:.0f} s"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=500)
+    arguments = parser.parse_args()
+    lobes_from_an_frf()
+    chart()
+    convergence()
+    referee(arguments.cases)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""Semi-discretisation: convergence, the case that the zeroth order solves exactly, lobes and charts."""
+
+import math
+
+import numpy as np
+import pytest
+
+from models.stability.errors import StabilityError
+from models.stability.lobes_sdm import lobe_kind, semi_discretised_lobes, spectral_radius_chart
+from models.stability.lobes_zoa import zeroth_order_lobes
+from models.stability.milling import Cut, MillingMode, engagement_rad
+from models.stability.response import (
+    ModalResponse,
+    Mode,
+    mode_from_mass,
+    mode_from_residue,
+    mode_from_stiffness,
+)
+from models.stability.semi_discretisation import chatter_frequency_hz, semi_discretisation, spectral_radius
+from models.stability.state_space import state_space
+
+BENCHMARK = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
+FULL = ModalResponse(
+    xx=(mode_from_stiffness(664.0, 0.03, 6e6), mode_from_stiffness(1500.0, 0.02, 2e7)),
+    yy=(mode_from_stiffness(601.0, 0.025, 4e6),),
+    xy=(mode_from_residue(640.0, 0.03, 1e-6 - 3e-6j),),
+    yx=(mode_from_residue(640.0, 0.03, 1e-6 - 3e-6j),),
+)
+
+
+def cut(mode: str, radial_depth_mm: float, teeth: int = 2) -> Cut:
+    start_rad, exit_rad = engagement_rad(MillingMode(mode), radial_depth_mm, 10.0)
+    return Cut(teeth=teeth, start_rad=start_rad, exit_rad=exit_rad, tangential_n_per_m2=6e8, radial_ratio=1.0 / 3.0)
+
+
+def radius(response: ModalResponse, case: Cut, speed_rpm: float, depth_mm: float, steps: int, feed: float = 0) -> float:
+    method = semi_discretisation(state_space(response, feed), case, steps)
+    return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
+
+
+@pytest.mark.parametrize("speed_rpm", [5000.0, 9000.0, 17300.0])
+@pytest.mark.parametrize("case", [cut("slot", 10.0), cut("up", 0.5), cut("down", 1.0), cut("up", 5.0)])
+def test_two_hundred_steps_are_converged(case: Cut, speed_rpm: float) -> None:
+    for depth_mm in (0.2, 1.0, 3.0):
+        fine = radius(BENCHMARK, case, speed_rpm, depth_mm, 480)
+        assert radius(BENCHMARK, case, speed_rpm, depth_mm, 200) == pytest.approx(fine, abs=1e-3)
+
+
+def test_the_error_falls_with_the_third_power_of_the_step_or_faster() -> None:
+    exact = radius(BENCHMARK, cut("slot", 10.0), 9000.0, 1.0, 480)
+    errors = [abs(radius(BENCHMARK, cut("slot", 10.0), 9000.0, 1.0, steps) - exact) for steps in (20, 40, 80)]
+    assert errors[0] > 8.0 * errors[1] > 64.0 * errors[2] > 0.0
+
+
+@pytest.mark.parametrize("feed_deg", [0.0, 20.0])
+def test_four_teeth_in_a_slot_are_what_the_zeroth_order_solves_exactly(feed_deg: float) -> None:
+    case = cut("slot", 10.0, teeth=4)
+    lobes = zeroth_order_lobes(FULL, case, from_rpm=5000.0, to_rpm=14000.0, points=7, feed_deg=feed_deg)
+    for speed, limit, chatter in zip(lobes.speed_rpm, lobes.limiting_depth_mm, lobes.chatter_hz, strict=True):
+        method = semi_discretisation(state_space(FULL, feed_deg), case, 100)
+        assert spectral_radius(method, speed, np.array([limit]))[0] == pytest.approx(1.0, abs=2e-3)
+        assert chatter_frequency_hz(method, speed, limit)[0] == pytest.approx(chatter, rel=1e-3)
+
+
+def test_lobes_at_large_immersion_lie_near_the_zeroth_order() -> None:
+    case = cut("slot", 10.0, teeth=4)
+    found = semi_discretised_lobes(BENCHMARK, case, from_rpm=4000.0, to_rpm=7000.0, points=12)
+    expected = zeroth_order_lobes(BENCHMARK, case, from_rpm=4000.0, to_rpm=7000.0, points=12)
+    assert found.limiting_depth_mm == pytest.approx(expected.limiting_depth_mm, rel=1e-2)
+    assert found.minimum is not None
+    assert expected.minimum is not None
+    assert found.minimum.depth_mm == pytest.approx(expected.minimum.depth_mm, rel=2e-3)
+    assert found.minimum.depth_mm <= found.limiting_depth_mm.min()
+
+
+def test_low_immersion_has_flip_lobes_that_the_zeroth_order_misses() -> None:
+    case = cut("down", 1.0)
+    found = semi_discretised_lobes(BENCHMARK, case, from_rpm=17900.0, to_rpm=18180.0, points=8)
+    averaged = zeroth_order_lobes(BENCHMARK, case, from_rpm=17900.0, to_rpm=18180.0, points=8)
+    pairs = zip(found.chatter_hz, found.speed_rpm, strict=True)
+    assert {lobe_kind(frequency, speed, 2) for frequency, speed in pairs} == {"flip"}
+    assert found.minimum is not None
+    assert averaged.minimum is not None
+    assert found.minimum.depth_mm < 0.6 * averaged.minimum.depth_mm
+
+
+def test_the_limit_is_where_the_radius_is_one() -> None:
+    case = cut("up", 1.0)
+    found = semi_discretised_lobes(FULL, case, from_rpm=6000.0, to_rpm=9000.0, points=3, steps=60, feed_deg=30.0)
+    for speed, limit in zip(found.speed_rpm, found.limiting_depth_mm, strict=True):
+        assert radius(FULL, case, speed, limit, 60, 30.0) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_greatest_depth_bounds_the_search() -> None:
+    found = semi_discretised_lobes(
+        BENCHMARK, cut("slot", 10.0), from_rpm=5000.0, to_rpm=9000.0, points=4, max_depth_mm=0.1
+    )
+    assert np.all(np.isinf(found.limiting_depth_mm))
+    assert found.minimum is None
+    assert "stable everywhere up to 0.1 mm" in found.warnings[0]
+
+
+def test_a_chart_is_the_radius_at_every_point() -> None:
+    speeds, depths = np.array([9000.0, 17300.0]), np.array([0.2, 1.0, 3.0])
+    chart = spectral_radius_chart(BENCHMARK, cut("up", 5.0), speeds, depths, steps=40)
+    assert chart.shape == (2, 3)
+    for i, speed in enumerate(speeds):
+        for j, depth in enumerate(depths):
+            assert chart[i, j] == pytest.approx(radius(BENCHMARK, cut("up", 5.0), speed, depth, 40))
+
+
+def test_opposite_feed_and_equal_structures_change_nothing() -> None:
+    case = cut("down", 2.0, teeth=3)
+    one = radius(FULL, case, 8000.0, 1.0, 60, 25.0)
+    assert radius(FULL, case, 8000.0, 1.0, 60, 205.0) == pytest.approx(one)
+    same = mode_from_stiffness(700.0, 0.02, 5e6)
+    round_tool = ModalResponse(xx=(same,), yy=(same,))
+    assert radius(round_tool, case, 8000.0, 1.0, 60, 77.0) == pytest.approx(radius(round_tool, case, 8000.0, 1.0, 60))
+
+
+def test_transition_is_the_exponential() -> None:
+    from scipy.linalg import expm
+
+    heavy = Mode(frequency_hz=300.0, damping_ratio=1.4, displacement_gain_per_kg=2.0)
+    structure = state_space(ModalResponse(xx=(*FULL.xx, heavy)))
+    full = np.zeros((6, 6))
+    for i, mode in enumerate(structure.modes):
+        angular = mode.angular_rad_s
+        full[2 * i, 2 * i + 1] = 1.0
+        full[2 * i + 1, 2 * i : 2 * i + 2] = -(angular**2), -2.0 * mode.damping_ratio * angular
+    moved = structure.transition(np.array([0.0, 1e-4, 7e-4]))
+    scale = np.repeat([[1.0, 1.0 / (2.0 * math.pi * 700.0)]], 3, axis=0).reshape(-1)
+    for time_s, found in zip((0.0, 1e-4, 7e-4), moved, strict=True):
+        expected = expm(full * time_s)
+        assert found * scale[:, None] / scale == pytest.approx(expected * scale[:, None] / scale, abs=1e-9)
+
+
+def test_refusals() -> None:
+    with pytest.raises(StabilityError, match="too few"):
+        semi_discretisation(state_space(BENCHMARK), cut("slot", 10.0), 3)
+    with pytest.raises(StabilityError, match="above 0"):
+        radius(BENCHMARK, cut("slot", 10.0), 9000.0, -1.0, 40)
+    with pytest.raises(StabilityError, match="rigid"):
+        state_space(ModalResponse())
