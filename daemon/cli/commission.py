@@ -54,7 +54,7 @@ def _readings(
 @config_option
 @click.option("--axis", "axes", multiple=True, help="Commission this axis (repeatable; default: every axis).")
 @click.option(
-    "--offset-um", type=FiniteFloat(), default=5.0, show_default=True, help="Offset that each axis is moved by [um]."
+    "--offset-um", type=FiniteFloat(min=-1000, max=1000), default=5.0, show_default=True, help="Offset that each axis is moved by [um]."
 )
 @click.option("--person", default=None, help="Who reads the instrument and signs (else asked).")
 @click.option("--instrument", default=None, help="What is read, with its number (else asked).")

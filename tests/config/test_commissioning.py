@@ -1,0 +1,136 @@
+"""The commissioning record: what it must prove, how it is kept, and what it permits."""
+
+import json
+import stat
+
+import pytest
+from pydantic import ValidationError
+
+from config.commissioning import (
+    AxisReadings,
+    CommissionedAxis,
+    CommissioningError,
+    CommissioningRecord,
+    commissioning_obstacle,
+    load_commissioning,
+    macro_map_digest,
+    save_commissioning,
+)
+from config.loader import load_configuration
+from config.machines import shipped_file
+from drivers.contract import SIMULATED_CNC_IDENTITY
+from drivers.sim.safe_point import GUARD_VERSION
+
+MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+READINGS = {"source": "read by the person", "before_um": 0.2, "at_offset_um": 5.1, "after_um": 0.0}
+
+
+def axis(**changes) -> CommissionedAxis:
+    content = {
+        "sign": 1,
+        "scale": 1.0,
+        "written_um": 5.0,
+        "measured_um": 5.0,
+        "readings": AxisReadings(**READINGS),
+        "others_um": {"x": 0.1},
+    }
+    return CommissionedAxis(**(content | changes))
+
+
+def record(**changes) -> CommissioningRecord:
+    content = {
+        "cnc_identity": "urn:cnc",
+        "macro_map_sha256": macro_map_digest(MACROS),
+        "guard_version": 3,
+        "person": "A. Fitter",
+        "date": "2026-01-31",
+        "axes": {"z": axis()},
+    }
+    return CommissioningRecord(**(content | changes))
+
+
+def obstacle(of: CommissioningRecord | None, **changes) -> str:
+    content = {"cnc_identity": "urn:cnc", "macros": MACROS, "axes": ["z"], "guard_version": 3.0}
+    return commissioning_obstacle(of, **(content | changes))
+
+
+def test_a_record_survives_the_way_over_the_disk(tmp_path):
+    path = tmp_path / "record.json"
+    path.write_text("an old one", encoding="utf-8")
+    save_commissioning(record(), path)
+    assert load_commissioning(path) == record()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+    assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_a_record_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    with pytest.raises(CommissioningError, match="cannot be written"):
+        save_commissioning(record(), tmp_path / "nowhere" / "record.json")
+    folder = tmp_path / "record.json"
+    folder.mkdir()
+    with pytest.raises(CommissioningError, match="cannot be written"):
+        save_commissioning(record(), folder)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"written_um": 1.0, "measured_um": 1.0, "readings": None}, "too small to prove"),
+        ({"measured_um": 3.9, "readings": None}, "3.9 um were measured"),
+        ({"measured_um": 4.5}, "the readings make a movement of 5 um"),
+        ({"sign": 0}, "sign"),
+        ({"scale": 25.4}, "scale"),
+    ],
+)
+def test_an_axis_that_proves_nothing_is_no_record(changes, words):
+    with pytest.raises(ValidationError, match=words):
+        axis(**changes)
+
+
+def test_a_record_of_format_2_names_its_guard(tmp_path):
+    with pytest.raises(ValidationError, match="guard_version is missing"):
+        record(guard_version=None)
+    path = tmp_path / "record.json"
+    path.write_text(json.dumps(record().model_dump(mode="json") | {"guard_version": None}), encoding="utf-8")
+    with pytest.raises(CommissioningError, match="guard_version is missing"):
+        load_commissioning(path)
+
+
+def test_an_old_record_is_read_and_permits_nothing_once_the_guard_has_spoken():
+    old = record(format_version=1, guard_version=None)
+    assert obstacle(old, guard_version=None) == ""
+    assert "format 1 and does not say which guard" in obstacle(old)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cnc_identity": "urn:other"}, "this control is 'urn:other'"),
+        ({"axes": ["y", "z"]}, "not commissioned: axis y"),
+        ({"guard_version": 4.0}, "runs guard version 4, the commissioning was made with version 3"),
+        ({"guard_version": 3.5}, "runs guard version 3.5"),
+        ({"macros": MACROS.model_copy(update={"unit_um": 1.0})}, "macro map has changed"),
+    ],
+)
+def test_what_the_record_does_not_cover_is_refused_with_what_to_do(changes, words):
+    said = obstacle(record(), **changes)
+    assert words in said and "toolpoint commission" in said
+
+
+def test_what_the_record_covers_is_permitted():
+    assert obstacle(record()) == ""
+    assert "no commissioning record" in obstacle(None)
+
+
+def test_the_shipped_record_is_that_of_the_simulated_machine():
+    shipped = load_commissioning(shipped_file("simulated_machine_commissioning.json"))
+    assert shipped.format_version == 2
+    said = commissioning_obstacle(
+        shipped,
+        cnc_identity=SIMULATED_CNC_IDENTITY,
+        macros=MACROS,
+        axes=["x", "y", "z"],
+        guard_version=float(GUARD_VERSION),
+    )
+    assert said == ""

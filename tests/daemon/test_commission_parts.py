@@ -1,0 +1,289 @@
+"""The parts of a commissioning that need no machine: judgement, report, dialogue, and the command's words."""
+
+import asyncio
+import json
+import os
+import re
+from html.parser import HTMLParser
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from config.commissioning import (
+    PROOF_TOLERANCE,
+    AxisReadings,
+    CommissionedAxis,
+    CommissioningRecord,
+    load_commissioning,
+    macro_map_digest,
+)
+from config.loader import load_configuration
+from config.machines import shipped_file
+from daemon.cli.commission import commission
+from daemon.commissioning.dialogue import TerminalDialogue
+from daemon.commissioning.judgement import judge
+from daemon.commissioning.readings import Moment, Reading
+from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.report import record_digest, report_html
+
+CONFIGURATION = load_configuration(shipped_file("cfrpmt.yaml"))
+
+
+def taken(before: float, at_offset: float, after: float, noise: float | None = None, **others: float):
+    readings = {}
+    for moment, um in zip(Moment, (before, at_offset, after), strict=True):
+        readings[moment] = {"z": Reading(um=um, source="channel Z1", noise_um=noise, samples=5)}
+        for axis, moved in others.items():
+            readings[moment][axis] = Reading(um=moved if moment is Moment.AT_OFFSET else 0.0, source="eyes")
+    return readings
+
+
+# --- judgement -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("readings", "words"),
+    [
+        (taken(0.0, -5.0, 0.0), "doubles the error"),
+        (taken(0.0, 0.3, 0.0), "moved by 0.30 um"),
+        (taken(0.0, 127.0, 0.0), "25.4"),
+        (taken(0.0, 5000.0, 0.0), "1000"),
+        (taken(0.0, 10.0, 0.0), "diameter"),
+        (taken(0.0, 2.5, 0.0), "radius"),
+        (taken(0.0, 7.0, 0.0), "No usual cause"),
+        (taken(0.0, 5.0, 2.0), "drifts"),
+        (taken(0.0, 5.0, 0.0, 0.8), "scatters by 0.80 um"),
+        (taken(0.0, 5.0, 0.0, y=-2.0), "axis y by -2.00 um moved as well"),
+        (taken(0.0, 0.0, 0.0, y=-5.0, x=0.1), "axis y by -5.00 um instead"),
+    ],
+)
+def test_what_proves_nothing_is_refused_with_its_cause(readings, words):
+    with pytest.raises(CommissioningRefusedError) as error:
+        judge("z", 5.0, readings)
+    assert words in str(error.value) and "axis z" in str(error.value)
+
+
+def test_a_steady_drift_is_taken_out():
+    found = judge("z", 5.0, taken(10.0, 15.4, 10.8))
+    assert (found.sign, found.scale, found.measured_um) == (1, 1.0, 5.0)
+
+
+def test_a_negative_offset_proves_the_same():
+    assert judge("z", -5.0, taken(0.0, -5.1, 0.0)).sign == 1
+    with pytest.raises(CommissioningRefusedError, match="doubles"):
+        judge("z", -5.0, taken(0.0, 5.1, 0.0))
+
+
+def test_a_scale_outside_every_machine_is_not_accepted_by_anybody():
+    with pytest.raises(CommissioningRefusedError, match=r"25\.4"):
+        judge("z", 5.0, taken(0.0, 127.0, 0.0), accept_scale=True)
+    assert judge("z", 5.0, taken(0.0, 10.0, 0.0), accept_scale=True).scale == 2.0
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    offset_um=st.floats(2.0, 100.0).flatmap(lambda um: st.sampled_from([um, -um])),
+    ratio=st.floats(-3.0, 3.0),
+    zero_um=st.floats(-1e3, 1e3),
+)
+def test_only_a_right_movement_passes(offset_um, ratio, zero_um):
+    readings = taken(zero_um, zero_um + ratio * offset_um, zero_um)
+    try:
+        found = judge("z", offset_um, readings)
+    except CommissioningRefusedError:
+        assert abs(ratio - 1.0) > PROOF_TOLERANCE - 1e-3
+    else:
+        assert abs(ratio - 1.0) < PROOF_TOLERANCE + 1e-3
+        assert (found.sign, found.scale) == (1, 1.0)
+
+
+# --- report ----------------------------------------------------------------------------
+
+
+def record(**changes) -> CommissioningRecord:
+    readings = AxisReadings(
+        source="<img src=x onerror=alert(1)>", before_um=0.0, at_offset_um=4.9, after_um=0.0, noise_um=0.1, samples=9
+    )
+    proved = CommissionedAxis(
+        sign=1, scale=1.0, written_um=5.0, measured_um=4.9, readings=readings, others_um={"x": 0.05}
+    )
+    content = {
+        "cnc_identity": "urn:cnc?a=1&b=2",
+        "macro_map_sha256": macro_map_digest(CONFIGURATION.cnc.macros),
+        "guard_version": 1,
+        "person": "<script>alert('Fitter')</script>",
+        "date": "2026-01-31",
+        "machine": 'the "big" one',
+        "instrument": "indicator </td>",
+        "axes": {"z": proved, "y": proved},
+    }
+    return CommissioningRecord(**(content | changes))
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and text; complains about tags that do not close."""
+
+    VOID = ("meta", "br")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.text = ""
+        self._open: list[str] = []
+        self.feed(text)
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_report_is_whole_and_harmless():
+    text = report_html(record(), CONFIGURATION)
+    page = Page(text)
+    assert not {"script", "img", "link", "iframe", "object"} & set(page.tags)
+    assert not [name for name, _ in page.attributes if name in ("src", "href") or name.startswith("on")]
+    assert not re.search(r"url\(|@import", text)
+    for words in (
+        "<script>alert('Fitter')</script>",
+        "urn:cnc?a=1&b=2",
+        "indicator </td>",
+        "<img src=x onerror=alert(1)>",
+        "4.90",
+        "0.10 (9)",
+        "#503",
+        "signature",
+        "another control",
+        record_digest(record()),
+    ):
+        assert words in page.text, words
+    assert "does not fit" not in page.text
+
+
+def test_the_report_of_a_record_for_another_map_says_so():
+    text = Page(report_html(record(macro_map_sha256="0" * 64), CONFIGURATION)).text
+    assert "does not fit the present configuration" in text
+
+
+def test_the_digest_follows_the_content():
+    assert record_digest(record()) == record_digest(record())
+    assert record_digest(record()) != record_digest(record(person="B"))
+
+
+# --- dialogue --------------------------------------------------------------------------
+
+
+def answered(text: bytes, *, consent: bool = False) -> TerminalDialogue:
+    reading, writing = os.pipe()
+    os.write(writing, text)
+    os.close(writing)
+    return TerminalDialogue(consent=consent, descriptor=reading)
+
+
+async def test_answers_are_read_line_by_line(capsys):
+    dialogue = answered(b"maybe\ny\nno\n\nfive\n4,5\n-0.2\n\nDr. \xc3\xa4\n")
+    assert await dialogue.confirm("go?") is True
+    assert await dialogue.confirm("go?") is False
+    assert await dialogue.confirm("go?") is False
+    assert await dialogue.number("um:") == 4.5
+    assert await dialogue.number("um:") == -0.2
+    assert await dialogue.number("um:") is None
+    assert await dialogue.text("name:") == "Dr. ä"
+    said = capsys.readouterr().out
+    assert "answer y or n" in said and "'five' is no number" in said
+    with pytest.raises(CommissioningRefusedError, match="standard input has ended"):
+        await dialogue.text("name:")
+
+
+async def test_waiting_for_a_person_lets_everything_else_go_on():
+    reading, writing = os.pipe()
+    dialogue = TerminalDialogue(consent=False, descriptor=reading)
+    waiting = asyncio.create_task(dialogue.text("name:"))
+    await asyncio.sleep(0.2)
+    assert not waiting.done()
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    os.close(writing)
+    os.close(reading)
+
+
+async def test_general_consent_covers_steps_but_no_foreign_values():
+    dialogue = answered(b"", consent=True)
+    assert await dialogue.confirm("go?") is True
+    assert await dialogue.confirm_expressly("overwrite?") is False
+    assert await dialogue.number("um:") is None
+
+
+# --- the command -----------------------------------------------------------------------
+
+
+def machine_file(tmp_path, **compensation):
+    content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
+    content["cnc"]["opcua"] = {"endpoint": "opc.tcp://127.0.0.1:9/x", "namespace_uri": "urn:toolpoint:cnc"}
+    content["history"] = {"path": str(tmp_path / "history.sqlite")}
+    content["service"] = {"socket": str(tmp_path / "s"), "http_port": None}
+    content["compensation"] |= compensation
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(commission, [str(argument) for argument in arguments])
+
+
+def test_check_says_what_a_record_covers_and_makes_the_report_anew(tmp_path):
+    record_file = shipped_file("simulated_machine_commissioning.json")
+    path = machine_file(tmp_path, commissioning_file=str(record_file))
+    report = tmp_path / "report.html"
+    found = run("--config", path, "--check", "--report", report)
+    assert found.exit_code == 0, found.output
+    assert "guard version 1" in found.output and "axis z: +10 um moved it by +10.00 um" in found.output
+    assert record_digest(load_commissioning(record_file)) in report.read_text(encoding="utf-8")
+
+
+def test_check_says_what_a_record_does_not_cover(tmp_path):
+    content = json.loads(shipped_file("simulated_machine_commissioning.json").read_text(encoding="utf-8"))
+    del content["axes"]["y"]
+    record_file = tmp_path / "record.json"
+    record_file.write_text(json.dumps(content), encoding="utf-8")
+    found = run("--config", machine_file(tmp_path), "--check", "--record", record_file)
+    assert found.exit_code == 1 and "not commissioned: axis y" in found.output
+    record_file.write_text("{}", encoding="utf-8")
+    found = run("--config", machine_file(tmp_path), "--check", "--record", record_file)
+    assert found.exit_code == 1 and "record.json" in found.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["--axis", "w", "--record", "R"], 2, "there is no axis w"),
+        (["--reading", "z=1,2", "--record", "R"], 2, "three numbers"),
+        (["--reading", "z=1,nan,2", "--record", "R"], 2, "finite"),
+        (["--channel", "z", "--record", "R"], 2, "AXIS="),
+        (["--channel", "z=A", "--channel", "z=B", "--record", "R"], 2, "twice"),
+        ([], 2, "no place for the record"),
+        (["--record", "nowhere/record.json", "--yes", "--person", "A"], 1, "there is no folder"),
+        (["--record", "R", "--yes"], 1, "give --person"),
+        (["--record", "R", "--yes", "--person", "A"], 1, "unencrypted, anonymous connection"),
+        (["--check"], 2, "there is no record"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_anything_is_touched(tmp_path, monkeypatch, arguments, status, words):
+    monkeypatch.chdir(tmp_path)
+    found = run("--config", machine_file(tmp_path), *arguments)
+    assert found.exit_code == status and words in found.output, found.output
+    assert not (tmp_path / "R").exists()

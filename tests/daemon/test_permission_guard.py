@@ -1,0 +1,45 @@
+"""The guard that echoes and the guard that was commissioned must be the same."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import Bench, record_for, running
+
+from models.output import OperatorRequest
+
+
+@pytest.fixture
+def bench(tmp_path) -> Bench:
+    return Bench(tmp_path)
+
+
+async def test_another_guard_than_the_commissioned_one_is_not_enabled(bench):
+    record = record_for(bench.configuration, guard_version=7)
+    async with running(bench.rig(record=record)) as rig:
+        await rig.turn()
+        said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        assert "guard version 1" in said and "made with version 7" in said and "toolpoint commission" in said
+
+
+async def test_a_guard_that_is_exchanged_under_way_holds_the_output(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        rig.nc.macros.set(bench.configuration.cnc.macros.echo_guard_version, 2.0)
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        assert rig.state != "ACTIVE"
+        assert "guard version 2" in rig.control.memory.reason, rig.control.memory
+
+
+async def test_a_record_that_cannot_be_read_is_named(bench, tmp_path):
+    content = bench.configuration.model_dump()
+    content["compensation"]["commissioning_file"] = tmp_path / "broken.json"
+    bench.configuration = type(bench.configuration).model_validate(content)
+    async with running(bench.rig(record=None)) as rig:
+        await rig.turn()
+        said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        assert "broken.json could not be read" in said and "no commissioning record" in said
