@@ -1,9 +1,10 @@
 """Commands to a running daemon: status, monitor, reference, enable, disable, acknowledge."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,6 +36,16 @@ def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlCl
     except (DaemonUnreachableError, RequestError) as error:
         click.echo(str(error), err=True)
         sys.exit(NOT_DONE)
+
+
+def _tell(outcome: Mapping[str, Any]) -> None:
+    """Print what became of a request."""
+    if not outcome.get("decided"):
+        click.echo("taken, but not decided yet: `toolpoint status` shows what becomes of it")
+        return
+    click.echo(f"{outcome['state']}: {outcome['reason']}")
+    if outcome["alarm"]:
+        click.echo(outcome["alarm"], err=True)
 
 
 @click.command()
@@ -81,8 +92,8 @@ def monitor(config_path: Path, socket_path: Path | None) -> None:
 def reference(config_path: Path, socket_path: Path | None) -> None:
     """Set the reference by hand: the thermal error is zero now, by definition. The output does not move."""
     with daemon_at(config_path, socket_path) as client:
-        client.ask("reference")
-    click.echo("reference asked for; `toolpoint status` shows it")
+        outcome = client.ask("reference")
+    _tell(outcome)
 
 
 @click.command()
@@ -92,8 +103,8 @@ def reference(config_path: Path, socket_path: Path | None) -> None:
 def enable(config_path: Path, socket_path: Path | None, axes: tuple[str, ...]) -> None:
     """Switch compensation on, for AXES or for every axis that has a model."""
     with daemon_at(config_path, socket_path) as client:
-        client.ask("enable", axes=list(axes) or None)
-    click.echo("asked for; `toolpoint status` shows the state")
+        outcome = client.ask("enable", axes=list(axes) or None)
+    _tell(outcome)
 
 
 @click.command()
@@ -106,8 +117,8 @@ def disable(config_path: Path, socket_path: Path | None, zero: bool, axes: tuple
     if zero and axes:
         raise click.UsageError("--zero retreats every axis; name no axes with it")
     with daemon_at(config_path, socket_path) as client:
-        client.ask("disable", axes=list(axes) or None, zero=zero)
-    click.echo("asked for; `toolpoint status` shows the retreat")
+        outcome = client.ask("disable", axes=list(axes) or None, zero=zero)
+    _tell(outcome)
 
 
 @click.command()
@@ -116,5 +127,5 @@ def disable(config_path: Path, socket_path: Path | None, zero: bool, axes: tuple
 def acknowledge(config_path: Path, socket_path: Path | None) -> None:
     """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies."""
     with daemon_at(config_path, socket_path) as client:
-        client.ask("acknowledge")
-    click.echo("acknowledged; `toolpoint status` shows the state")
+        outcome = client.ask("acknowledge")
+    _tell(outcome)

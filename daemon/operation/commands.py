@@ -1,5 +1,6 @@
 """What a person may ask of the running daemon over its local socket."""
 
+import asyncio
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,6 +9,8 @@ from daemon.operation.status import StatusBoard
 from daemon.output.control import ControlTask
 from models.output import OperatorRequest
 
+DECISION_S = 3.0
+"""A request is answered after this long at the latest [s]; the control task decides with its next tick."""
 KEYS = {"enable": {"axes"}, "disable": {"axes", "zero"}}
 """What a command takes beside its name; the others take nothing."""
 
@@ -37,7 +40,22 @@ class CommandDesk:
                     raise RequestError(refusal)
             case other:
                 raise RequestError(f"there is no command {other!r}")
-        return {}
+        return await self._outcome()
+
+    async def _outcome(self) -> dict[str, Any]:
+        """Return where the output stands when the request has been decided on, or that it has not been yet."""
+        try:
+            async with asyncio.timeout(DECISION_S):
+                await self._control.requests.carried_out()
+        except TimeoutError:
+            return {"decided": False}
+        memory = self._control.memory
+        return {
+            "decided": True,
+            "state": memory.state.value if memory is not None else "OFF",
+            "reason": memory.reason if memory is not None else "the CNC has not been reached yet",
+            "alarm": self._control.journal.alarm,
+        }
 
     def _submit(self, request: OperatorRequest, person: str) -> None:
         if refusal := self._control.request(request, person):

@@ -26,6 +26,7 @@ from daemon.output.limits import axis_sources, output_limits
 from daemon.output.permission import Permission, in_words
 from daemon.output.references import References
 from daemon.output.request_desk import RequestDesk
+from daemon.output.requests import Requests
 from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
 from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
@@ -92,7 +93,7 @@ class ControlTask:
         self._stopping = False
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
-        self._requests: list[tuple[OperatorRequest, str]] = []
+        self.requests = Requests()
         self.memory: OutputMemory | None = None
         self.command: CompensationCommand | None = None
         self.journal = Journal(history, self.limits.axes, resume.fault)
@@ -143,7 +144,7 @@ class ControlTask:
         if refusal:
             self.journal.event("refused", f"{in_words(request)}: {refusal}", person)
             return refusal
-        self._requests.append((request, person))
+        self.requests.put(request, person)
         self._wake.set()
         return ""
 
@@ -205,11 +206,11 @@ class ControlTask:
                 await self._guarded(self._poll())
             if ticked := tick.due(now_s):
                 self._on_tick()
-            if (ticked and estimate is None) or self._requests:
+            if (ticked and estimate is None) or self.requests:
                 await self._guarded(self._act(None))
 
     async def _sleep_until(self, until_s: float) -> None:
-        if not (self._fresh or self._requests or self._stopping or self._temperature.due):
+        if not (self._fresh or self.requests or self._stopping or self._temperature.due):
             self._wake.clear()
             await woken(self._wake, (until_s - self._clock.now().monotonic_s) / self._clock.speed)
 
@@ -341,10 +342,11 @@ class ControlTask:
         if session is not None and self.session is session and inputs.link and not self.journal.fault:
             await self._desk.answer(session, self.memory)
         self._telemetry.output(command, inputs.applied_um)
+        self.requests.decided()
 
     def _inputs(self) -> OutputInputs:
         session = self.session
-        request, person = self._take_request()
+        request, person = self.requests.take()
         if person:
             self.journal.event("request", in_words(request), person)
         if request.acknowledge and self.journal.fault is not None and session is not None:
@@ -386,9 +388,6 @@ class ControlTask:
         if self.memory is None:
             return frozenset()
         return frozenset(axis for axis, on in zip(self.limits.axes, self.memory.wanted, strict=True) if on)
-
-    def _take_request(self) -> tuple[OperatorRequest, str]:
-        return self._requests.pop(0) if self._requests else (NO_REQUEST, "")
 
     def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
         refusals = self._permission.refusals(self.session, axes)
