@@ -33,6 +33,9 @@ from drivers.contract import DriverError
 )
 @click.option("--day", type=int, default=None, help="Seed of the simulated day (default: the demo's).")
 @click.option(
+    "--standing", is_flag=True, help="Stand at a safe point, spindle off, and call the guard again and again."
+)
+@click.option(
     "--recording",
     type=click.Path(path_type=Path, exists=True),
     default=None,
@@ -70,6 +73,7 @@ def simulate(
     directory: Path,
     simulated_clock: str,
     day: int | None,
+    standing: bool,
     recording: Path | None,
     map_path: Path | None,
     hours: str | None,
@@ -97,7 +101,7 @@ def simulate(
                 hours=parse_hours(hours) if hours else None,
             )
             if recording is not None
-            else simulated_day(configuration, clock, day)
+            else simulated_day(configuration, clock, day, standing=standing)
         )
         asyncio.run(
             work.run(

@@ -16,7 +16,7 @@ from drivers.sim.day import Day
 from drivers.sim.faults import Fault, check_targets, load_faults
 from drivers.sim.machine import CfrpMachine
 from drivers.sim.opcua_server import ServerSecurity
-from drivers.sim.program import demo_program
+from drivers.sim.program import demo_program, standing_program
 from drivers.sim.recorded import RecordedMachine
 from drivers.sim.runner import run_simulated_machine
 
@@ -103,11 +103,13 @@ def read_faults(path: Path | None, configuration: Configuration) -> tuple[Fault,
     return faults
 
 
-def simulated_day(configuration: Configuration, clock: ScaledClock, seed: int | None) -> Simulation:
-    """Return the simulated CFRP machine on one of its days."""
+def simulated_day(
+    configuration: Configuration, clock: ScaledClock, seed: int | None, *, standing: bool = False
+) -> Simulation:
+    """Return the simulated CFRP machine on one of its days; `standing` at a safe point, or with the demo's program."""
     machine = CfrpMachine(
         Day.draw(DEMO_SEED if seed is None else seed, start="cold"),
-        demo_program(),
+        standing_program() if standing else demo_program(),
         configuration.temperatures.sensors,
         configuration.cnc.macros,
         configuration.compensation.axes,
