@@ -149,10 +149,10 @@ def _limits(configuration: Configuration) -> SheetSection:
 def _checks(configuration: Configuration) -> SheetSection:
     guard = configuration.cnc.guard
     macros = configuration.cnc.macros
-    last = macros.block
+    highest = max(*macros.block, guard.memory_of(len(macros.values))[-1])
     rows = [
         ("custom macro B is there", "MDI: #1=1. runs without alarm"),
-        (f"common variables up to #{max(*last, guard.memory_of(len(macros.values))[-1])}", "offset screen, macro page shows them"),
+        (f"common variables up to #{highest}", "offset screen, macro page shows them"),
         ("#100-#199 are cleared by power-off, #500 and up are not", "set one of each, switch off and on [control]"),
         (
             f"least increment of the offsets is {guard.increment_mm:g} mm",
@@ -208,10 +208,11 @@ def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     name, axis = next(iter(configuration.compensation.axes.items()))
     offset = 5200 + guard_axes(configuration.compensation.axes, guard)[name].number
     value, echo, status = macros.values[name], macros.echo_applied[name], macros.echo_status
-    unit = macros.unit_um
+    unit, increment_um = macros.unit_um, guard.increment_mm * 1000.0
     step, bound = axis.step_um / unit, axis.absolute_bound_um / unit
+    half_um = max(axis.step_um / 2.0 // increment_um, 1.0) * increment_um
     memory = guard.memory + SHARED_MEMORY
-    half, late = f"{step / 2:g}", f"#{macros.valid_until}"
+    half, late = f"{half_um / unit:g}", f"#{macros.valid_until}"
 
     def state(code: GuardStatus) -> str:
         return f"#{status}={int(code)}"
@@ -220,7 +221,7 @@ def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     yield (f"#{macros.enable}=0", f"{state(GuardStatus.DISABLED)}, {same}, no message")
     yield (
         f"#{macros.sequence_a}=1 #{value}={half} {late}=V #{macros.enable}=1 #{macros.sequence_b}=1",
-        f"{state(GuardStatus.APPLIED)}, #{echo}={half}, #{offset} larger by {axis.step_um / 2000.0:g} mm",
+        f"{state(GuardStatus.APPLIED)}, #{echo}={half}, #{offset} larger by {half_um / 1000.0:g} mm",
     )
     yield ("guard called again", f"{state(GuardStatus.APPLIED)}, {same}: nothing is added twice")
     yield (f"#{value}={min(4 * step, bound):g}", f"#{echo} larger by {step:g}: one step for each call")

@@ -1,0 +1,422 @@
+"""The shipped text of the guard under attack: everything that could make it move the tool wrongly."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from guard_bench import AXES, CLOCK_S, MAP, NOISE_UM, GuardBench
+
+from drivers.sim.nc import CLOCK_WRAP_S
+from drivers.sim.safe_point import GuardStatus
+
+MEMORY = range(590, 597)
+READS = 7
+"""Macros that the guard reads from the block, and that the daemon writes."""
+
+
+@pytest.fixture
+def bench() -> GuardBench:
+    return GuardBench(own_um={"x": 12.0, "y": -250.0, "z": 1234.5})
+
+
+def test_adds_to_the_operators_own_offset(bench: GuardBench) -> None:
+    bench.write(x=1.0, y=-2.0, z=3.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.nc.control.external_mm == pytest.approx([0.013, -0.252, 1.2375])
+    assert bench.applied_um == pytest.approx({"x": 1.0, "y": -2.0, "z": 3.0})
+    assert bench.settled()
+
+
+def test_an_offset_that_the_operator_changes_between_two_calls_stays_his(bench: GuardBench) -> None:
+    bench.write(z=5.0)
+    bench.call()
+    bench.nc.change_own_offset("z", -300.0)
+    bench.write(z=7.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um["z"] == pytest.approx(7.0)
+    assert bench.nc.control.external_mm[2] == pytest.approx(1.2345 - 0.3 + 0.007)
+
+
+def test_an_offset_changed_in_the_middle_of_the_guard_is_never_written_over() -> None:
+    seen = set()
+    for at in itertools.count():
+        bench = GuardBench(own_um={"z": 100.0})
+        bench.write(z=5.0)
+        changes: list[None] = []
+        status = bench.with_interference(
+            at, lambda bench=bench, changes=changes: changes.append(bench.nc.change_own_offset("z", 40.0))
+        )
+        if not changes:
+            break
+        seen.add(status)
+        assert bench.applied_um["z"] == pytest.approx(5.0)
+        assert bench.nc.control.external_mm[2] == pytest.approx(0.145)
+    assert seen == {GuardStatus.APPLIED, GuardStatus.UNSETTLED}
+
+
+def test_called_twice_it_adds_once(bench: GuardBench) -> None:
+    bench.write(x=2.0, y=2.0, z=2.0)
+    bench.call()
+    before = list(bench.nc.control.external_mm)
+    assert bench.call(later_s=1.0) is GuardStatus.APPLIED
+    assert bench.nc.control.external_mm == before
+
+
+def test_after_twenty_minutes_without_a_call_it_still_moves_by_one_step(bench: GuardBench) -> None:
+    bench.write(z=3.0)
+    bench.call()
+    bench.clock_s += 1200.0
+    bench.write(z=75.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um["z"] == pytest.approx(13.0)
+
+
+def test_after_twenty_minutes_without_a_call_an_old_block_has_expired(bench: GuardBench) -> None:
+    bench.write(z=3.0)
+    assert bench.call(later_s=1200.0) is GuardStatus.EXPIRED
+    assert bench.applied_um["z"] == 0.0
+    assert bench.message == "TOOLPOINT EXPIRED"
+
+
+@pytest.mark.parametrize("valid_until", [None, CLOCK_S - 5.0, CLOCK_S, CLOCK_S + 120.1, CLOCK_S + 1e7, -3.0])
+@pytest.mark.parametrize("policy", ["keep", "zero"])
+def test_expired(policy: str, valid_until: float | None) -> None:
+    bench = GuardBench(on_expiry=policy)
+    bench.write(x=4.0, z=17.0)
+    bench.call()
+    bench.call()
+    bench.write(x=-4.0, z=40.0)
+    bench.macros.set(MAP.valid_until, valid_until)
+    reached = []
+    for _ in range(3):
+        assert bench.call() is GuardStatus.EXPIRED
+        assert bench.message == "TOOLPOINT EXPIRED"
+        assert bench.settled()
+        reached.append((bench.applied_um["x"], bench.applied_um["z"]))
+    zero = [(0.0, 7.0), (0.0, 0.0), (0.0, 0.0)]
+    assert reached == [pytest.approx(row) for row in (zero if policy == "zero" else [(4.0, 17.0)] * 3)]
+
+
+def test_an_alarm_instead_of_a_message_ends_the_program_after_the_echo() -> None:
+    bench = GuardBench(alarm="stop")
+    bench.write(z=1.0, valid_for_s=-1.0)
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.nc.control.alarm == (103, "TOOLPOINT EXPIRED")
+
+
+def test_with_all_bits_off_nothing_alarms_whatever_else_is_wrong(bench: GuardBench) -> None:
+    bench.write(z=5.0)
+    bench.call()
+    bench.write(z=-70.0, enable=0.0, valid_for_s=None)
+    bench.macros.set(MAP.values["x"], None)
+    bench.macros.set(MAP.echo_applied["x"], None)
+    bench.nc.control.modal[6] = 20
+    assert bench.call(later_s=500.0) is GuardStatus.DISABLED
+    assert bench.applied_um["z"] == pytest.approx(5.0)
+    assert not bench.message
+
+
+def test_a_disabled_axis_stays_where_it_is_while_others_follow(bench: GuardBench) -> None:
+    bench.write(x=2.0, z=5.0)
+    bench.call()
+    bench.write(x=0.0, z=8.0, enable=0b100)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um == pytest.approx({"x": 2.0, "y": 0.0, "z": 8.0})
+
+
+def test_an_axis_retreats_alone_while_its_bit_is_set(bench: GuardBench) -> None:
+    bench.write(x=2.0, z=5.0)
+    bench.call()
+    for x in (1.0, 0.0):
+        bench.write(x=x, z=9.0, enable=0b101)
+        bench.call()
+    assert bench.applied_um == pytest.approx({"x": 0.0, "y": 0.0, "z": 9.0})
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("beyond", [1.001, 2.0, 1e6, -1.001, -50.0])
+def test_oversize_refuses_the_whole_block(axis: str, beyond: float) -> None:
+    bench = GuardBench()
+    bench.write(**({"x": 1.0, "y": 1.0, "z": 1.0} | {axis: AXES[axis].absolute_bound_um * beyond}))
+    assert bench.call() is GuardStatus.OVERSIZE
+    assert bench.applied_um == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert bench.message == "TOOLPOINT OVERSIZE VALUE"
+
+
+@pytest.mark.parametrize("enable", [-1.0, 8.0, 255.0, 3.5])
+def test_an_enable_word_with_bits_of_no_axis_is_refused(bench: GuardBench, enable: float) -> None:
+    bench.write(z=1.0, enable=enable)
+    assert bench.call() is GuardStatus.OVERSIZE
+    assert bench.applied_um["z"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "number,expected",
+    [
+        (MAP.sequence_a, GuardStatus.TORN),
+        (MAP.sequence_b, GuardStatus.TORN),
+        *((number, GuardStatus.VACANT) for number in (*MAP.values.values(), MAP.enable)),
+        (MAP.valid_until, GuardStatus.EXPIRED),
+        *((number, GuardStatus.MEMORY) for number in MAP.echo_applied.values()),
+        (MAP.echo_time, GuardStatus.APPLIED),
+        (MAP.echo_status, GuardStatus.APPLIED),
+        (MAP.echo_guard_version, GuardStatus.APPLIED),
+        (590, GuardStatus.MEMORY),
+        *((number, GuardStatus.APPLIED) for number in (591, 592, 593)),
+        *((number, GuardStatus.MEMORY) for number in (594, 595, 596)),
+    ],
+)
+def test_every_variable_vacant(bench: GuardBench, number: int, expected: GuardStatus) -> None:
+    bench.write(x=1.0, y=1.0, z=2.0)
+    bench.call()
+    bench.write(x=2.0, y=2.0, z=4.0)
+    bench.macros.set(number, None)
+    assert bench.call() is expected
+    moved = 1.0 if expected is GuardStatus.APPLIED else 0.0
+    assert bench.applied_um == pytest.approx({"x": 1.0 + moved, "y": 1.0 + moved, "z": 2.0 + 2.0 * moved})
+
+
+@pytest.mark.parametrize("number", [*MAP.echo_applied.values(), 590, 594, 595, 596])
+def test_a_memory_that_somebody_has_written_over_moves_nothing(bench: GuardBench, number: int) -> None:
+    bench.write(x=2.0, y=2.0, z=2.0)
+    bench.call()
+    bench.macros.set(number, -0.004)
+    bench.write(x=4.0, y=4.0, z=4.0)
+    assert bench.call() is GuardStatus.MEMORY
+    assert bench.applied_um == pytest.approx({"x": 2.0, "y": 2.0, "z": 2.0})
+    assert bench.message == "TOOLPOINT MEMORY DAMAGED"
+
+
+def test_both_copies_written_over_alike_are_held_to_the_bound(bench: GuardBench) -> None:
+    bench.macros.set(MAP.echo_applied["z"], -0.2)
+    bench.macros.set(596, -0.2)
+    bench.write(z=4.0)
+    assert bench.call() is GuardStatus.MEMORY
+    assert bench.applied_um["z"] == 0.0
+
+
+def test_inch_mode_is_refused(bench: GuardBench) -> None:
+    bench.write(z=2.0)
+    bench.nc.control.modal[6] = 20
+    assert bench.call() is GuardStatus.INCH
+    bench.nc.control.modal[6] = 21
+    assert bench.applied_um["z"] == 0.0
+    assert bench.message == "TOOLPOINT INCH MODE"
+    assert bench.call() is GuardStatus.APPLIED
+
+
+def test_inch_mode_after_a_reset_in_the_middle_settles_nothing_in_inches() -> None:
+    for after in itertools.count():
+        fresh = GuardBench()
+        fresh.write(z=8.0)
+        if not fresh.interrupted(after):
+            break
+        fresh.nc.control.modal[6] = 20
+        fresh.call()
+        fresh.nc.control.modal[6] = 21
+        fresh.call()
+        assert fresh.applied_um["z"] == pytest.approx(8.0)
+        assert fresh.settled()
+
+
+@pytest.mark.parametrize("group,code", [(7, 41), (7, 42), (9, 81)])
+def test_cutter_compensation_and_canned_cycles_are_no_safe_point(bench: GuardBench, group: int, code: int) -> None:
+    bench.write(z=2.0)
+    bench.nc.control.modal[group] = code
+    assert bench.call() is GuardStatus.MODAL
+    assert bench.applied_um["z"] == 0.0
+
+
+@pytest.mark.parametrize("code", [90, 91])
+def test_incremental_mode_changes_nothing_and_comes_back(bench: GuardBench, code: int) -> None:
+    bench.nc.control.modal[3] = code
+    for um in (3.0, -4.0, -4.0):
+        bench.write(x=um, z=um)
+        bench.call()
+        assert bench.nc.control.modal[3] == code
+    bench.call(later_s=600.0)
+    assert bench.nc.control.modal[3] == code
+    assert bench.applied_um == pytest.approx({"x": -4.0, "y": 0.0, "z": -4.0})
+
+
+def test_every_interleaving_of_the_daemons_writes_with_the_guards_reads() -> None:
+    old, new = {"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 2.0, "y": 4.0, "z": 6.0}
+    first_read = _first_read()
+    statuses = set()
+    for gaps in itertools.combinations_with_replacement(range(READS + 1), READS):
+        bench = GuardBench()
+        bench.write(**old)
+        bench.call()
+        block = bench.block(**new)
+        waiting = list(zip((first_read + gap for gap in gaps), block, strict=True))
+        for count in bench.steps():
+            while waiting and waiting[0][0] <= count:
+                bench.macros.set(*waiting.pop(0)[1])
+        status = GuardStatus(round(bench.macros.get(MAP.echo_status) or 0.0))
+        statuses.add(status)
+        found = bench.applied_um
+        assert found == pytest.approx(old) or found == pytest.approx(new), gaps
+        assert status is GuardStatus.APPLIED or found == pytest.approx(old), gaps
+    assert statuses == {GuardStatus.APPLIED, GuardStatus.TORN}
+
+
+def _first_read() -> int:
+    """Return the number of blocks that run before the guard reads its first macro of the block."""
+    bench = GuardBench()
+    seen: list[int] = []
+    real = bench.macros.get
+    for count in bench.steps():
+        bench.macros.get = lambda number, count=count: (seen.append(count) if number == 505 else None, real(number))[1]
+    return seen[0]
+
+
+def test_a_block_left_half_written_by_a_dead_daemon_expires(bench: GuardBench) -> None:
+    bench.write(z=3.0)
+    bench.call()
+    for number, value in bench.block(z=6.0)[:3]:
+        bench.macros.set(number, value)
+    assert bench.call(later_s=1.0) is GuardStatus.TORN
+    assert not bench.message
+    assert bench.call(later_s=60.0) is GuardStatus.EXPIRED
+    assert bench.message == "TOOLPOINT EXPIRED"
+    assert bench.applied_um["z"] == pytest.approx(3.0)
+
+
+def test_a_clock_that_wraps_expires_the_block_and_never_revives_it() -> None:
+    bench = GuardBench()
+    bench.clock_s = CLOCK_WRAP_S - 10.0
+    bench.write(z=3.0, valid_for_s=30.0)
+    assert bench.call() is GuardStatus.APPLIED
+    bench.clock_s = 5.0
+    assert bench.call() is GuardStatus.EXPIRED
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.APPLIED
+    bench.clock_s = 200.0
+    assert bench.call() is GuardStatus.EXPIRED
+    bench.clock_s = 20.0  # 24.9 days later the clock reads again what it read while the block was good
+    bench.macros.set(MAP.values["z"], 0.009)
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.applied_um["z"] == pytest.approx(5.0)
+
+
+def test_another_program_that_clears_the_timer_only_expires_the_block(bench: GuardBench) -> None:
+    bench.write(z=3.0)
+    bench.nc.control.timer_zero_ms = CLOCK_S * 1000.0
+    interpreter = bench.nc.at(bench.macros, CLOCK_S)
+    interpreter.run(bench.nc.programs.guard)
+    assert bench.macros.get(MAP.echo_status) == GuardStatus.EXPIRED
+    assert bench.applied_um["z"] == 0.0
+
+
+def test_power_off_keeps_the_offset_and_waits_for_the_daemon(bench: GuardBench) -> None:
+    bench.write(x=2.0, z=6.0)
+    bench.call()
+    bench.macros.power_off()
+    bench.nc.power_cycle()
+    bench.clock_s = 3.0
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.applied_um == pytest.approx({"x": 2.0, "y": 0.0, "z": 6.0})
+    bench.write(x=2.0, z=7.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um["z"] == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("power_off", [False, True])
+def test_reset_or_power_off_at_every_block_applies_nothing_twice(power_off: bool) -> None:
+    target = {"x": -4.0, "y": 5.0, "z": 9.0}
+    for after in itertools.count():
+        bench = GuardBench(own_um={"x": 50.0, "z": -20.0})
+        bench.write(**target)
+        if not bench.interrupted(after):
+            break
+        if power_off:
+            bench.macros.power_off()
+            bench.nc.power_cycle()
+        for axis, um in bench.applied_um.items():
+            assert um == pytest.approx(0.0) or um == pytest.approx(target[axis])
+            assert abs(um - bench.echo_um[axis]) <= AXES[axis].step_um + NOISE_UM
+        bench.write(**target)
+        assert bench.call() is GuardStatus.APPLIED
+        assert bench.applied_um == pytest.approx(target)
+        assert bench.settled()
+    assert after > 100
+
+
+def test_reset_again_while_a_reset_is_being_settled() -> None:
+    target = {"x": 4.0, "y": -5.0, "z": 9.0}
+    for first in range(0, 220, 3):
+        for second in range(0, 220, 7):
+            bench = GuardBench()
+            bench.write(**target)
+            bench.interrupted(first)
+            bench.interrupted(second)
+            assert bench.call() is GuardStatus.APPLIED
+            assert bench.applied_um == pytest.approx(target)
+            assert bench.settled()
+
+
+def test_an_offset_changed_by_hand_after_a_reset_in_the_middle_needs_a_person() -> None:
+    refused = 0
+    for after in itertools.count():
+        bench = GuardBench()
+        bench.write(z=8.0)
+        if not bench.interrupted(after):
+            break
+        applied = bench.applied_um["z"]
+        bench.nc.change_own_offset("z", 33.0)
+        status = bench.call()
+        if status is GuardStatus.UNSETTLED:
+            refused += 1
+            assert bench.applied_um["z"] == applied
+            assert bench.message == "TOOLPOINT OFFSET UNSETTLED"
+            assert bench.call() is GuardStatus.UNSETTLED
+        else:
+            assert status is GuardStatus.APPLIED
+            assert bench.applied_um["z"] == pytest.approx(8.0)
+    assert refused > 3
+
+
+def test_a_control_with_a_coarser_increment_than_told_is_noticed() -> None:
+    bench = GuardBench()
+    bench.nc.control.increment_mm = 0.001
+    bench.write(z=2.4)
+    assert bench.call() is GuardStatus.UNSETTLED
+    assert bench.applied_um["z"] == pytest.approx(2.0)
+    bench.write(z=9.0)
+    assert bench.call() is GuardStatus.UNSETTLED
+    assert bench.applied_um["z"] == pytest.approx(2.0)
+
+
+def test_initialising_forgets_only_on_demand(bench: GuardBench) -> None:
+    interpreter = bench.nc.at(bench.macros, CLOCK_S)
+    bench.write(z=5.0)
+    bench.call()
+    interpreter.run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm == (110, "TOOLPOINT SWITCH IT OFF FIRST")
+    bench.write(enable=0.0, valid_for_s=None)
+    interpreter.run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET IS APPLIED")
+    assert bench.echo_um["z"] == pytest.approx(5.0)
+    bench.nc.control.alarm = None
+    interpreter.run(bench.nc.programs.initialise, A=1.0)
+    assert bench.nc.control.alarm is None
+    assert bench.echo_um == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def test_an_uninitialised_control_is_never_moved() -> None:
+    bench = GuardBench()
+    for number in (*MAP.block, *MEMORY):
+        bench.macros.set(number, None)
+    assert bench.call() is GuardStatus.TORN
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.MEMORY
+    assert bench.applied_um["z"] == 0.0
+    bench.write(enable=0.0)
+    bench.nc.at(bench.macros, CLOCK_S).run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm is None
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.APPLIED
