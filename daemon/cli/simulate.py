@@ -13,7 +13,7 @@ from daemon.cli.common import FiniteFloat, config_option, read_configuration, re
 from daemon.cli.run import parse_simulated_clock
 from daemon.operation.logs import configure_logging
 from daemon.rehearsal.replaying import map_of, parse_hours
-from daemon.rehearsal.simulation import SimulationError, recorded_simulation, simulated_day
+from daemon.rehearsal.simulation import SimulationError, packed_simulation, recorded_simulation, simulated_day
 from drivers.contract import DriverError
 
 
@@ -48,6 +48,13 @@ from drivers.contract import DriverError
     default=None,
     help="Map of the recording's columns (YAML).",
 )
+@click.option(
+    "--packs",
+    "packs_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Script (YAML) of a sensor that is moved between two packs (prepared by `toolpoint latency`).",
+)
 @click.option("--hours", default=None, metavar="A-B", help="Play these hours of the recording only.")
 @click.option(
     "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
@@ -76,6 +83,7 @@ def simulate(
     standing: bool,
     recording: Path | None,
     map_path: Path | None,
+    packs_path: Path | None,
     hours: str | None,
     faults_path: Path | None,
     until_s: float | None,
@@ -92,17 +100,18 @@ def simulate(
         sys.stdout.flush()
 
     try:
-        work = (
-            recorded_simulation(
+        if packs_path is not None:
+            work = packed_simulation(configuration, clock, packs_path, report)
+        elif recording is not None:
+            work = recorded_simulation(
                 configuration,
                 clock,
                 recording,
                 recording_map=map_of(recording, map_path),
                 hours=parse_hours(hours) if hours else None,
             )
-            if recording is not None
-            else simulated_day(configuration, clock, day, standing=standing)
-        )
+        else:
+            work = simulated_day(configuration, clock, day, standing=standing)
         asyncio.run(
             work.run(
                 directory,

@@ -16,9 +16,10 @@ from drivers.sim.day import Day
 from drivers.sim.faults import Fault, check_targets, load_faults
 from drivers.sim.machine import CfrpMachine
 from drivers.sim.opcua_server import ServerSecurity
+from drivers.sim.packs import PackedMachine, load_pack_script
 from drivers.sim.program import demo_program, standing_program
 from drivers.sim.recorded import RecordedMachine
-from drivers.sim.runner import run_simulated_machine
+from drivers.sim.runner import Witness, run_simulated_machine
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.rehearsal.simulated_model`)."""
@@ -37,6 +38,7 @@ class Simulation:
     machine: SimulatedMachine
     configuration: Configuration
     clock: ScaledClock
+    witness: Witness | None = None
 
     async def run(
         self,
@@ -64,6 +66,7 @@ class Simulation:
                 own_process=True,
                 first_pass_s=0.0,
                 until_s=math.inf if until_s is None else until_s,
+                witness=self.witness,
             )
         except (ValueError, OSError) as error:
             raise SimulationError(str(error)) from error
@@ -116,6 +119,26 @@ def simulated_day(
         configuration.cnc.guard,
     )
     return Simulation(machine=machine, configuration=configuration, clock=clock)
+
+
+def packed_simulation(configuration: Configuration, clock: ScaledClock, path: Path, report: Report) -> Simulation:
+    """Return the simulated machine, standing at a safe point, with one sensor moved between packs by a script."""
+    try:
+        script = load_pack_script(path)
+    except ValueError as error:
+        raise SimulationError(str(error)) from error
+    line = next((line for line in configuration.temperatures.lines if script.sensor in line.sensor_ids), None)
+    if line is None:
+        raise SimulationError(f"{path}: sensor: there is no sensor {script.sensor}")
+    machine = CfrpMachine(
+        Day.draw(DEMO_SEED, start="cold"),
+        standing_program(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+    )
+    packed = PackedMachine(machine, script, line.name, clock, report)
+    return Simulation(machine=packed, configuration=configuration, clock=clock, witness=packed)
 
 
 def recorded_simulation(

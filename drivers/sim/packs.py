@@ -172,18 +172,18 @@ class PackedMachine:
         return codes
 
     def passed(self, line: str, start_s: float, end_s: float) -> None:
-        """Report a pass over the sensor's line whose last byte leaves now; times are the machine's [s]."""
-        if line == self._line:
-            self._report(
-                {
-                    "pass": {
-                        "start_s": self._origin_s + start_s,
-                        "end_s": self._origin_s + end_s,
-                        "degc": self._reading_degc,
-                        "real_s": self._clock.now().real_s,
-                    }
+        """Report a pass over a line whose last byte leaves now, with the moved sensor's reading if it is its line."""
+        self._report(
+            {
+                "pass": {
+                    "line": line,
+                    "start_s": self._origin_s + start_s,
+                    "end_s": self._origin_s + end_s,
+                    "degc": self._reading_degc if line == self._line else None,
+                    "real_s": self._clock.now().real_s,
                 }
-            )
+            }
+        )
 
     def _macro_set(self, value: float | None) -> None:
         now = self._clock.now()
