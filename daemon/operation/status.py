@@ -86,6 +86,8 @@ class StatusBoard:
             "alarm": control.journal.alarm,
             "phase": control.phase.value,
             "limits_hit": list(memory.limits_hit) if memory else [],
+            "weight": memory.weight if memory else None,
+            "guard_silent_s": control.guard_silent_s,
             "notices": control.journal.notices[-5:],
             "insecure_writes": self._configuration.cnc.opcua.allow_insecure_writes,
             "writable_model_directory": self._configuration.compensation.allow_writable_model_directory,
@@ -120,6 +122,7 @@ class StatusBoard:
             "source": reference.source,
             "age_s": now_s - reference.time.monotonic_s,
             "set_utc_s": reference.time.utc_s,
+            "tools_set": sorted(memory.tools) if (memory := self._control.memory) else [],
         }
 
     def _estimate(self) -> dict[str, Any] | None:
@@ -133,6 +136,7 @@ class StatusBoard:
             "confidence": estimate.confidence,
             "in_domain": estimate.in_domain,
             "imputed": list(estimate.imputed[:SHOWN_SENSORS]),
+            "filter_delay_s": self._configuration.compensation.reference.mean_s / 2.0,
         }
 
     def _cnc(self) -> dict[str, Any] | None:

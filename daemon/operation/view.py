@@ -72,8 +72,12 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append("\nno reference: waiting for work positioning", style="dim")
     else:
         line.append(f"\nreference {reference['source']}, {reference['age_s'] / 60:.1f} min ago", style="dim")
+    if output["weight"] is not None and output["weight"] < 1.0:
+        line.append(f"\nthe estimate counts {output['weight']:.0%}: sensors are missing", style="yellow")
     if output["alarm"]:
         line.append(f"\n{output['alarm']}", style="bold red")
+    elif output["notices"]:
+        line.append(f"\n{output['notices'][-1]}", style="dim")
     if output["insecure_writes"]:
         line.append("\nwrites go over an insecure connection (allow_insecure_writes)", style="yellow")
     if output["writable_model_directory"]:

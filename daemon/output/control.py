@@ -157,6 +157,11 @@ class ControlTask:
         return ""
 
     @property
+    def guard_silent_s(self) -> float:
+        """Time of running program since the guard's last run [s]."""
+        return self._guard_watch.silent_s
+
+    @property
     def reference(self) -> Reference | None:
         """The reference in force."""
         return self._references.current
@@ -332,7 +337,7 @@ class ControlTask:
         self.command = command
         obstacle = why_not_ready(self.memory, inputs, self.limits)
         echo = session.echo if session is not None else None
-        silent_s = self._guard_watch.silent_s
+        silent_s = self.guard_silent_s
         alarm = alarm_of(
             self.memory, echo, now_s=inputs.now_s, guard_silent_s=silent_s, config=self._output, obstacle=obstacle
         )

@@ -95,14 +95,22 @@ async def test_commands_are_taken_or_refused_in_words(board):
     desk = CommandDesk(board, rig.control, ("x", "y", "z"))
     await rig.turn()
     rig.set_reference()
-    assert await desk.handle({"command": "enable"}, "p") == {}
-    await rig.turn()
+
+    async def ask(request):
+        """The answer comes when the control task has decided."""
+        asked = asyncio.create_task(desk.handle(request, "p"))
+        await asyncio.sleep(0)
+        assert not asked.done()
+        await rig.turn()
+        return await asked
+
+    answer = await ask({"command": "enable"})
+    assert (answer["decided"], answer["state"]) == (True, "ARMED")
+    assert "no estimate" in answer["reason"]
     assert rig.control.memory.wanted == (False, True, True), "every axis that has a model"
-    await desk.handle({"command": "disable", "axes": ["y"]}, "p")
-    await rig.turn()
+    await ask({"command": "disable", "axes": ["y"]})
     assert rig.control.memory.wanted == (False, False, True)
-    await desk.handle({"command": "disable"}, "p")
-    await rig.turn()
+    assert (await ask({"command": "disable"}))["state"] == "RETREAT"
     assert not any(rig.control.memory.wanted)
     for request, words in (
         ({"command": "explode"}, "no command"),

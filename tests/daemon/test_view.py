@@ -28,6 +28,8 @@ PICTURE = {
         "alarm": "held for 400 s",
         "phase": "cutting",
         "limits_hit": [],
+        "weight": 0.5,
+        "guard_silent_s": 0.0,
         "notices": [],
         "insecure_writes": True,
         "writable_model_directory": True,
