@@ -1,6 +1,7 @@
 """`toolpoint stability`: lobes, spindle speed, chatter."""
 
 import math
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,3 +143,130 @@ def _show_radii(content: dict[str, Any]) -> None:
             f"(spectral radius {point['spectral_radius']:.6f})",
             err=True,
         )
+
+
+@stability.command()
+@click.option("--resonance-hz", type=POSITIVE, required=True, help="Tracked resonance f_r [Hz].")
+@click.option(
+    "--offset-hz", type=FiniteFloat(), default=20.0, show_default=True, help="Signed offset f_o below it [Hz]."
+)
+@click.option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
+@click.option("--lobe", type=click.IntRange(1), default=1, show_default=True, help="Lobe number; 1 is the fastest.")
+@json_option
+def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_path: str | None) -> None:
+    """Spindle speed from a resonance: 60 (f_r - f_o) / (teeth x lobe)."""
+    from models.stability.errors import StabilityError
+    from models.stability.spindle_speed import resonance_speed_rpm
+
+    try:
+        speed_rpm = resonance_speed_rpm(resonance_hz, offset_hz, teeth, lobe)
+    except StabilityError as error:
+        refuse(str(error))
+    click.echo(f"{speed_rpm:.1f} 1/min", err=True)
+    write_json(
+        json_path,
+        {
+            "speed_rpm": speed_rpm,
+            "resonance_hz": resonance_hz,
+            "offset_hz": offset_hz,
+            "teeth": teeth,
+            "lobe": lobe,
+        },
+    )
+
+
+@stability.command()
+@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
+@click.option("--programmed-rpm", type=POSITIVE, required=True, help="Programmed spindle speed [1/min].")
+@click.option("--depth-mm", type=POSITIVE, required=True, help="Programmed axial depth of cut [mm].")
+@click.option(
+    "--min-rpm", type=POSITIVE, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min]."
+)
+@click.option(
+    "--max-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Highest speed of machine and tool [1/min]."
+)
+@click.option(
+    "--within-percent",
+    type=POSITIVE,
+    default=20.0,
+    show_default=True,
+    help="Greatest change against the programmed speed [%].",
+)
+@click.option(
+    "--margin-percent",
+    type=FiniteFloat(min=0.0),
+    default=20.0,
+    show_default=True,
+    help="The limiting depth exceeds the programmed one by this much [%].",
+)
+@click.option(
+    "--tolerance-percent",
+    type=FiniteFloat(min=0.0, max=40.0),
+    default=1.0,
+    show_default=True,
+    help="It does so this far to both sides of the speed [%].",
+)
+@click.option("--feed-mm-min", type=POSITIVE, help="Programmed feed [mm/min], to be changed with the speed.")
+@click.option(
+    "--method",
+    type=click.Choice(["zoa", "sdm"]),
+    default="zoa",
+    show_default=True,
+    help="zoa: zeroth-order solution; sdm: semi-discretisation.",
+)
+@json_option
+def choose(
+    case_path: Path,
+    programmed_rpm: float,
+    depth_mm: float,
+    min_rpm: float,
+    max_rpm: float,
+    within_percent: float,
+    margin_percent: float,
+    tolerance_percent: float,
+    feed_mm_min: float | None,
+    method: str,
+    json_path: str | None,
+) -> None:
+    """Choose the stable spindle speed nearest to the programmed one for the milling CASE.
+
+    Exit status 1, with the programmed speed and an alarm, when no speed inside the limits is stable.
+    """
+    from config.problems import ConfigurationError
+    from config.stability_case import load_stability_case
+    from daemon.stability.lobes import choose_for_case
+    from drivers.frf_csv import FrfFileError
+    from models.stability.errors import StabilityError
+    from models.stability.spindle_speed import SpeedDemand, SpeedLimits
+
+    limits = SpeedLimits(
+        machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=within_percent / 100.0
+    )
+    demand = SpeedDemand(
+        programmed_rpm=programmed_rpm,
+        depth_mm=depth_mm,
+        margin_fraction=margin_percent / 100.0,
+        tolerance_fraction=tolerance_percent / 100.0,
+    )
+    try:
+        choice, warnings = choose_for_case(load_stability_case(case_path), demand, limits, method)
+    except (ConfigurationError, FrfFileError) as error:
+        refuse(str(error))
+    except StabilityError as error:
+        refuse(f"{case_path}: {error}")
+    for warning in warnings:
+        click.echo(f"warning: {warning}", err=True)
+    depth = choice.limiting_depth_mm if math.isfinite(choice.limiting_depth_mm) else None
+    words = "unlimited" if depth is None else f"{depth:.3g} mm"
+    click.echo(f"S{choice.speed_rpm:.0f}: limiting depth {words}" if choice.stable else str(choice.alarm), err=True)
+    content = {
+        "speed_rpm": choice.speed_rpm,
+        "feed_mm_min": None if feed_mm_min is None else feed_mm_min * choice.speed_rpm / programmed_rpm,
+        "limiting_depth_mm": depth,
+        "pocket_rpm": list(choice.pocket_rpm),
+        "stable": choice.stable,
+        "alarm": choice.alarm,
+        "warnings": list(warnings),
+    }
+    write_json(json_path, content)
+    sys.exit(0 if choice.stable else 1)

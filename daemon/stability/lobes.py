@@ -11,9 +11,12 @@ from models.stability.errors import StabilityError
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import StabilityLobes, lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
+from models.stability.spindle_speed import SpeedChoice, SpeedDemand, SpeedLimits, choose_speed
 from models.stability.state_space import state_space
 
 POINTS = {"zoa": 400, "sdm": 100}
+CHOICE_POINTS = {"zoa": 601, "sdm": 121}
+"""Speeds among which one is chosen."""
 STEPS_AT_A_POINT = 200
 """Converged to 1e-3 in spectral radius; see the page on stability."""
 
@@ -78,3 +81,14 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
             {"speed_rpm": speed, "depth_mm": depth, "spectral_radius": float(radius), "stable": bool(radius < 1.0)}
         )
     return {"method": "sdm", "points": found, "warnings": list(warnings)}
+
+
+def choose_for_case(
+    case: StabilityCase, demand: SpeedDemand, limits: SpeedLimits, method: str
+) -> tuple[SpeedChoice, tuple[str, ...]]:
+    """Return the speed for a case and warnings; raises FrfFileError and StabilityError."""
+    low, high = limits.range_rpm(demand.programmed_rpm)
+    reach = 1.0 + demand.tolerance_fraction
+    wide = LobesRequest(method=method, from_rpm=low / reach, to_rpm=high * reach, points=CHOICE_POINTS[method])
+    found = find_lobes(case, wide)
+    return choose_speed(found, demand, range_rpm=(low, high)), found.warnings

@@ -1,0 +1,256 @@
+"""Which spindle speed to take: the source's rule (5-9), and a choice among all pockets by limiting depth."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray
+from models.stability.errors import StabilityError
+from models.stability.lobes_zoa import StabilityLobes
+
+
+def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe: int) -> float:
+    """Return the speed of equation 5-9, ``60 (f_r - f_o) / (n_T k_c)``.
+
+    Parameters
+    ----------
+    resonance_hz
+        Tracked resonance f_r [Hz].
+    offset_hz
+        Signed distance f_o that the tooth passing keeps below it [Hz].
+    teeth
+        n_T (printed as n_r in the source).
+    lobe
+        k_c, 1 for the fastest pocket.
+
+    Returns
+    -------
+    float
+        Spindle speed [1/min].
+
+    Raises
+    ------
+    StabilityError
+        When teeth or lobe are below 1, or nothing is left of the resonance.
+
+    """
+    if teeth < 1 or lobe < 1:
+        raise StabilityError(f"{teeth} teeth and lobe {lobe} give no speed; both count from 1")
+    if not (math.isfinite(resonance_hz) and math.isfinite(offset_hz) and resonance_hz - offset_hz > 0.0):
+        raise StabilityError(
+            f"a resonance of {resonance_hz:g} Hz less an offset of {offset_hz:g} Hz leaves no frequency; "
+            "the offset is signed and small against the resonance"
+        )
+    return 60.0 * (resonance_hz - offset_hz) / (teeth * lobe)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedLimits:
+    """What bounds the spindle speed."""
+
+    machine_lowest_rpm: float
+    machine_highest_rpm: float
+    tool_highest_rpm: float = math.inf
+    within_fraction: float = math.inf
+    """Greatest change against the programmed speed, as a share of it."""
+
+    def range_rpm(self, programmed_rpm: float) -> tuple[float, float]:
+        """Return the lowest and highest speed allowed [1/min].
+
+        Raises
+        ------
+        StabilityError
+            When the limits leave nothing.
+
+        """
+        low = max(self.machine_lowest_rpm, programmed_rpm * max(1.0 - self.within_fraction, 0.0))
+        high = min(self.machine_highest_rpm, self.tool_highest_rpm, programmed_rpm * (1.0 + self.within_fraction))
+        if not 0.0 < low < high:
+            raise StabilityError(
+                f"the limits of machine ({self.machine_lowest_rpm:g} to {self.machine_highest_rpm:g} 1/min), tool "
+                f"({self.tool_highest_rpm:g}) and +-{self.within_fraction:.0%} of {programmed_rpm:g} 1/min leave no "
+                "range; program a speed inside machine and tool, or widen the limits"
+            )
+        return low, high
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedDemand:
+    """What a stable speed has to bear."""
+
+    programmed_rpm: float
+    depth_mm: float
+    """Programmed axial depth of cut [mm]."""
+    margin_fraction: float = 0.2
+    """The limiting depth must exceed the programmed one by this share of it."""
+    tolerance_fraction: float = 0.01
+    """It must do so within this share of the speed to both sides: resonances are known no better."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedChoice:
+    """The chosen speed, or the programmed one and an alarm."""
+
+    speed_rpm: float
+    limiting_depth_mm: float
+    """At that speed [mm]; inf where no lobe limits it, NaN where it is not known."""
+    pocket_rpm: tuple[float, float]
+    """The stable range that holds the chosen speed [1/min]; the same number twice with an alarm."""
+    alarm: str | None = None
+    """Why no stable speed was found."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether the demand is met."""
+        return self.alarm is None
+
+
+def choose_speed(
+    lobes: StabilityLobes,
+    demand: SpeedDemand,
+    *,
+    range_rpm: tuple[float, float] | None = None,
+    candidates_rpm: Sequence[float] | None = None,
+) -> SpeedChoice:
+    """Return the speed nearest to the programmed one that bears the demand.
+
+    Both axes are checked, because the lobes hold both.
+
+    Parameters
+    ----------
+    lobes
+        Over the range of speeds that is allowed, better a little beyond it.
+    demand
+        Programmed speed and depth, margin and tolerance.
+    range_rpm
+        Lowest and highest speed allowed [1/min]; None: those of the lobes.
+    candidates_rpm
+        Speeds to choose among, such as those of equation 5-9 [1/min]; None: all.
+
+    Returns
+    -------
+    SpeedChoice
+        The programmed speed with an alarm when nothing bears the demand.
+
+    Raises
+    ------
+    StabilityError
+        When depth, margin or tolerance are out of range.
+
+    """
+    if not demand.depth_mm > 0.0 or demand.margin_fraction < 0.0 or not 0.0 <= demand.tolerance_fraction < 0.5:
+        raise StabilityError(
+            f"a depth of {demand.depth_mm:g} mm with a margin of {demand.margin_fraction:.0%} and a tolerance of "
+            f"{demand.tolerance_fraction:.0%} cannot be met; depth above 0, margin at least 0, tolerance below 50 %"
+        )
+    speeds = lobes.speed_rpm
+    borne = _worst_within(lobes, demand.tolerance_fraction) >= demand.depth_mm * (1.0 + demand.margin_fraction)
+    low, high = range_rpm or (float(speeds[0]), float(speeds[-1]))
+    offered = _inside(speeds if candidates_rpm is None else candidates_rpm, low, high)
+    places = _nearest_places(speeds, offered)
+    stable = offered[borne[places]]
+    programmed = demand.programmed_rpm
+    if (
+        candidates_rpm is None
+        and low <= programmed <= high
+        and borne[_nearest_places(speeds, np.array([programmed]))[0]]
+    ):
+        stable = np.array([programmed])
+    if not len(stable):
+        what = "no speed" if candidates_rpm is None else f"none of {len(candidates_rpm)} speeds of the rule"
+        best = float(np.max(lobes.limiting_depth_mm[(speeds >= low) & (speeds <= high)]))
+        return SpeedChoice(
+            speed_rpm=programmed,
+            limiting_depth_mm=_depth_at(lobes, programmed),
+            pocket_rpm=(programmed, programmed),
+            alarm=f"{what} between {low:.0f} and {high:.0f} 1/min bears {demand.depth_mm:g} mm with a "
+            f"margin of {demand.margin_fraction:.0%} (at most {best:.3g} mm anywhere); the programmed "
+            f"{programmed:g} 1/min stays: cut less deep or widen the limits",
+        )
+    chosen = float(stable[np.argmin(np.abs(stable - programmed))])
+    return SpeedChoice(
+        speed_rpm=chosen,
+        limiting_depth_mm=_depth_at(lobes, chosen),
+        pocket_rpm=_pocket(speeds, borne, int(_nearest_places(speeds, np.array([chosen]))[0])),
+    )
+
+
+def rule_candidates_rpm(
+    resonances_hz: Sequence[float], offset_hz: float, teeth: int, range_rpm: tuple[float, float]
+) -> tuple[float, ...]:
+    """Return the speeds of equation 5-9 for the resonances of both axes and every lobe within a range [1/min].
+
+    Raises StabilityError as `resonance_speed_rpm`.
+    """
+    found = []
+    for resonance_hz in resonances_hz:
+        fastest = resonance_speed_rpm(resonance_hz, offset_hz, teeth, 1)
+        first, last = max(math.ceil(fastest / range_rpm[1]), 1), math.floor(fastest / range_rpm[0])
+        found += [fastest / lobe for lobe in range(first, last + 1)]
+    return tuple(sorted(found))
+
+
+def speed_change_per_step_rpm(
+    speed_of: Callable[[FloatArray], float], temperatures_degc: FloatArray, resolution_k: float
+) -> FloatArray:
+    """Return how far the speed moves when one sensor moves by one step of its resolution.
+
+    Parameters
+    ----------
+    speed_of
+        Temperatures [degC] -> wanted speed [1/min].
+    temperatures_degc
+        Shape (n_sensors,) [degC].
+    resolution_k
+        One step (least significant bit) of a sensor [K].
+
+    Returns
+    -------
+    FloatArray
+        Shape (n_sensors,), the larger of a step up and a step down [1/min].
+
+    """
+    here = speed_of(temperatures_degc)
+    changes = np.zeros(len(temperatures_degc))
+    for sensor in range(len(temperatures_degc)):
+        for step_k in (resolution_k, -resolution_k):
+            moved = temperatures_degc.copy()
+            moved[sensor] += step_k
+            changes[sensor] = max(changes[sensor], abs(speed_of(moved) - here))
+    return changes
+
+
+def _worst_within(lobes: StabilityLobes, fraction: float) -> FloatArray:
+    """Return the lowest limiting depth within a share of each speed to both sides, shape (n,)."""
+    speeds, depths = lobes.speed_rpm, lobes.limiting_depth_mm
+    first = np.searchsorted(speeds, speeds * (1.0 - fraction), side="left")
+    last = np.searchsorted(speeds, speeds * (1.0 + fraction), side="right")
+    return np.array([depths[begin:end].min() for begin, end in zip(first.tolist(), last.tolist(), strict=True)])
+
+
+def _nearest_places(speeds: FloatArray, wanted: FloatArray) -> np.ndarray:
+    spacing = float(speeds[1] - speeds[0])
+    places: np.ndarray = np.clip(np.rint((wanted - speeds[0]) / spacing), 0, len(speeds) - 1).astype(np.intp)
+    return places
+
+
+def _inside(speeds: Sequence[float] | FloatArray, low: float, high: float) -> FloatArray:
+    offered = np.asarray(speeds, dtype=np.float64)
+    return offered[(offered >= low) & (offered <= high)]
+
+
+def _depth_at(lobes: StabilityLobes, speed_rpm: float) -> float:
+    if not lobes.speed_rpm[0] <= speed_rpm <= lobes.speed_rpm[-1]:
+        return math.nan
+    return float(np.interp(speed_rpm, lobes.speed_rpm, lobes.limiting_depth_mm))
+
+
+def _pocket(speeds: FloatArray, borne: np.ndarray, place: int) -> tuple[float, float]:
+    """Return the ends of the unbroken stable range around a place."""
+    outside = np.flatnonzero(~borne)
+    below, above = outside[outside < place], outside[outside > place]
+    first = int(below[-1]) + 1 if len(below) else 0
+    last = int(above[0]) - 1 if len(above) else len(speeds) - 1
+    return float(speeds[first]), float(speeds[last])
