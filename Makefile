@@ -43,11 +43,17 @@ docs: $(VENV)/.installed
 simulated-model: $(VENV)/.installed
 	$(BIN)/python -P -m daemon.rehearsal.simulated_model
 
-# Everything that an installation without a network needs, in dist/bundle.
+# Everything that an installation without a network needs, as one tar in dist/.
 bundle: $(VENV)/.installed
 	rm -rf dist/bundle
-	$(BIN)/python -m pip wheel --quiet --constraint constraints.txt --wheel-dir dist/bundle .
-	cp -r systemd constraints.txt README.md LICENSE dist/bundle/
+	mkdir -p dist/bundle/wheels
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/wheels .
+	cp -r systemd constraints.txt README.md LICENSE CHANGELOG.md docs dist/bundle/
+	mv dist/bundle/systemd/install.sh dist/bundle/
+	cd dist/bundle && find . -type f ! -name SHA256SUMS -print0 | sort -z | xargs -0 sha256sum > SHA256SUMS
+	name=toolpoint-$$(basename dist/bundle/wheels/toolpoint-*.whl | cut -d- -f2)-$$(uname -m); \
+	  rm -rf dist/$$name dist/$$name.tar; mv dist/bundle dist/$$name; \
+	  tar --create --file dist/$$name.tar --directory dist --owner=0 --group=0 $$name && ls -l dist/$$name.tar
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

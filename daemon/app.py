@@ -167,7 +167,8 @@ class Daemon:
         if found.model is not None and self._loaded.model is None:
             words = f"{found.in_words()}; the daemon was started without a model: restart it to use this one"
         elif found.model is not None and found.sha256 == self._loaded.sha256:
-            words = f"unchanged: {found.in_words()}"
+            log.info("model.reload", outcome="unchanged")
+            return
         elif found.model is not None:
             words = found.in_words()
             self._loaded = found

@@ -57,7 +57,7 @@ def how_it_could_change(path: Path, account: Account) -> str:
             return f"{file} {how}"
     for folder, child in _folders(path):
         how = _rights(folder, account)
-        if how and not (_is_foreign_sticky(folder, child, account) and folder not in _direct(path)):
+        if how and (folder in _direct(path) or not _is_foreign_sticky(folder, child, account)):
             return f"the folder {folder} {how}"
     return ""
 

@@ -12,6 +12,7 @@ import fcntl
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,7 +104,9 @@ class Shelf:
     def locked(self) -> Iterator[None]:
         """Keep a second release away until this one is done."""
         try:
-            self.releases.mkdir(parents=True, exist_ok=True)
+            if not self.releases.is_dir():
+                self.releases.mkdir(parents=True)
+                self.releases.chmod(stat.S_IMODE(self.releases.parent.stat().st_mode))
             descriptor = os.open(self.releases, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         except OSError as error:
             raise self._unwritable(error) from error

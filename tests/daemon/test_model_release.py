@@ -14,12 +14,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import machine
-from other_user import OTHER, as_root, as_user
+from other_user import OTHER, as_root, as_user, in_child
 from small_model import model
 
 from config.schema import Configuration
 from config.schema.compensation import ReleaseConfig
 from daemon.release.loading import load_released
+from daemon.release.proposing import propose
 from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
 from daemon.release.releasing import proposals, release, release_by_policy, rollback, shelf_of
 from daemon.release.shelf import ReleaseError
@@ -288,6 +289,44 @@ def test_the_daemons_own_account_releases_nothing(folder):
         os.chown(place, OTHER, OTHER)
     answer = as_user(OTHER, lambda: str(release(configuration, path, person="daemon")))
     assert "the daemon may not release its own model" in answer
+
+
+@as_root
+def test_a_proposal_of_the_daemons_user_is_read_by_the_account_that_releases(folder):
+    configuration = configured(folder)
+    os.chown(folder / "state", OTHER, OTHER)
+    (folder / "state/proposals").rmdir()
+
+    def by_daemon() -> str:
+        os.umask(0o077)
+        return propose(configuration, model("../ridge 1")).name
+
+    assert as_user(OTHER, by_daemon) == "-ridge-1.json"
+    os.chown(folder / "models", OTHER + 1, OTHER + 1)
+
+    def by_releaser() -> str:
+        (waiting,) = proposals(configuration)
+        return release(configuration, waiting.path, person="anna").model_id
+
+    assert as_user(OTHER + 1, by_releaser) == "../ridge 1"
+    assert "release 1 by anna" in as_user(OTHER, lambda: load_released(configuration, own_account()).in_words())
+
+
+@as_root
+def test_people_of_one_group_release_one_after_the_other(folder):
+    configuration = configured(folder)
+    os.chown(folder / "models", 0, OTHER)
+    (folder / "models").chmod(0o2775)
+    paths = {name: proposal(folder, model(name), f"{name}.json") for name in ("ridge-1", "ridge-2")}
+
+    def by(user_id: int, name: str) -> str:
+        os.setresgid(OTHER, OTHER, OTHER)
+        os.setresuid(user_id, user_id, user_id)
+        return release(configuration, paths[name], person=str(user_id)).person
+
+    for number, name in enumerate(paths, start=1):
+        assert in_child(lambda number=number, name=name: by(OTHER + number, name)) == str(OTHER + number)
+    assert "release 2 by 54323" in as_user(OTHER + 9, lambda: load_released(configuration, own_account()).in_words())
 
 
 # --- policy ----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNIT = SYSTEMD / "toolpoint.service"
+RELEASE = SYSTEMD / "toolpoint-release.service"
 MOST_EXPOSURE = 1.6
 
 
@@ -21,34 +22,64 @@ def tool(name: str) -> str:
     return path
 
 
-def settings(name: str) -> list[str]:
-    lines = UNIT.read_text("utf-8").splitlines()
+def settings(name: str, unit: Path = UNIT) -> list[str]:
+    lines = unit.read_text("utf-8").splitlines()
     return [line.partition("=")[2] for line in lines if line.startswith(f"{name}=")]
 
 
-def test_unit_is_understood(tmp_path: Path) -> None:
-    unit = tmp_path / UNIT.name
+@pytest.mark.parametrize("name", ["toolpoint.service", "toolpoint-release.service", "toolpoint-release.path"])
+def test_unit_is_understood(tmp_path: Path, name: str) -> None:
     program = Path(sys.executable).with_name("toolpoint")
-    unit.write_text(UNIT.read_text("utf-8").replace("/opt/toolpoint/bin/toolpoint", str(program)), "utf-8")
+    for path in SYSTEMD.glob("toolpoint*.*"):
+        if path.suffix in (".service", ".path"):
+            text = path.read_text("utf-8").replace("/opt/toolpoint/current/bin/toolpoint", str(program))
+            (tmp_path / path.name).write_text(text, "utf-8")
     verified = subprocess.run(
-        [tool("systemd-analyze"), "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False
+        [tool("systemd-analyze"), "verify", "--man=no", str(tmp_path / name)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     own = [line for line in verified.stderr.splitlines() if "toolpoint" in line]
     assert (verified.returncode, own) == (0, [])
 
 
-def test_unit_is_hardened() -> None:
+@pytest.mark.parametrize("unit", [UNIT, RELEASE], ids=lambda unit: unit.stem)
+def test_unit_is_hardened(unit: Path) -> None:
     judged = subprocess.run(
-        [tool("systemd-analyze"), "security", "--offline=true", "--no-pager", str(UNIT)],
+        [tool("systemd-analyze"), "security", "--offline=true", "--no-pager", str(unit)],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "LC_ALL": "C.UTF-8"},
     )
-    found = re.search(r"Overall exposure level for toolpoint\.service: ([0-9.]+)", judged.stdout)
+    found = re.search(r"Overall exposure level for toolpoint[a-z-]*\.service: ([0-9.]+)", judged.stdout)
     assert found, judged.stdout + judged.stderr
-    print(f"exposure {found[1]}")
+    print(f"exposure of {unit.name} {found[1]}")
     assert float(found[1]) <= MOST_EXPOSURE
+
+
+def test_the_daemon_has_a_user_of_its_own_and_the_release_another() -> None:
+    assert settings("DynamicUser") == ["true"]
+    assert settings("User") == ["toolpoint"] and settings("User", RELEASE) == ["toolpoint-release"]
+    assert settings("DeviceAllow") == ["char-ttyUSB rw", "char-ttyACM rw"]
+    assert settings("ReadWritePaths") == [] and settings("ReadWritePaths", RELEASE) == ["/var/lib/toolpoint-models"]
+    assert "toolpoint-release" not in settings("SupplementaryGroups")[0].split(), "or it could release its own model"
+    assert settings("PrivateUsers") == [], "or every person at the socket would be nobody"
+    assert settings("ExecReload") == ["/bin/kill -HUP $MAINPID"]
+    users = (SYSTEMD / "toolpoint.sysusers").read_text("utf-8").splitlines()
+    assert not [line for line in users if line.split()[:2] in (["u", "toolpoint"], ["g", "toolpoint"])]
+
+
+def test_secrets_reach_the_daemon_as_credentials() -> None:
+    """The lines are commented out because a missing file would keep the service from starting."""
+    lines = UNIT.read_text("utf-8").splitlines()
+    loaded = dict(line.removeprefix("#LoadCredential=").split(":") for line in lines if "LoadCredential=" in line)
+    assert set(loaded) == {"cnc-password", "toolpoint-key.pem"}
+    assert all(path.startswith("/etc/toolpoint/secrets/") for path in loaded.values())
+    guide = (SYSTEMD.parent / "docs/how-to/install.md").read_text("utf-8")
+    for name in loaded:
+        assert f"/run/credentials/toolpoint.service/{name}" in guide
 
 
 def test_unit_is_fed_by_the_watchdog_and_not_restarted_over_a_bad_configuration() -> None:
@@ -68,7 +99,7 @@ def test_unit_gives_the_folders_of_the_default_configuration() -> None:
 
     assert HistoryConfig().path.parent == Path("/var/lib") / settings("StateDirectory")[0]
     assert ServiceConfig().socket.parent == Path("/run") / settings("RuntimeDirectory")[0]
-    assert settings("ExecStart") == [f"/opt/toolpoint/bin/toolpoint run --config {DEFAULT_CONFIGURATION}"]
+    assert settings("ExecStart") == [f"/opt/toolpoint/current/bin/toolpoint run --config {DEFAULT_CONFIGURATION}"]
 
 
 def test_user_groups_and_folders_are_made(tmp_path: Path) -> None:
@@ -86,9 +117,21 @@ def test_user_groups_and_folders_are_made(tmp_path: Path) -> None:
     groups = {
         line.split(":")[0]: line.split(":")[3] for line in (tmp_path / "etc/group").read_text("utf-8").splitlines()
     }
-    assert groups == {"dialout": "toolpoint", "toolpoint-operators": "toolpoint", "toolpoint": ""}
+    assert groups == {"dialout": "", "toolpoint-operators": "", "toolpoint-release": ""}
     assert set(settings("SupplementaryGroups")[0].split()) == {"dialout", "toolpoint-operators"}
-    assert (tmp_path / "etc/toolpoint/pki").stat().st_mode & 0o777 == 0o750
+    modes = {
+        "etc/toolpoint": 0o755,
+        "etc/toolpoint/pki": 0o755,
+        "etc/toolpoint/secrets": 0o700,
+        "var/lib/toolpoint-models": 0o2775,
+    }
+    assert {name: (tmp_path / name).stat().st_mode & 0o7777 for name in modes} == modes
+    assert (tmp_path / "var/lib/toolpoint-models").stat().st_gid == release_group_id(tmp_path)
+
+
+def release_group_id(root: Path) -> int:
+    lines = (root / "etc/group").read_text("utf-8").splitlines()
+    return next(int(line.split(":")[2]) for line in lines if line.startswith("toolpoint-release:"))
 
 
 def test_udev_rules_have_the_form_of_rules() -> None:

@@ -1,0 +1,81 @@
+#!/bin/sh
+# Installs Toolpoint from the folder that `make bundle` made, without a network.
+#
+#   sudo sh install.sh                     install this version and make it the current one
+#   sudo sh install.sh --switch VERSION    make a version that is installed already the current one
+#
+# Every version has a virtual environment of its own, PREFIX/VERSION; PREFIX/current leads to the one
+# in use. Nothing of an earlier version is changed, so the way back is --switch. The daemon is
+# neither stopped nor started, and configuration, history and models are left alone.
+set -eu
+
+here=$(cd "$(dirname "$0")" && pwd)
+prefix=/opt/toolpoint
+root=/
+python=python3
+program_only=no
+switch=
+
+die() { echo "install.sh: $*" >&2; exit 1; }
+usage() { sed -n '2,10s/^# \{0,1\}//p' "$0"; echo "options: --prefix DIR, --python PROGRAM, --program-only (no units, users, folders), --root DIR"; }
+
+while [ $# -gt 0 ]; do
+    case $1 in
+        --prefix) prefix=$2; shift ;;
+        --python) python=$2; shift ;;
+        --root) root=$2; shift ;;
+        --switch) switch=$2; shift ;;
+        --program-only) program_only=yes ;;
+        -h|--help) usage; exit 0 ;;
+        *) usage >&2; exit 2 ;;
+    esac
+    shift
+done
+
+make_current() {
+    [ -x "$prefix/$1/bin/toolpoint" ] || die "version $1 is not installed in $prefix; there are: $(ls "$prefix")"
+    ln -s "$1" "$prefix/.current.$$"
+    mv -T "$prefix/.current.$$" "$prefix/current"
+    echo "current is now $1; restart the daemon to use it: systemctl restart toolpoint"
+}
+
+if [ -n "$switch" ]; then
+    make_current "$switch"
+    exit 0
+fi
+
+[ -f "$here/SHA256SUMS" ] || die "$here is no bundle: there is no SHA256SUMS; run make bundle"
+(cd "$here" && sha256sum --check --quiet --strict SHA256SUMS) \
+    || die "the bundle was damaged on its way; carry it over again"
+set -- "$here"/wheels/toolpoint-*.whl
+[ $# = 1 ] && [ -f "$1" ] || die "there must be exactly one wheel of Toolpoint in $here/wheels"
+version=$(basename "$1" | cut -d- -f2)
+[ ! -e "$prefix/$version" ] || die "version $version is installed in $prefix/$version already; nothing was changed"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || die "$python is older than 3.11; name another: --python"
+"$python" -c 'import ensurepip' 2> /dev/null || die "$python has no venv; install it (Debian: python3-venv)"
+
+mkdir -p "$prefix"
+# The environment is built in its own place, because programs in it name that place.
+trap 'rm -rf "$prefix/$version"' EXIT
+"$python" -m venv "$prefix/$version"
+"$prefix/$version/bin/python" -m pip install --quiet --disable-pip-version-check --no-index \
+    --find-links "$here/wheels" --constraint "$here/constraints.txt" "toolpoint==$version"
+"$prefix/$version/bin/toolpoint" --version
+trap - EXIT
+
+if [ "$program_only" = no ]; then
+    units="$root/etc/systemd/system"
+    mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
+    cp "$here"/systemd/toolpoint.service "$here"/systemd/toolpoint-release.service \
+        "$here"/systemd/toolpoint-release.path "$units/"
+    cp "$here/systemd/toolpoint.sysusers" "$root/usr/lib/sysusers.d/toolpoint.conf"
+    cp "$here/systemd/toolpoint.tmpfiles" "$root/usr/lib/tmpfiles.d/toolpoint.conf"
+    cp "$here/systemd/60-toolpoint.rules" "$root/etc/udev/rules.d/"
+    if [ "$root" = / ]; then
+        systemd-sysusers toolpoint.conf
+        systemd-tmpfiles --create toolpoint.conf
+        udevadm control --reload && udevadm trigger || echo "install.sh: udev does not answer; its rules count after a restart" >&2
+        systemctl daemon-reload || echo "install.sh: systemd does not answer; run systemctl daemon-reload" >&2
+    fi
+fi
+make_current "$version"
