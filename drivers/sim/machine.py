@@ -154,7 +154,7 @@ class CfrpMachine:
         """Let the NC's programs do what falls due before `end_s` [s]; one that waits holds its block."""
         self._programs.run_until(end_s)
         if (resumes_s := self._programs.waits_until_s) is not None:
-            self.body.hold(resumes_s)
+            self.body.hold(np.nextafter(resumes_s, np.inf))
 
     def _show(self) -> None:
         self.time_s = self.body.time_s

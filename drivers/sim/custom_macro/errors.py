@@ -6,4 +6,5 @@ class MacroError(Exception):
 
     def __init__(self, problem: str, *, where: str = "") -> None:
         self.problem = problem
+        self.where = where
         super().__init__(f"{where}: {problem}" if where else problem)

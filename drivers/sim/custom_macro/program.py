@@ -86,6 +86,8 @@ def compile_programs(text: str) -> dict[int, MacroProgram]:
             else:
                 _add(building, reader, line_number)
         except MacroError as error:
+            if error.where:
+                raise
             raise MacroError(error.problem, where=f"line {line_number} ({line})") from error
     _finish(building)
     return programs

@@ -1,0 +1,193 @@
+"""When the simulated machine runs its NC programs: handshake, safe flag, alarms, operator messages."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from guard_bench import AXES, MAP
+
+from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
+from config.schema.guard import GuardConfig
+from config.schema.temperatures import SensorConfig
+from drivers.sim.day import Day
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.nc_programs import MACRO_ALARM
+from drivers.sim.program import SAFE, Block, PartProgram
+
+REQUEST = RequestMacrosConfig(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524)
+FLAG = 525
+SENSORS = [SensorConfig(id=1, component="Ambient", label="Room")]
+PROGRAM = PartProgram(
+    number=77,
+    blocks=(
+        Block(sequence_number=10, kind="idle", duration_s=5.0),
+        Block(sequence_number=100, kind="positioning", duration_s=20.0),
+        Block(sequence_number=200, kind="cut", duration_s=30.0, spindle_speed_rpm=12000.0),
+        Block(sequence_number=SAFE, kind="safe", duration_s=4.0, tool_number=7),
+        Block(sequence_number=210, kind="cut", duration_s=30.0, spindle_speed_rpm=12000.0),
+        Block(sequence_number=SAFE, kind="safe", duration_s=4.0, probe="z"),
+    ),
+    repeat_from=1,
+)
+
+
+def machine(*, flag: bool = False, **guard: Any) -> CfrpMachine:
+    settings = {"increment_mm": 0.0001, "on_timeout": "continue"} | guard
+    maps = MAP.model_dump() | {"request": REQUEST.model_dump(), "safe_flag": FLAG if flag else None}
+    return CfrpMachine(
+        Day.draw(5, start="cold"),
+        PROGRAM,
+        SENSORS,
+        MacroMapConfig.model_validate(maps),
+        AXES,
+        GuardConfig(**settings),
+    )
+
+
+def request_of(simulated: CfrpMachine) -> tuple[float | None, ...]:
+    return tuple(simulated.nc.macros.get(number) for number in (520, 521, 522, 523))
+
+
+def test_requests_are_made_where_the_program_asks() -> None:
+    simulated = machine()
+    simulated.advance(4.9)
+    assert request_of(simulated)[0] is None
+    simulated.advance(5.5)
+    assert request_of(simulated) == (1.0, 1.0, 0.0, 0.0)
+    simulated.nc.macros.set(524, 1.0)
+    simulated.advance(55.5)
+    assert request_of(simulated) == (2.0, 3.0, 0.0, 7.0)
+    assert simulated.nc.tool_number == 7
+    simulated.nc.macros.set(524, 2.0)
+    simulated.advance(91.0)
+    measured = simulated.truth()["z"].compensated_um
+    counter, kind, axis, value = request_of(simulated)
+    assert (counter, kind, axis) == (3.0, 2.0, 3.0)
+    assert value * 1000.0 == pytest.approx(measured, abs=0.5)
+
+
+def test_an_answered_request_leaves_the_block_as_long_as_it_is() -> None:
+    simulated = machine(request_timeout_s=60.0)
+    for tenths in range(1, 260):
+        simulated.advance(tenths / 10.0)
+        counter = simulated.nc.macros.get(520)
+        if counter is not None and simulated.time_s > 6.0:
+            simulated.nc.macros.set(524, counter)
+    assert simulated.nc.sequence_number == 200
+
+
+@pytest.mark.parametrize("timeout_s,ends_s", [(10.0, 25.0), (40.0, 45.1)])
+def test_a_request_without_an_answer_holds_its_block_until_the_time_is_over(timeout_s: float, ends_s: float) -> None:
+    simulated = machine(request_timeout_s=timeout_s)
+    simulated.advance(ends_s - 0.2)
+    assert simulated.nc.sequence_number == 100
+    simulated.advance(ends_s + 0.2)
+    assert simulated.nc.sequence_number == 200
+    assert not simulated.guard.control.messages
+
+
+def test_a_timeout_can_say_so() -> None:
+    simulated = machine(on_timeout="message")
+    simulated.advance(16.0)
+    assert list(simulated.guard.control.messages) == ["TOOLPOINT GIVES NO ANSWER"]
+
+
+@pytest.mark.parametrize("alarm,expected", [("message", 0), ("stop", MACRO_ALARM + 123)])
+def test_a_refusal_is_told_to_the_operator(alarm: str, expected: int) -> None:
+    simulated = machine(alarm=alarm)
+    simulated.advance(5.5)
+    simulated.nc.macros.set(524, -1.0)
+    simulated.advance(6.0)
+    assert simulated.nc.alarm == expected
+    text = "TOOLPOINT REFUSES REQUEST"
+    control = simulated.guard.control
+    assert list(control.messages) == ([text] if alarm == "message" else [])
+    assert control.alarm == (None if alarm == "message" else (123, text))
+    simulated.advance(26.0)
+    assert (simulated.nc.alarm, simulated.nc.sequence_number) == (0, 200)
+
+
+def test_an_old_answer_does_not_count() -> None:
+    simulated = machine()
+    simulated.advance(5.5)
+    simulated.nc.macros.set(524, 1.0)
+    simulated.advance(55.1)
+    assert request_of(simulated)[0] == 2.0
+    assert simulated.guard.interpreter.running
+
+
+@pytest.mark.parametrize("counter,following", [(None, 1.0), (-3.0, 1.0), (999_999.0, 1.0), (41.0, 42.0), (4.5, 5.0)])
+def test_the_counter_goes_on_from_whatever_it_is(counter: float | None, following: float) -> None:
+    simulated = machine()
+    simulated.nc.macros.set(520, counter)
+    simulated.advance(5.5)
+    assert request_of(simulated)[0] == following
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{}, {"K": 4.0}, {"K": 0.0}, {"K": 2.0}, {"K": 2.0, "A": 3.0}, {"K": 1.0, "A": 4.0}, {"K": 1.0, "A": -1.0}],
+)
+def test_a_wrong_call_is_refused_before_anything_is_asked(arguments: dict[str, float]) -> None:
+    simulated = machine()
+    guard = simulated.guard
+    assert guard.programs.request is not None
+    guard.at(simulated.nc.macros, 1.0).run(guard.programs.request, **arguments)
+    assert guard.control.alarm == (120, "TOOLPOINT REQUEST K A V WRONG")
+    assert request_of(simulated) == (None, None, None, None)
+
+
+def test_a_request_in_inches_is_refused() -> None:
+    simulated = machine()
+    guard = simulated.guard
+    guard.control.modal[6] = 20
+    assert guard.programs.request is not None
+    guard.at(simulated.nc.macros, 1.0).run(guard.programs.request, K=1.0)
+    assert guard.control.alarm == (121, "TOOLPOINT REQUEST IN INCH")
+
+
+def test_a_timer_that_wraps_while_waiting_does_not_end_the_wait() -> None:
+    simulated = machine()
+    guard, macros = simulated.guard, simulated.nc.macros
+    assert guard.programs.request is not None
+    start_s = 2_147_483.648 - 1.0
+    guard.at(macros, start_s).start(guard.programs.request, K=1.0)
+    waited_s = 0.0
+    while (dwell_s := guard.at(macros, start_s + waited_s).wait()) is not None:
+        waited_s += dwell_s
+    assert waited_s == pytest.approx(10.0, abs=0.2)
+
+
+def test_the_safe_flag_is_set_in_safe_blocks_only() -> None:
+    simulated = machine(flag=True, request_timeout_s=0.5)
+    flags = {}
+    for tenths in range(1, 1300):
+        simulated.advance(tenths / 10.0)
+        flags.setdefault(simulated.nc.sequence_number, set()).add(simulated.nc.macros.get(FLAG))
+    assert flags[200] <= {None, 0.0} and flags[100] <= {None, 0.0} and flags[210] == {0.0}
+    assert 1.0 in flags[SAFE]
+
+
+def test_an_alarm_of_the_guard_shows_until_the_next_block() -> None:
+    simulated = machine(alarm="stop", request_timeout_s=0.5)
+    macros = simulated.nc.macros
+    for number, value in ((500, 1.0), (503, 0.001), (504, 4.0), (505, 1.0)):
+        macros.set(number, value)
+    simulated.advance(57.0)
+    assert (simulated.nc.sequence_number, simulated.nc.alarm) == (SAFE, MACRO_ALARM + 103)
+    simulated.advance(60.0)
+    assert (simulated.nc.sequence_number, simulated.nc.alarm) == (210, 0)
+
+
+def test_power_off_while_a_request_waits() -> None:
+    simulated = machine()
+    simulated.advance(6.0)
+    assert simulated.guard.interpreter.running
+    simulated.power_cycle()
+    assert not simulated.guard.interpreter.running
+    simulated.advance(12.0)
+    assert request_of(simulated)[0] == 2.0
