@@ -1,0 +1,120 @@
+"""The installer: proves its bundle, needs no network, and leaves a way back."""
+
+import base64
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+INSTALLER = ROOT / "systemd/install.sh"
+PROGRAM = "def main():\n    print('toolpoint, version {version}')\n"
+
+
+def wheel(folder: Path, version: str) -> None:
+    """Write a wheel that calls itself Toolpoint; the real bundle is built and installed by .ci/run."""
+    info = f"toolpoint-{version}.dist-info"
+    files = {
+        "toolpoint_stand_in.py": PROGRAM.format(version=version),
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: toolpoint\nVersion: {version}\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+        f"{info}/entry_points.txt": "[console_scripts]\ntoolpoint = toolpoint_stand_in:main\n",
+    }
+    record = "".join(
+        f"{name},sha256={base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b'=').decode()},"
+        f"{len(text.encode())}\n"
+        for name, text in files.items()
+    )
+    with zipfile.ZipFile(folder / f"toolpoint-{version}-py3-none-any.whl", "w") as archive:
+        for name, text in (files | {f"{info}/RECORD": f"{record}{info}/RECORD,,\n"}).items():
+            archive.writestr(name, text)
+
+
+def bundle(folder: Path, version: str) -> Path:
+    """Make what `make bundle` makes, with a small program."""
+    made = folder / f"bundle-{version}"
+    (made / "wheels").mkdir(parents=True)
+    wheel(made / "wheels", version)
+    shutil.copytree(ROOT / "systemd", made / "systemd")
+    shutil.copy(INSTALLER, made / "install.sh")
+    shutil.copy(ROOT / "constraints.txt", made / "constraints.txt")
+    sums = "".join(
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  ./{path.relative_to(made)}\n"
+        for path in sorted(made.rglob("*"))
+        if path.is_file()
+    )
+    (made / "SHA256SUMS").write_text(sums, encoding="utf-8")
+    return made
+
+
+def install(made: Path, prefix: Path, *options: str) -> "subprocess.CompletedProcess[str]":
+    """Run the installer where no package index can be reached."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PIP_")}
+    environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_INDEX_URL": "https://127.0.0.1:1/", "PIP_RETRIES": "0"}
+    command = ["sh", str(made / "install.sh"), "--prefix", str(prefix), "--python", sys.executable, *options]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+
+
+def current(prefix: Path) -> str:
+    program = prefix / "current/bin/toolpoint"
+    return subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()[-1]
+
+
+@pytest.mark.wires
+def test_install_upgrade_and_back(tmp_path: Path) -> None:
+    prefix, root = tmp_path / "opt", tmp_path / "root"
+    first, second = bundle(tmp_path, "0.0.1"), bundle(tmp_path, "0.0.2")
+    done = install(first, prefix, "--root", str(root))
+    assert done.returncode == 0, done.stderr
+    assert current(prefix) == "0.0.1" and "systemctl restart toolpoint" in done.stdout
+    placed = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
+    assert placed == {
+        "etc/systemd/system/toolpoint.service",
+        "etc/systemd/system/toolpoint-release.service",
+        "etc/systemd/system/toolpoint-release.path",
+        "usr/lib/sysusers.d/toolpoint.conf",
+        "usr/lib/tmpfiles.d/toolpoint.conf",
+        "etc/udev/rules.d/60-toolpoint.rules",
+    }
+
+    again = install(first, prefix, "--program-only")
+    assert again.returncode == 1 and "installed" in again.stderr and current(prefix) == "0.0.1"
+
+    done = install(second, prefix, "--program-only")
+    assert done.returncode == 0, done.stderr
+    assert current(prefix) == "0.0.2" and (prefix / "0.0.1/bin/toolpoint").exists()
+
+    back = install(second, prefix, "--switch", "0.0.1")
+    assert back.returncode == 0 and current(prefix) == "0.0.1"
+    nowhere = install(second, prefix, "--switch", "0.0.9")
+    assert nowhere.returncode == 1 and "0.0.2" in nowhere.stderr and current(prefix) == "0.0.1"
+    assert sorted(path.name for path in prefix.iterdir()) == ["0.0.1", "0.0.2", "current"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda made: (made / "constraints.txt").write_text("numpy==0\n"), "damaged on its way"),
+        (lambda made: (made / "wheels/toolpoint-0.0.1-py3-none-any.whl").unlink(), "damaged on its way"),
+        (lambda made: (made / "SHA256SUMS").unlink(), "is no bundle"),
+    ],
+    ids=["changed", "missing", "no list"],
+)
+def test_a_damaged_bundle_installs_nothing(tmp_path: Path, damage: object, words: str) -> None:
+    made = bundle(tmp_path, "0.0.1")
+    damage(made)  # type: ignore[operator]
+    done = install(made, tmp_path / "opt")
+    assert done.returncode == 1 and words in done.stderr
+    assert not (tmp_path / "opt").exists()
+
+
+def test_the_installer_says_how_it_is_used() -> None:
+    shown = subprocess.run(["sh", str(INSTALLER), "--help"], capture_output=True, text=True, check=False)
+    assert shown.returncode == 0 and "--switch VERSION" in shown.stdout
+    wrong = subprocess.run(["sh", str(INSTALLER), "--nonsense"], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 2 and "--switch VERSION" in wrong.stderr
