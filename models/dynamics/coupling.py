@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.dynamics.beam import ComplexArray, Segment
-from models.dynamics.chain import Chain, SpringDamper
+from models.dynamics.chain import Chain, SpringDamper, chain_span
 from models.dynamics.modes import dense_stiffness, segment_matrix
 from models.records import FloatArray
 
@@ -44,12 +44,21 @@ def segment_receptance(segment: Segment, frequency_hz: FloatArray, offsets_m: li
 
 def chain_receptance(chain: Chain, frequency_hz: FloatArray) -> ComplexArray:
     """Return the receptance matrix of the two ends of a chain with its supports, shape (n, 4, 4)."""
+    if not chain.supports:
+        front, cross, rear = chain_span(list(chain.parts), frequency_hz, damped=True)
+        stiffness = np.empty((len(frequency_hz), 4, 4), dtype=np.complex128)
+        stiffness[:, 0, 0], stiffness[:, 0, 1], stiffness[:, 1, 1] = front
+        stiffness[:, 0, 2], stiffness[:, 0, 3], stiffness[:, 1, 2], stiffness[:, 1, 3] = cross
+        stiffness[:, 2, 2], stiffness[:, 2, 3], stiffness[:, 3, 3] = rear
+        for row, column in ((1, 0), (2, 0), (3, 0), (2, 1), (3, 1), (3, 2)):
+            stiffness[:, row, column] = stiffness[:, column, row]
+        return np.asarray(np.linalg.inv(stiffness), dtype=np.complex128)
     each = []
     for at in frequency_hz:
-        stiffness, _ = dense_stiffness(chain, float(at), 0.0, damped=True)
-        ends = np.zeros((len(stiffness), 4))
+        dense, _ = dense_stiffness(chain, float(at), 0.0, damped=True)
+        ends = np.zeros((len(dense), 4))
         ends[[0, 1, -2, -1], [0, 1, 2, 3]] = 1.0
-        each.append(ends.T @ np.linalg.solve(stiffness, ends))
+        each.append(ends.T @ np.linalg.solve(dense, ends))
     return np.array(each, dtype=np.complex128)
 
 

@@ -1,0 +1,91 @@
+"""Contact at an interface from a measured response in front of it (sections 4.3.2 and 5.3.3 of the source)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.dynamics.beam import ComplexArray
+from models.dynamics.response_fit import Identified, levenberg_marquardt, nelder_mead, report
+from models.records import FloatArray
+
+CONTACT = ("kt", "ct", "kr", "cr")
+"""The parameters of a joint (4-37): translational and rotational stiffness and damping."""
+INITIAL = {"kt": 2e8, "ct": 3e3, "kr": 4e5, "cr": 1e3}
+"""Where to begin: of the size of Tables 5-1 to 5-3."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interface:
+    """What stands on either side of a joint, as receptances at fixed frequencies."""
+
+    frequency_hz: FloatArray
+    """[Hz], shape (n,)."""
+    front: ComplexArray
+    """Ends of what is in front, its rear end being the interface, shape (n, 4, 4), see `chain_receptance`."""
+    rear: ComplexArray
+    """What is behind, at the interface (with its bearings), shape (n, 2, 2)."""
+
+    def response(self, values: Mapping[str, float]) -> tuple[ComplexArray, dict[str, ComplexArray]]:
+        """Return the receptance at the front (4-38) and its derivative by each parameter, shape (n,).
+
+        With the flexibility ``M = S_pp + K^-1 + S_11``, a change of K^-1 adds ``S_1p M^-1 d(K^-1) M^-1 S_p1``.
+        """
+        omega = 2.0 * np.pi * self.frequency_hz
+        sliding = values["kt"] + 1j * omega * values["ct"]
+        turning = values["kr"] + 1j * omega * values["cr"]
+        total = self.front[:, 2:, 2:] + self.rear
+        a, b, d = total[:, 0, 0] + 1.0 / sliding, total[:, 0, 1], total[:, 1, 1] + 1.0 / turning
+        c = total[:, 1, 0]
+        force, moment = self.front[:, 2, 0], self.front[:, 3, 0]
+        scale = 1.0 / (a * d - b * c)
+        y, theta = (d * force - b * moment) * scale, (a * moment - c * force) * scale
+        back_y = (d * self.front[:, 0, 2] - c * self.front[:, 0, 3]) * scale
+        back_theta = (a * self.front[:, 0, 3] - b * self.front[:, 0, 2]) * scale
+        computed = self.front[:, 0, 0] - self.front[:, 0, 2] * y - self.front[:, 0, 3] * theta
+        by_sliding, by_turning = -back_y * y / sliding**2, -back_theta * theta / turning**2
+        slopes = {"kt": by_sliding, "ct": 1j * omega * by_sliding, "kr": by_turning, "cr": 1j * omega * by_turning}
+        return computed, slopes
+
+
+def identify_contact(
+    interface: Interface,
+    measured: ComplexArray,
+    *,
+    start: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    method: str = "lm",
+) -> Identified:
+    """Return the contact parameters of a joint that reproduce a measured response.
+
+    Parameters
+    ----------
+    interface
+        What stands on either side.
+    measured
+        Receptance at the front of what is in front [m/N], shape (n,).
+    start
+        Where to begin, by name.
+    fixed
+        Parameters that are kept, with their values.
+    method
+        `lm`, or `nelder-mead` on the source's cost.
+
+    Raises
+    ------
+    IdentificationError
+        When the data cannot be fitted at all.
+
+    """
+    kept = dict(fixed or {})
+    begin = {**INITIAL, **(start or {}), **kept}
+    free = [name for name in CONTACT if name not in kept]
+
+    def model(values: Mapping[str, float]) -> tuple[ComplexArray, dict[str, ComplexArray]]:
+        return interface.response({**begin, **values})
+
+    if method == "nelder-mead":
+        found = nelder_mead(lambda values: model(values)[0], measured, free, begin)
+    else:
+        found = levenberg_marquardt(model, measured, free, begin, INITIAL)
+    return report(model, measured, {**begin, **found.values}, free, found.evaluations)

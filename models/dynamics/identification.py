@@ -1,0 +1,165 @@
+"""Bearing properties from a measured response at the nose (sections 4.2.2 and 5.2.3 of the source).
+
+The default method is Levenberg and Marquardt's on ``log(H / H_meas)``, with exact derivatives: it finds in about
+ten evaluations what Nelder and Mead's simplex on the source's own cost (4-36) finds in hundreds.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from models.dynamics.beam import ComplexArray
+from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
+from models.dynamics.response_fit import (
+    GOOD_FIT,
+    MOST_ITERATIONS,
+    Found,
+    Identified,
+    Model,
+    Response,
+    descend,
+    levenberg_marquardt,
+    nelder_mead,
+    report,
+)
+
+Method = Literal["lm", "nelder-mead"]
+
+_NEGLIGIBLE = {"ct_34": 1e-5, "cr_12": 1e-5, "cr_34": 1e-5, "cr_5": 1e-5, "kr_5": 1e5}
+FIXED: Mapping[int, Mapping[str, float]] = {
+    12: {},
+    7: _NEGLIGIBLE,
+    5: {**_NEGLIGIBLE, "kt_12": 1e-5, "kr_34": 1e-5},
+}
+"""Number of free parameters -> what is kept fixed, with the values of section 5.2.3."""
+
+INITIAL = {
+    **{f"{kind}_{group}": value for group in ("12", "34") for kind, value in
+       (("kt", 1e8), ("ct", 1e3), ("kr", 5e5), ("cr", 10.0))},
+    "kt_5": 1e8,
+    "ct_5": 100.0,
+    "kr_5": 5e5,
+    "cr_5": 10.0,
+}  # fmt: skip
+"""Initial conditions of Table 4-5."""
+
+
+def identify_bearings(
+    shaft: CondensedShaft,
+    measured: ComplexArray,
+    *,
+    parameters: int = 5,
+    start: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    method: Method = "lm",
+) -> Identified:
+    """Return bearing properties that reproduce a measured response at the nose.
+
+    Twelve parameters are found in two stages, as in the source: all front bearings equal, then each group
+    with its own. Twelve are not identifiable from one response; `identifiable` says which the data see.
+
+    Parameters
+    ----------
+    shaft
+        The shaft, condensed at the measured frequencies.
+    measured
+        Receptance at the nose [m/N], shape (n,).
+    parameters
+        5, 7 or 12 (section 5.2.3).
+    start
+        Where to begin, by name; what is missing is taken from Table 4-5.
+    fixed
+        Values of the parameters that are not varied, by name; None: those of section 5.2.3.
+    method
+        `lm`, or `nelder-mead` on the source's cost.
+
+    Raises
+    ------
+    IdentificationError
+        When the data cannot be fitted at all.
+
+    """
+    kept = dict(FIXED[parameters] if fixed is None else {name: fixed[name] for name in FIXED[parameters]})
+    present = [name for name in PARAMETERS if name.partition("_")[2] in shaft.groups]
+    free = tuple(name for name in present if name not in kept)
+    begin = {**INITIAL, **(start or {}), **kept}
+
+    def model(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
+        return shaft.nose_receptance_and_derivatives(properties_from_parameters({**begin, **values}))
+
+    def response(values: Mapping[str, float]) -> ComplexArray:
+        return shaft.nose_receptance(properties_from_parameters({**begin, **values}))
+
+    two_stages = parameters == 12 and {"12", "34"} <= set(shaft.groups)
+    if method == "nelder-mead":
+        found = _simplex(response, measured, free, begin, two_stages)
+    else:
+        found = _least_squares(model, response, measured, free, begin, two_stages)
+    values = {name: {**begin, **found.values}[name] for name in present}
+    return report(model, measured, values, free, found.evaluations)
+
+
+def _simplex(
+    response: Response, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float], two_stages: bool
+) -> Found:
+    """Return the minimum of the source's cost, for twelve parameters in the source's two stages."""
+    evaluations = 0
+    if two_stages:
+        few = [name for name in free if not name.endswith("_34")]
+        first = nelder_mead(lambda values: response(_untied(values)), measured, few, begin)
+        begin, evaluations = {**begin, **_untied(first.values)}, first.evaluations
+    found = nelder_mead(response, measured, free, begin)
+    return Found(found.values, found.log_error, found.evaluations + evaluations)
+
+
+def _least_squares(
+    model: Model,
+    response: Response,
+    measured: ComplexArray,
+    free: Sequence[str],
+    begin: Mapping[str, float],
+    two_stages: bool,
+) -> Found:
+    """Return the best fit of the logarithm.
+
+    Twelve parameters that the told start does not lead to are looked for in the source's two stages, then by a
+    simplex from the best found so far, whose end is refined.
+    """
+    if not two_stages:
+        return levenberg_marquardt(model, measured, free, begin, INITIAL)
+    tries = [descend(model, measured, free, begin, MOST_ITERATIONS)]
+    if tries[-1].log_error >= GOOD_FIT:
+        few = [name for name in free if not name.endswith("_34")]
+        first = levenberg_marquardt(_tied(model), measured, few, begin, INITIAL)
+        tries.append(first)
+        tries.append(descend(model, measured, free, {**begin, **_untied(first.values)}, MOST_ITERATIONS))
+    if (best := _best(tries, free)).log_error >= GOOD_FIT:
+        tries.append(levenberg_marquardt(model, measured, free, {**begin, **best.values}, INITIAL))
+    if (best := _best(tries, free)).log_error >= GOOD_FIT:
+        tries.append(nelder_mead(response, measured, free, {**begin, **best.values}))
+        tries.append(descend(model, measured, free, {**begin, **tries[-1].values}, MOST_ITERATIONS))
+    best = _best(tries, free)
+    return Found(best.values, best.log_error, sum(each.evaluations for each in tries))
+
+
+def _best(tries: Sequence[Found], free: Sequence[str]) -> Found:
+    return min((each for each in tries if set(free) <= set(each.values)), key=lambda each: each.log_error)
+
+
+def _untied(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values in which the rear pair of front bearings has the properties of the front pair."""
+    copied = {name.replace("_12", "_34"): value for name, value in values.items() if name.endswith("_12")}
+    return {**values, **copied}
+
+
+def _tied(model: Model) -> Model:
+    """Return the model in which all front bearings are equal."""
+
+    def tied(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
+        computed, slopes = model(_untied(values))
+        summed = {
+            name: slope + slopes[name.replace("_12", "_34")] if name.endswith("_12") else slope
+            for name, slope in slopes.items()
+        }
+        return computed, summed
+
+    return tied

@@ -1,0 +1,281 @@
+"""Fits parameters of a model to a measured frequency response, and says which of them the data see.
+
+Levenberg and Marquardt's method on ``log(H / H_meas)`` with exact derivatives, or Nelder and Mead's simplex on the
+source's cost (4-36). Both vary the logarithms of the parameters, so that no property becomes negative.
+A parameter's kind is what its name begins with: kt, ct, kr or cr.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+import numpy.typing as npt
+
+from models.dynamics.beam import ComplexArray
+from models.records import FloatArray
+
+BOUNDS = {"kt": (1e-6, 1e13), "ct": (1e-12, 1e9), "kr": (1e-6, 1e11), "cr": (1e-15, 1e7)}
+"""Range in which each kind of parameter is looked for [N/m, N s/m, N m/rad, N m s/rad]."""
+PLAUSIBLE = {"kt": 1e10, "ct": 1e7, "kr": 1e9, "cr": 1e6}
+"""Values above these are no bearing's: the data do not bound the parameter, or the model is another machine's."""
+
+ASSUMED_ERROR = 0.01
+"""Relative error of an FRF that is assumed where the fit itself is better."""
+IDENTIFIABLE = 0.5
+"""A parameter is identifiable when an error of that size, the same way at all frequencies, moves its
+logarithm by less than this."""
+GOOD_FIT = 0.02
+"""Root mean square of the log ratio below which no other start is tried."""
+MOST_ITERATIONS = 200
+SEARCH_ITERATIONS = 60
+"""Iterations from a start that was only tried; one that leads somewhere needs fewer."""
+SEARCH_POINTS = 128
+"""Points of parameter space at which the fit is looked at, to find further starts."""
+SEARCH_STARTS = 8
+"""How many of them a descent begins at; a third of it where there are many parameters."""
+MANY = 7
+SEARCH_RANGE = {"kt": (1e6, 1e9), "ct": (3.0, 1e5), "kr": (3e3, 3e7), "cr": (1e-2, 1e3)}
+"""Where further starts are looked for, by kind of parameter, in SI units."""
+LARGEST_STEP = 2.0
+"""Largest change of a parameter's logarithm in one step."""
+NELDER_MEAD_EVALUATIONS = 1600
+
+
+class IdentificationError(ValueError):
+    """Data do not allow an identification; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identified:
+    """What was found."""
+
+    values: dict[str, float]
+    """All parameters by name, the fixed ones among them, in SI units."""
+    free: tuple[str, ...]
+    """The parameters that were varied."""
+    cost_m_per_n: float
+    """S_cf of 4-36: the sum of |H_meas - H| over the frequencies [m/N]."""
+    log_error: float
+    """Root mean square of |log(H / H_meas)|."""
+    evaluations: int
+    """How often the response was computed."""
+    log_deviation: dict[str, float]
+    """How far the logarithm of each free parameter may be off, see `ASSUMED_ERROR`; inf: any value fits."""
+    identifiable: dict[str, bool]
+    """Whether the data see each free parameter (`IDENTIFIABLE`)."""
+    implausible: tuple[str, ...]
+    """Free parameters with a value that no bearing has, or at the end of the range looked through."""
+
+
+Model = Callable[[Mapping[str, float]], tuple[ComplexArray, Mapping[str, ComplexArray]]]
+"""Values of the parameters -> response and its derivative by each of them, shape (n,)."""
+
+
+Response = Callable[[Mapping[str, float]], ComplexArray]
+"""Values of the parameters -> response, shape (n,)."""
+
+
+def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
+    """Return S_cf of 4-36 [m/N]; the source calls it least squares, but it sums |dH|."""
+    return float(np.sum(np.abs(measured - computed)))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search ended."""
+
+    values: dict[str, float]
+    log_error: float
+    evaluations: int
+
+
+def levenberg_marquardt(
+    model: Model,
+    measured: ComplexArray,
+    free: Sequence[str],
+    begin: Mapping[str, float],
+    table: Mapping[str, float] | None = None,
+) -> Found:
+    """Return the parameters that minimise the squares of log(H / H_meas), varied by their logarithms.
+
+    When the told start ends in a poor fit, another one (`table`) and the best of `SEARCH_POINTS`
+    evenly spread points are tried; the best descent counts.
+
+    Parameters
+    ----------
+    model
+        Response and derivatives.
+    measured
+        Measured response, shape (n,).
+    free
+        Names of the parameters to vary.
+    begin
+        Where to begin, by name.
+    table
+        Another start to try, by name.
+
+    """
+    best = descend(model, measured, free, begin, MOST_ITERATIONS)
+    evaluations = best.evaluations
+    if best.log_error >= GOOD_FIT:
+        looked, starts = _starts(model, measured, free, {**begin, **(table or {})})
+        evaluations += looked
+        for start in starts:
+            found = descend(model, measured, free, start, SEARCH_ITERATIONS)
+            evaluations += found.evaluations
+            best = found if found.log_error < best.log_error else best
+            if best.log_error < GOOD_FIT:
+                break
+        if best.log_error >= GOOD_FIT:
+            last = descend(model, measured, free, best.values, MOST_ITERATIONS)
+            evaluations += last.evaluations
+            best = last if last.log_error < best.log_error else best
+    return Found(best.values, best.log_error, evaluations)
+
+
+def _starts(
+    model: Model, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float]
+) -> tuple[int, list[dict[str, float]]]:
+    """Return further starts, the most promising first, and how often the response was computed for them."""
+    ends = np.log([SEARCH_RANGE.get(name.partition("_")[0], BOUNDS["kt"]) for name in free])
+    points = ends[:, 0] + _evenly_spread(SEARCH_POINTS, len(free)) * (ends[:, 1] - ends[:, 0])
+    fits = []
+    for point in points:
+        residual, _ = _residual(model, measured, free, point)
+        fits.append(float(np.mean(np.abs(residual))))
+    order = np.argsort(fits, kind="stable")[: SEARCH_STARTS if len(free) <= MANY else SEARCH_STARTS // 3]
+    told = {name: begin[name] for name in free}
+    return len(points), [told, *(dict(zip(free, np.exp(points[k]).tolist(), strict=True)) for k in order)]
+
+
+def _evenly_spread(points: int, dimensions: int) -> npt.NDArray[np.float64]:
+    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio)."""
+    ratio = 2.0
+    for _ in range(40):
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    steps = ratio ** -np.arange(1, dimensions + 1)
+    return np.asarray((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+
+
+def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    ends = np.log([BOUNDS[name.partition("_")[0]] for name in free])
+    return ends[:, 0], ends[:, 1]
+
+
+def descend(
+    model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], iterations: int
+) -> Found:
+    low, high = _limits(free)
+    at = np.clip(np.log([max(start[name], 1e-300) for name in free]), low, high)
+    residual, jacobian = _residual(model, measured, free, at)
+    cost, damping, evaluations = float(residual @ residual), 1e-2, 1
+    for _ in range(iterations):
+        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+        scale = np.diag(normal) + 1e-12 * np.trace(normal)
+        step = -np.linalg.solve(normal + damping * np.diag(scale), gradient)
+        step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+        tried = np.clip(at + step, low, high)
+        new_residual, new_jacobian = _residual(model, measured, free, tried)
+        evaluations += 1
+        new_cost = float(new_residual @ new_residual)
+        if not new_cost < cost:
+            damping *= 8.0
+            if damping > 1e12:
+                break
+            continue
+        settled = cost - new_cost <= 1e-10 * cost or new_cost < 1e-22 * len(residual)
+        at, residual, jacobian, cost = tried, new_residual, new_jacobian, new_cost
+        damping = max(damping / 6.0, 1e-14)
+        if settled:
+            break
+    values = dict(zip(free, np.exp(at).tolist(), strict=True))
+    return Found(values, float(np.sqrt(cost / len(measured))), evaluations)
+
+
+def _residual(
+    model: Model, measured: ComplexArray, free: Sequence[str], log_values: FloatArray
+) -> tuple[FloatArray, npt.NDArray[np.float64]]:
+    """Return log(H / H_meas), real and imaginary parts in a row, and its derivative by the logarithms."""
+    values = dict(zip(free, np.exp(log_values).tolist(), strict=True))
+    computed, slopes = model(values)
+    ratio = np.log(computed / measured)
+    columns = np.stack([slopes[name] * values[name] / computed for name in free], axis=1)
+    return np.concatenate([ratio.real, ratio.imag]), np.concatenate([columns.real, columns.imag])
+
+
+def nelder_mead(
+    response: Response,
+    measured: ComplexArray,
+    free: Sequence[str],
+    begin: Mapping[str, float],
+) -> Found:
+    """Return the minimum of 4-36 by the simplex method, run twice, the second time from where the first ended."""
+    minimize = import_module("scipy.optimize").minimize
+
+    low, high = _limits(free)
+    size = float(np.sum(np.abs(measured)))
+
+    def cost(log_values: FloatArray) -> float:
+        values = dict(zip(free, np.exp(np.clip(log_values, low, high)).tolist(), strict=True))
+        return cost_of_source(measured, response(values)) / size
+
+    at, evaluations = np.clip(np.log([max(begin[name], 1e-300) for name in free]), low, high), 0
+    for _ in range(2):
+        options = {"maxfev": NELDER_MEAD_EVALUATIONS // 2, "xatol": 1e-7, "fatol": 1e-9, "adaptive": len(free) > 7}
+        simplex = np.vstack([at, at + 0.5 * np.eye(len(free))])
+        done = minimize(cost, at, method="Nelder-Mead", options={**options, "initial_simplex": simplex})
+        at, evaluations = np.clip(done.x, low, high), evaluations + int(done.nfev)
+        if done.fun < 1e-7:
+            break
+    values = dict(zip(free, np.exp(at).tolist(), strict=True))
+    ratio = np.log(response(values) / measured)
+    return Found(values, float(np.sqrt(np.mean(np.abs(ratio) ** 2))), evaluations)
+
+
+def report(
+    model: Model, measured: ComplexArray, values: Mapping[str, float], free: Sequence[str], evaluations: int
+) -> Identified:
+    """Return what was found with its cost and with what the data say about each parameter.
+
+    Raises
+    ------
+    IdentificationError
+        When a value or the response it gives is not finite.
+
+    """
+    computed, _ = model(values)
+    if not np.isfinite(computed).all():
+        raise IdentificationError("the identified properties give no finite response; start from other values")
+    at = np.log([max(values[name], 1e-300) for name in free])
+    residual, jacobian = _residual(lambda some: model({**values, **some}), measured, free, at)
+    log_error = float(np.sqrt(residual @ residual / len(measured)))
+    deviation = _log_deviation(jacobian, len(measured), max(log_error, ASSUMED_ERROR))
+    low, high = _limits(free)
+    implausible = tuple(
+        name
+        for name, place, bottom, top in zip(free, at, low, high, strict=True)
+        if values[name] > PLAUSIBLE[name.partition("_")[0]] or place <= bottom + 1e-9 or place >= top - 1e-9
+    )
+    return Identified(
+        values={name: float(value) for name, value in values.items()},
+        free=tuple(free),
+        cost_m_per_n=cost_of_source(measured, computed),
+        log_error=log_error,
+        evaluations=evaluations,
+        log_deviation=dict(zip(free, deviation.tolist(), strict=True)),
+        identifiable={name: bool(size < IDENTIFIABLE) for name, size in zip(free, deviation, strict=True)},
+        implausible=implausible,
+    )
+
+
+def _log_deviation(jacobian: npt.NDArray[np.float64], lines: int, error: float) -> FloatArray:
+    """Return how far each logarithm moves when the response is off by `error`, parameters compensating."""
+    _, singular, right = np.linalg.svd(jacobian / np.sqrt(lines), full_matrices=False)
+    with np.errstate(divide="ignore"):
+        spread = np.where(singular > 1e-12 * singular.max(initial=0.0), error / singular, np.inf)
+    weights = np.abs(right.T) > 1e-8
+    moved = np.where(weights, np.abs(right.T) * np.where(np.isinf(spread), 0.0, spread), 0.0)
+    total = np.sqrt(np.square(moved).sum(axis=1))
+    unseen = (weights & np.isinf(spread)[None, :]).any(axis=1)
+    return np.where(unseen, np.inf, total)
