@@ -1,6 +1,7 @@
 """What the person at the machine is told and asked."""
 
 import asyncio
+import contextlib
 import math
 import os
 import select
@@ -53,8 +54,9 @@ class TerminalDialogue:
         self._unread = b""
 
     def say(self, text: str) -> None:
-        """Print a line."""
-        click.echo(text)
+        """Print a line; a terminal that is gone must not stop the way back to zero."""
+        with contextlib.suppress(OSError):
+            click.echo(text)
 
     async def confirm(self, question: str) -> bool:
         """Ask for a yes; a general consent counts."""
@@ -95,13 +97,17 @@ class TerminalDialogue:
         return await self._ask(f"{question} ") if self.interactive else ""
 
     async def _ask(self, prompt: str) -> str:
-        click.echo(prompt, nl=False)
+        with contextlib.suppress(OSError):
+            click.echo(prompt, nl=False)
         while b"\n" not in self._unread:
             ready, _, _ = select.select([self._descriptor], [], [], 0)
             if not ready:
                 await asyncio.sleep(LOOK_S)
                 continue
-            data = os.read(self._descriptor, 4096)
+            try:
+                data = os.read(self._descriptor, 4096)
+            except OSError:
+                data = b""  # the terminal is gone
             if not data:
                 raise CommissioningRefusedError(
                     f"nobody answered {prompt.strip()!r}: standard input has ended. Answer on a terminal, or with "

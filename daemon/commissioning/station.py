@@ -243,7 +243,10 @@ class Station:
     async def _beat(self) -> None:
         session = self.session
         if problems := await session.poll():
-            raise ForeignWriterError("; ".join(problems))
+            raise ForeignWriterError(
+                f"{'; '.join(problems)}: something else writes these variables, or the guard is not the configured "
+                "one. Nothing more is written; find it, and begin again"
+            )
         sample = session.sample
         assert sample is not None
         self._history.cnc_sample(sample)

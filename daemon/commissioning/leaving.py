@@ -1,0 +1,80 @@
+"""The way back after an early end: offsets to zero at the slew rate, and what is left when that is not possible."""
+
+import asyncio
+from collections.abc import Callable
+
+from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.movement import Movement
+from daemon.commissioning.refusal import CommissioningRefusedError, ForeignWriterError
+from daemon.commissioning.station import Station
+from drivers.contract import DriverError
+
+RECONNECTING_S = 2.0
+RECONNECTS = 15
+"""A lost link is tried so often before the machine is left as it is."""
+
+
+class WayBack:
+    """Brings the machine back to zero whatever has ended the commissioning."""
+
+    def __init__(self, station: Station, movement: Movement, dialogue: Dialogue, event: Callable[[str], None]) -> None:
+        """`event` leaves a line in the audit."""
+        self._station = station
+        self._movement = movement
+        self._dialogue = dialogue
+        self._event = event
+
+    async def leave(self, error: BaseException) -> None:
+        """Go back to zero after an early end, as far as that is possible, and say what is left."""
+        interrupted = isinstance(error, asyncio.CancelledError)
+        if interrupted and (task := asyncio.current_task()) is not None:
+            task.uncancel()
+        why = "interrupted" if interrupted else str(error) or type(error).__name__
+        self._event(f"ended early: {why}")
+        station = self._station
+        if not station.touched:
+            self._dialogue.say("Nothing has been moved.")
+            return
+        if isinstance(error, ForeignWriterError):
+            self._dialogue.say(
+                "Somebody else writes the block, so nothing more is written; the block expires in the CNC."
+            )
+        else:
+            self._dialogue.say(f"Stopped ({why}). Going back to zero; press Ctrl-C to leave the machine as it is.")
+            try:
+                await self._retreat(lost=isinstance(error, DriverError))
+            except (CommissioningRefusedError, DriverError, asyncio.CancelledError) as problem:
+                self._dialogue.say(f"The way back to zero broke off: {problem or 'interrupted'}")
+        left = station.whats_left()
+        self._event(f"left behind: {left or 'nothing'}")
+        self._dialogue.say(
+            f"LEFT BEHIND: {left}. The guard finds the block expired and acts as its expiry policy says. Run "
+            "`toolpoint commission` again: it takes the offset back first."
+            if left
+            else "Everything is back at zero."
+        )
+
+    async def _retreat(self, *, lost: bool) -> None:
+        station = self._station
+        if lost:
+            await self._reconnect()
+
+        async def back() -> None:
+            await station.next_beat()
+            await self._movement.to_zero()
+            await self._movement.switch_off()
+
+        station.target_um = station.command_um.copy()
+        await station.supervise(back())
+
+    async def _reconnect(self) -> None:
+        station = self._station
+        for attempt in range(1, RECONNECTS + 1):
+            try:
+                await station.connect()
+                return
+            except DriverError as problem:
+                self._dialogue.say(f"No link to the CNC ({problem}); attempt {attempt} of {RECONNECTS}")
+                if attempt == RECONNECTS:
+                    raise
+            await station.clock.sleep(RECONNECTING_S)

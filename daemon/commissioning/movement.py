@@ -1,0 +1,133 @@
+"""Moving an axis by the guard's hand: the value is written, a person has the guard called, the echo answers."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.station import Station
+from daemon.output.alarm import GUARD_CONTENT
+from models.records import FloatArray
+
+CALL_THE_GUARD = "Call the guard now: in MDI, or run the program to its safe point."
+GUARD_SAYS = {
+    2: "the block was torn (status 2): the guard and the map of the macros do not agree on the sequence numbers",
+    3: "the block has expired (status 3): the guard's clock is not the one that is configured, or its limit is shorter",
+    4: "a value is vacant (status 4): the guard reads other variables than the map says",
+    5: "the value is outside its bound (status 5): the guard's bound is smaller than the offset, or its unit differs",
+    6: "the control is in inch mode (status 6): command G21",
+    7: "cutter compensation or a canned cycle is active (status 7): command G40 and G80",
+    8: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
+    9: "the external work offset was changed in between (status 9): run the guard's initialise program in MDI",
+}
+"""What a guard that does not apply the block says by its status."""
+NO_MEMORY = "its echo of what is applied is vacant: run the guard's initialise program in MDI, then the guard again"
+
+
+class Movement:
+    """Moves axes leg by leg and waits for the guard; used while the station's heart beats."""
+
+    def __init__(self, station: Station, dialogue: Dialogue, *, patience_s: float, version_macro: int) -> None:
+        """`patience_s` is how long a person has to call the guard [s]."""
+        self._station = station
+        self._dialogue = dialogue
+        self._patience_s = patience_s
+        self._version_macro = version_macro
+
+    async def hear_guard(self) -> int:
+        """Wait until the guard has run once with everything off; return its version."""
+        station = self._station
+        await station.next_beat()
+        since_s = station.cnc_clock_s
+        self._dialogue.say(f"The guard must run once while nothing is asked of it. {CALL_THE_GUARD}")
+
+        told = False
+
+        def heard() -> bool:
+            nonlocal told
+            echo = station.echo
+            ran = echo.time_s is not None and echo.time_s > since_s
+            known = bool(np.all(np.isfinite(echo.applied_um)))
+            if ran and not known and not told:
+                told = True
+                self._dialogue.say(f"The guard ran, but {NO_MEMORY}.")
+            return ran and known
+
+        await self._wait_for_guard(heard, lambda: NO_MEMORY if told else "it has not run")
+        guard_version = station.echo.guard_version
+        if guard_version is None or guard_version != round(guard_version):
+            raise CommissioningRefusedError(
+                f"the guard ran, but its version reads {guard_version}: it must echo a whole number in "
+                f"#{self._version_macro} (cnc.macros.echo_guard_version)"
+            )
+        self._dialogue.say(f"The guard answers: version {guard_version:g}, status {station.echo.status}.")
+        return round(guard_version)
+
+    async def move(self, index: int, target_um: float) -> None:
+        """Bring one axis to its target, leg by leg, each no larger than the guard's step."""
+        station = self._station
+        while station.command_um[index] != target_um:
+            wanted_um = station.target_um.copy()
+            wanted_um[index] = station.next_leg_um(index, target_um)
+            station.target_um = wanted_um
+            await station.written()
+            await self._wait_for_applied(wanted_um)
+
+    async def _wait_for_applied(self, wanted_um: FloatArray) -> None:
+        station = self._station
+        if not station.applied(wanted_um):
+            values = ", ".join(f"{axis} {um:+.2f} um" for axis, um in zip(station.axes, wanted_um, strict=True) if um)
+            self._dialogue.say(f"The CNC holds {values or 'zero'}. {CALL_THE_GUARD}")
+        await self._wait_for_guard(lambda: station.applied(wanted_um), lambda: "it has not applied what was asked")
+
+    async def _wait_for_guard(self, done: Callable[[], bool], complaint: Callable[[], str]) -> None:
+        """Wait for the guard; say what it says when it refuses, end with a sentence when it never does."""
+        station = self._station
+        begin_s = station.clock.now().monotonic_s
+        said: int | None = 0
+        await station.next_beat()
+        asked_s = station.cnc_clock_s
+        while not done():
+            echo = station.echo
+            ran = echo.time_s is not None and echo.time_s > asked_s
+            if ran and echo.status != said and echo.status not in GUARD_CONTENT:
+                said = echo.status
+                self._dialogue.say(f"The guard ran, and {GUARD_SAYS.get(said or -1, f'refused (status {said})')}.")
+            if station.clock.now().monotonic_s - begin_s > self._patience_s:
+                last = GUARD_SAYS.get(said or -1, "") if said else ""
+                raise CommissioningRefusedError(
+                    f"waited {self._patience_s:g} s for the guard: {last or complaint()}; "
+                    f"{self._echo_in_words()}. Check that the guard is loaded, that "
+                    "the program or MDI really calls it, and that cnc.macros names the variables it uses"
+                )
+            await station.next_beat()
+
+    def _echo_in_words(self) -> str:
+        station, echo = self._station, self._station.echo
+        pairs = zip(station.axes, station.target_um, echo.applied_um, strict=True)
+        return "; ".join(f"{axis}: asked {asked:.2f} um, applied {um:.2f} um" for axis, asked, um in pairs)
+
+    async def to_zero(self) -> None:
+        """Bring every axis to zero, leg by leg."""
+        station = self._station
+        echo_um = station.echo.applied_um
+        station.enable = [
+            on or abs(um) > 0 or abs(echo) > 0
+            for on, um, echo in zip(station.enable, station.command_um, np.nan_to_num(echo_um), strict=True)
+        ]
+        while np.any(station.command_um != 0):
+            station.target_um = np.array([station.next_leg_um(i, 0.0) for i in range(len(station.axes))])
+            await station.written()
+            await self._wait_for_applied(station.target_um)
+        await self._wait_for_applied(np.zeros(len(station.axes)))
+
+    async def switch_off(self) -> None:
+        station = self._station
+        station.enable = [False] * len(station.axes)
+        await station.written()
+        await station.next_beat()
+        if not station.applied(np.zeros(len(station.axes))) or station.session.enabled:
+            raise CommissioningRefusedError(f"not everything is back at zero: {station.whats_left()}")
+        station.touched = False
+        self._dialogue.say("Everything is at zero, and the enable word is 0.")
