@@ -29,8 +29,8 @@ class Requests:
 
     async def carried_out(self) -> None:
         """Wait until everything that was queued before has been decided on."""
-        waits = True
-        while waits:
+        while True:
             self._acted.clear()
-            waits = bool(self._waiting)
             await self._acted.wait()
+            if not self._waiting:
+                return
