@@ -4,7 +4,8 @@
 
 Simulated machine and daemon are two processes as in the demo, at speed 1. --period shortens the lines'
 cycle (the source's is 10 s) to gather more samples; --busy loads every core besides. Prints start-up
-time, percentiles of the feedback delay, and memory and CPU of the daemon.
+time, percentiles of the feedback delay and of each stage on the way (from the audit, first write apart), and
+memory and CPU of the daemon.
 """
 
 import argparse
@@ -17,12 +18,15 @@ import time
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import psutil
 
 from daemon.cli.demo import demo_machine
+from daemon.history.reader import HistoryReader
 from daemon.rehearsal.demonstration import switch_on, watch
 from daemon.rehearsal.processes import rehearse, write_rehearsal_configuration
 
+STAGES = ("cleansed", "estimated", "written", "read_back")
 SETTLING_S = 30.0
 """The reference is set by hand after this long, so that estimates begin [s]."""
 
@@ -34,6 +38,23 @@ def _ready_s(log: Path) -> float:
         if record["event"] == "daemon.ready":
             return datetime.fromisoformat(record["timestamp"]).timestamp()
     raise ValueError(f"{log}: the daemon was never ready")
+
+
+def _stages(store: Path) -> None:
+    """Print where the time goes from the last byte on [ms], for every write that an estimate caused."""
+    with HistoryReader(store) as reader:
+        writes = [record for record in reader.writes(0.0, time.time() + 1e6) if record.cause == "estimate"]
+    cycles = [record.delay_s for record in writes if all(stage in record.delay_s for stage in STAGES)]
+    if not cycles:
+        print("the audit holds no write with a whole trace")
+        return
+    stages = np.array([[delay_s[stage] for stage in STAGES] for delay_s in cycles]) * 1e3
+    names = ("last byte to cleansed", "cleansed to estimated", "estimated to written", "written to read back")
+    for name, column in zip((*names, "all"), (*np.diff(stages, axis=1, prepend=0.0).T, stages[:, -1]), strict=True):
+        p50, p99, p999 = np.percentile(column, [50, 99, 99.9])
+        print(f"{name:>22}: p50 {p50:6.2f}, p99 {p99:6.2f}, p99.9 {p999:6.2f}, max {column.max():6.2f} ms")
+    order = np.argsort(stages[:, -1])[::-1][:5]
+    print("slowest (write, ms to each stage):", [(int(i), stages[i].round(1).tolist()) for i in order])
 
 
 def main() -> None:
@@ -74,6 +95,7 @@ def main() -> None:
                     f"daemon: RSS {daemon.memory_info().rss / 2**20:.1f} MiB, "
                     f"CPU {100 * cpu_s / wall_s:.2f} % of a core"
                 )
+            _stages(directory / "history.sqlite")
     finally:
         for burner in burners:
             burner.kill()
