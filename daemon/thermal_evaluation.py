@@ -23,12 +23,10 @@ from models.thermal.inputs import (
     with_sensors,
 )
 from models.thermal.linear_families import FAMILIES
+from models.thermal.train_family import family_inputs, require_rows
 from models.thermal.trial import Fault, FaultOutcome, Tester, Trial, trial_rows
 from models.thermal.trust import Trust, judge
 from models.thermal.watch_fit import fit_watch
-
-LARGEST_INCOMPLETE_SHARE = 0.5
-"""When more training rows than this miss a displacement, that is said instead of fitting the rest."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -157,16 +155,11 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     if not kept:
         raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
     chosen = [with_sensors(recording, kept) for recording in recordings]
-    prepare, lagged = FAMILIES[model]
-    inputs = (
-        build_inputs(chosen, sample_s=sample_s)
-        if lagged
-        else build_inputs(chosen, sample_s=sample_s, lags_min=(), speed_lags_min=())
-    )
+    inputs = family_inputs(chosen, sample_s, model)
     rows = part.train & inputs.trainable()
-    _require_rows(inputs, part.train, rows)
+    require_rows(inputs, part.train, rows)
     fold, _ = inner_folds(inputs, rows)
-    problem = prepare(inputs, rows, fold, protocol.probe_min)
+    problem = FAMILIES[model][0](inputs, rows, fold, protocol.probe_min)
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(chosen, sample_s, rows, fold)
     tester = Tester(inputs, problem.fit(), watch, protocol.probe_min)
@@ -178,21 +171,6 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         hyper_parameters=problem.hyper_parameters,
         faults=_fault_outcomes(inputs, tester, trials, protocol.faults, dropped),
         dropped=dropped,
-    )
-
-
-def _require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:
-    if rows.sum() > inputs.layout.sensors and rows.sum() >= LARGEST_INCOMPLETE_SHARE * wanted.sum():
-        return
-    missing = (~np.isfinite(inputs.measured_um[wanted])).mean(axis=0)
-    worst = int(np.argmax(missing))
-    complaint = f"column {inputs.channels[worst]} misses {missing[worst]:.0%} of them" if missing[worst] > 0.0 else ""
-    if inputs.speed_missing[wanted].any():
-        complaint += f"{', ' if complaint else ''}spindle speed misses {inputs.speed_missing[wanted].mean():.0%}"
-    raise DatasetError(
-        f"{', '.join(inputs.recording_names)}: of {int(wanted.sum())} training rows {int(rows.sum())} are complete, "
-        f"for {inputs.layout.sensors} temperatures{f' ({complaint})' if complaint else ''}; record longer, or take the "
-        "incomplete column out of the map"
     )
 
 

@@ -1,13 +1,16 @@
 """`toolpoint thermal`: thermal models from recordings."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
-from daemon.cli.thermal_evaluate import evaluate
+from daemon.cli.thermal_evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal_options import ProgressBar, hours_option
+
+if TYPE_CHECKING:
+    from daemon.training import Selection
 
 MOST_WARNINGS = 10
 AUTO = "auto"
@@ -36,6 +39,12 @@ thermal.add_command(evaluate)
 @thermal.command()
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
+@click.option(
+    "--model",
+    "family",
+    type=click.Choice(MODELS),
+    help="Family of models. Without: increments, as the options below say.",
+)
 @hours_option("--hours", help="Train on these hours of each recording only.")
 @click.option(
     "--interval-min",
@@ -53,6 +62,7 @@ thermal.add_command(evaluate)
 def train(
     recordings: tuple[Path, ...],
     map_path: Path | None,
+    family: str | None,
     hours: tuple[float, float] | None,
     interval_min: float,
     ridge: float | str | None,
@@ -75,6 +85,14 @@ def train(
 
     if not output.parent.is_dir():
         refuse(f"{output}: there is no folder {output.parent}")
+    if family is not None:
+        if ridge is not None or intercept or split_at_speed or interval_min != 1.0:
+            raise click.UsageError(
+                "--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed"
+            )
+        found = _train_family(recordings, map_path, family, Selection(hours=hours, channels=_names(channels)), output)
+        write_json(json_path, found)
+        return
     try:
         recording_map = None if map_path is None else load_recording_map(map_path)
         choices = TrainingChoices(
@@ -96,6 +114,38 @@ def train(
     found = summary(result, output)
     _show(found)
     write_json(json_path, found)
+
+
+def _train_family(
+    recordings: tuple[Path, ...], map_path: Path | None, family: str, selection: "Selection", output: Path
+) -> dict[str, Any]:
+    """Train a family of models, write its file and return what came of it."""
+    from config.problems import ConfigurationError
+    from config.recording_map import load_recording_map
+    from daemon.training import family_summary, train_family_from_files, write_model_file
+    from drivers.recording_csv import RecordingFileError
+    from models.dataset import DatasetError
+
+    try:
+        recording_map = None if map_path is None else load_recording_map(map_path)
+        with ProgressBar() as bar:
+            result = train_family_from_files(recordings, recording_map, selection, family, bar.show)
+        write_model_file(result.model, output)
+    except (ConfigurationError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{output}: the model cannot be written ({error.strerror})")
+    found = family_summary(result, output)
+    for warning in found["warnings"][:MOST_WARNINGS]:
+        click.echo(f"warning: {warning}", err=True)
+    for name, why in found["temperatures_left_out"].items():
+        click.echo(f"temperature {name} is left out of the model: {why}", err=True)
+    click.echo(f"{output}: {result.model.model_id}, {compact_text(found['hyper_parameters'])}", err=True)
+    if (remains := found["held_out"]["relative_rmse"]) is not None:
+        click.echo(f"{remains:.0%} of the error remains where one {result.folds} at a time was left out", err=True)
+    if found["refused"] is not None:
+        click.echo(f"refused: {found['refused']}; do not use it", err=True)
+    return found
 
 
 def _names(channels: str | None) -> tuple[str, ...] | None:

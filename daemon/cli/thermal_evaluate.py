@@ -131,7 +131,7 @@ def _show(found: dict[str, Any]) -> None:
     for test in found["tests"]:
         for name, why in test["temperatures_left_out"].items():
             click.echo(f"{test['name']}: temperature {name} is left out of the model: {why}", err=True)
-    click.echo(f"model {found['model']}: {_compact(found['hyper_parameters'])}", err=True)
+    click.echo(f"model {found['model']}: {compact_text(found['hyper_parameters'])}", err=True)
     click.echo(
         f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers", err=True
     )
@@ -159,12 +159,14 @@ def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _compact(values: dict[str, Any]) -> str:
+def compact_text(values: dict[str, Any]) -> str:
+    """Return hyper-parameters on one line."""
+
     def one(value: Any) -> str:
         if isinstance(value, list):
             return "[" + ", ".join(map(one, value)) + "]"
         if isinstance(value, dict):
-            return "{" + _compact(value) + "}"
+            return "{" + compact_text(value) + "}"
         return f"{value:.4g}" if isinstance(value, float) else str(value)
 
     return ", ".join(f"{key} {one(value)}" for key, value in values.items())

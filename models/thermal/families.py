@@ -83,9 +83,10 @@ def relative_rmse(
     remaining, without = np.zeros(len(inputs.channels)), np.zeros(len(inputs.channels))
     for number, fit in fits.items():
         for measured, estimated in zip(*held_out_um(inputs, rows & (fold == number), fit), strict=True):
-            residual = measured - estimated
+            residual: FloatArray = measured - estimated
             if probe_min is not None:
-                residual = probed_residual_um(inputs.period_min * np.arange(len(residual)), residual, probe_min)
+                times_min = inputs.period_min * np.arange(len(residual), dtype=np.float64)
+                residual = probed_residual_um(times_min, residual, probe_min)
             remaining += np.square(residual).sum(axis=0)
             without += np.square(measured).sum(axis=0)
     moves = without > 0.0

@@ -23,7 +23,7 @@ SPEED_CHANGE_RPM = 100.0
 """No increment is taken across a change of spindle speed by more than this [1/min]."""
 MOST_COMPONENTS = 20
 """Partial least squares tries so many components."""
-RELATIVE_ALPHAS = tuple(10.0 ** (-quarter / 4.0) for quarter in range(1, 18))
+RELATIVE_ALPHAS: tuple[float, ...] = tuple(10.0 ** (-quarter / 4.0) for quarter in range(1, 18))
 """LASSO penalties that are tried, relative to the one that leaves no temperature."""
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from models.records import FloatArray
 from models.thermal.telescoped import thermal_error_um
 
+KINDS = ("increments", "ridge", "pls", "lasso")
+"""Families of models that end in one coefficient per temperature."""
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""
 
@@ -59,7 +61,7 @@ class ThermalModel:
 
     model_id: str
     kind: str
-    """How it was fitted: `increments` or `ridge`."""
+    """How it was fitted: one of `KINDS`."""
     channels: tuple[str, ...]
     """Displacement channels that it estimates."""
     sensor_ids: tuple[int, ...]
@@ -112,8 +114,8 @@ def _check_names(model: ThermalModel) -> None:
         )
     if min(model.sensor_ids) < 1:
         raise ModelError("sensor_ids", f"{min(model.sensor_ids)} is not a sensor ID; they count from 1")
-    if model.kind not in ("increments", "ridge"):
-        raise ModelError("kind", f"{model.kind!r} is unknown; this version knows increments and ridge")
+    if model.kind not in KINDS:
+        raise ModelError("kind", f"{model.kind!r} is unknown; this version knows {', '.join(KINDS)}")
 
 
 def _check_arrays(model: ThermalModel) -> None:

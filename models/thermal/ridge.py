@@ -13,7 +13,7 @@ import numpy as np
 from models.records import FloatArray
 from models.thermal.inputs import BRIDGE_MIN, BoolArray, Inputs, IntArray, Layout
 
-PENALTIES = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
+PENALTIES: tuple[float, ...] = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
 """Candidates, relative to the mean variance of the columns."""
 MOST_COLUMNS = 400
 """More columns are first turned into their leading principal directions, this many."""

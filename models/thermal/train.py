@@ -181,7 +181,7 @@ def _model(
 ) -> ThermalModel:
     first = recordings[0]
     drift_um_per_min = fitted.intercept_um / choices.interval_min
-    lowest_k, highest_k = _increment_range_k(averaged)
+    lowest_k, highest_k = increment_range_k(averaged)
     digest = _digest(fitted.coefficients_um_per_k, drift_um_per_min)
     return ThermalModel(
         model_id=f"{choices.kind}-{choices.interval_min:g}min-{digest[:8]}",
@@ -196,7 +196,7 @@ def _model(
         lowest_increment_k=lowest_k,
         highest_increment_k=highest_k,
         band_um=band_um,
-        training=tuple(_training_data(recording) for recording in recordings),
+        training=tuple(training_data(recording) for recording in recordings),
         created=created,
         test_vectors=make_test_vectors(fitted.coefficients_um_per_k, drift_um_per_min, _test_pairs(averaged[0])),
     )
@@ -210,7 +210,7 @@ def sensor_ids_from_names(names: Sequence[str]) -> tuple[int, ...]:
     return tuple(range(1, len(names) + 1))
 
 
-def _increment_range_k(recordings: Sequence[Recording]) -> tuple[FloatArray, FloatArray]:
+def increment_range_k(recordings: Sequence[Recording]) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest increment of each sensor since any earlier row of its recording [K]."""
     lowest, highest = [], []
     for recording in recordings:
@@ -226,7 +226,8 @@ def _test_pairs(recording: Recording) -> tuple[tuple[FloatArray, FloatArray], ..
     return (complete[len(complete) // 2].copy(), reference), (complete[-1].copy(), reference)
 
 
-def _training_data(recording: Recording) -> TrainingData:
+def training_data(recording: Recording) -> TrainingData:
+    """Return what a recording contributes to a model: its name, checksum and extent."""
     names = "\n".join((*recording.temperature_names, *recording.displacement_names)).encode()
     arrays = [recording.time_s, recording.temperatures_degc, recording.displacements_um]
     return TrainingData(

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.thermal.artifact import ModelError, _sha256, model_from_json, model_to_json
+from models.thermal.artifact import ModelError, model_from_json, model_to_json
+from models.thermal.json_fields import content_sha256
 from models.thermal.model import TestVector, ThermalModel, TrainingData, make_test_vectors
 
 COEFFICIENTS = np.array([[1.5, -0.25, 0.1], [0.0, 2.0, 1.0 / 3.0]])
@@ -44,7 +45,7 @@ def changed(change: Callable[[dict[str, Any]], None], *, signed: bool = True) ->
     change(content)
     if signed:
         content.pop("sha256", None)
-        content["sha256"] = _sha256(content)
+        content["sha256"] = content_sha256(content)
     return json.dumps(content)
 
 

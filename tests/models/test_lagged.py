@@ -1,0 +1,326 @@
+"""Models with lags: features, closed-form exclusion, sample-by-sample use, the file, the state's file."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from sklearn.linear_model import Ridge
+
+from models.dataset import Recording
+from models.records import FloatArray
+from models.thermal.families import Fit, default_family
+from models.thermal.folds import inner_folds
+from models.thermal.inputs import build_inputs
+from models.thermal.json_fields import content_sha256
+from models.thermal.lagged import LaggedEstimator
+from models.thermal.lagged_artifact import any_model_from_json, lagged_model_from_json, lagged_model_to_json
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.lagged_state import state_from_json, state_to_json
+from models.thermal.lags import lag_step, lag_table
+from models.thermal.model import ModelError, ThermalModel
+from models.thermal.ridge import Design, RidgeProblem
+from models.thermal.train_family import train_family
+
+CREATED = "2026-01-01T00:00:00+00:00"
+SENSORS = 5
+
+
+def machine(cycles: int = 4, minutes: int = 120, seed: int = 0, noise_k: float = 0.02) -> Recording:
+    """A spindle that heats two parts with different time constants; displacements follow them."""
+    rng = np.random.default_rng(seed)
+    speeds = rng.permutation(np.linspace(1500.0, 6000.0, cycles))
+    rpm = np.concatenate([np.r_[np.full(minutes // 2, s), np.zeros(minutes - minutes // 2)] for s in speeds])
+    time_min = np.arange(float(len(rpm)))
+    heat = np.column_stack([(rpm / 6000.0) ** 2, rpm / 6000.0])
+    parts = lag_table(time_min, heat, (12.0, 45.0))
+    ambient = 0.3 * np.sin(time_min / 300.0)
+    places = rng.uniform(0.2, 1.0, (4, SENSORS))
+    body = np.hstack([parts[0], parts[1]])
+    degc = 22.0 + 8.0 * body @ places + ambient[:, None] + rng.normal(0.0, noise_k, (len(rpm), SENSORS))
+    um = 40.0 * parts[1][:, :1] + np.outer(parts[0][:, 1], [10.0, -25.0]) + 2.0 * ambient[:, None]
+    return Recording(
+        name=f"machine{seed}",
+        time_s=60.0 * time_min,
+        speed_rpm=rpm,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=degc,
+        displacement_names=("c1", "c2"),
+        displacements_um=um + rng.normal(0.0, 0.05, um.shape),
+    )
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return machine()
+
+
+@pytest.fixture(scope="module")
+def model(recording: Recording) -> LaggedModel:
+    made = train_family([recording], "default", sample_s=60.0, created=CREATED).model
+    assert isinstance(made, LaggedModel)
+    return made
+
+
+def default_fit(recording: Recording) -> tuple[Any, Fit]:
+    inputs = build_inputs([recording], sample_s=60.0)
+    rows = inputs.trainable()
+    return inputs, default_family(inputs, rows, inner_folds(inputs, rows)[0], None).fit()
+
+
+def test_a_lag_is_exact_for_a_ramp_whatever_the_sampling() -> None:
+    """For u = t the lag is t - tau (1 - exp(-t / tau))."""
+    for steps in (1, 7, 100):
+        time_min = np.linspace(0.0, 30.0, steps + 1)
+        lagged = lag_table(time_min, time_min[:, None], (12.0,))[0, -1, 0]
+        assert lagged == pytest.approx(30.0 - 12.0 * (1.0 - np.exp(-30.0 / 12.0)), rel=1e-12)
+
+
+def test_a_lag_step_of_no_time_changes_nothing() -> None:
+    assert lag_step(np.array([3.0]), np.array([1.0]), np.array([9.0]), 0.0, 10.0) == [3.0]
+
+
+def test_the_ridge_is_that_of_scikit_learn(recording: Recording) -> None:
+    inputs = build_inputs([recording], sample_s=60.0)
+    rows = inputs.trainable()
+    design = Design(departures=False, correlation_min=None)
+    problem = RidgeProblem(inputs, rows, np.zeros(inputs.rows, dtype=np.intp), design)
+    found = problem.solve(frozenset(), [1e-3])[0].coefficients()
+    spread = inputs.features.std(axis=0)
+    other = Ridge(alpha=1e-3 * inputs.rows, solver="svd").fit(inputs.features / spread, inputs.cleansed_um)
+    np.testing.assert_allclose(found, (other.coef_ / spread).T, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("departures", [False, True])
+@pytest.mark.parametrize("without", [(1,), (0, 3)])
+def test_leaving_sensors_out_is_a_fit_without_them(
+    recording: Recording, departures: bool, without: tuple[int, ...]
+) -> None:
+    inputs = build_inputs([recording], sample_s=60.0)
+    rows, fold = inputs.trainable(), np.zeros(inputs.rows, dtype=np.intp)
+    design = Design(departures=departures, correlation_min=60.0)
+    solution = RidgeProblem(inputs, rows, fold, design).solve(frozenset(), [1e-2])[0]
+    kept = [i for i in range(SENSORS) if i not in without]
+    names = tuple(recording.temperature_names[i] for i in kept)
+    fewer = Recording(
+        name="fewer",
+        time_s=recording.time_s,
+        speed_rpm=recording.speed_rpm,
+        temperature_names=names,
+        temperatures_degc=recording.temperatures_degc[:, kept],
+        displacement_names=recording.displacement_names,
+        displacements_um=recording.displacements_um,
+    )
+    smaller = build_inputs([fewer], sample_s=60.0)
+    # The relative penalty refers to the mean variance of the columns, which differs: match the absolute one.
+    problem = RidgeProblem(smaller, rows, fold, design)
+    whole = solution.remaining
+    penalty = _absolute_penalty(RidgeProblem(inputs, rows, fold, design), 1e-2)
+    again = problem.solve(frozenset(), [penalty / _absolute_penalty(problem, 1.0)])[0].coefficients()
+    found = solution.coefficients(without)
+    assert whole.min() >= 0.0
+    assert np.all(found[inputs.layout.of_sensors(without)] == 0.0)
+    np.testing.assert_allclose(np.delete(found, inputs.layout.of_sensors(without), axis=0), again, rtol=1e-6, atol=1e-8)
+
+
+def _absolute_penalty(problem: RidgeProblem, relative: float) -> float:
+    """From two relative penalties r and s of a direction with eigenvalue w: remaining = p / (w + p)."""
+    solution = problem.solve(frozenset(), [relative])[0]
+    other = problem.solve(frozenset(), [0.0 + 1e-30])[0]
+    scale = np.abs(other.weights.T @ solution.directions)
+    shrunk = np.abs(solution.weights.T @ solution.directions)
+    strongest = int(np.argmin(solution.remaining))
+    ratio = solution.remaining[strongest] / (1.0 - solution.remaining[strongest])
+    assert scale[0, strongest] > shrunk[0, strongest] * 0.99
+    eigenvalue = _largest_eigenvalue(problem)
+    return float(ratio * eigenvalue)
+
+
+def _largest_eigenvalue(problem: RidgeProblem) -> float:
+    from models.thermal.ridge import _centred
+
+    return float(np.linalg.eigvalsh(_centred(problem._pieces)[0])[-1])
+
+
+def history(recording: Recording) -> list[tuple[float, FloatArray, float]]:
+    assert recording.speed_rpm is not None
+    return list(zip((recording.time_s / 60.0).tolist(), recording.temperatures_degc, recording.speed_rpm, strict=True))
+
+
+def test_sample_by_sample_gives_what_the_whole_table_gives(recording: Recording, model: LaggedModel) -> None:
+    inputs, fit = default_fit(recording)
+    estimator = LaggedEstimator(model)
+    samples = history(recording)
+    reference = estimator.rebuild(samples[:101])
+    assert reference is not None
+    state = reference
+    for time_min, degc, speed_rpm in samples[101:300]:
+        state = estimator.advance(state, time_min, degc, speed_rpm, blame=False)
+    estimation = estimator.estimate(state, reference)
+    assert estimation is not None
+    wanted = fit.estimate_um(inputs.features[299], inputs.features[100], 0.0)
+    np.testing.assert_allclose(estimation.thermal_error_um, wanted, atol=1e-9)
+    assert (estimation.imputed, estimation.outside, estimation.in_domain) == ((), (), True)
+
+
+def test_states_are_settled_after_four_times_the_longest_lag(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    assert estimator.history_min == 960.0
+    degc = recording.temperatures_degc[0]
+    first = estimator.begin(0.0, degc, 0.0)
+    halfway = estimator.rebuild((float(minute), degc, 0.0) for minute in range(481))
+    settled = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
+    assert halfway is not None and settled is not None
+    assert [estimator.settled(state) for state in (first, halfway, settled)] == [0.0, 0.5, 1.0]
+    begun = estimator.estimate(halfway, first)
+    assert begun is not None and begun.confidence == 0.0
+
+
+def test_a_gap_in_speed_unsettles_and_a_short_one_does_not(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    degc = recording.temperatures_degc[0]
+    state = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
+    assert state is not None
+    short = estimator.advance(estimator.advance(state, 965.0, degc), 969.0, degc, 0.0)
+    assert estimator.settled(short) == 1.0
+    silent = estimator.advance(state, 975.0, degc)
+    assert estimator.settled(silent) == 0.0
+    assert estimator.settled(estimator.advance(silent, 976.0, degc, 0.0)) == 0.0
+
+
+def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    samples = history(recording)
+    reference = estimator.rebuild(samples[:50])
+    assert reference is not None
+
+    def lost(minute: int) -> FloatArray:
+        return np.where(np.arange(SENSORS) == 2, np.nan, samples[minute][1])
+
+    state = estimator.advance(reference, 50.0, lost(50), samples[50][2])
+    assert estimator.excluded(state, reference) == (2,)
+    back = estimator.advance(state, 55.0, samples[55][1], samples[55][2])
+    assert estimator.excluded(back, reference) == ()
+    for minute in range(51, 70):
+        state = estimator.advance(state, float(minute), lost(minute), samples[minute][2])
+    late = estimator.advance(state, 70.0, samples[70][1], samples[70][2])
+    assert estimator.excluded(late, reference) == (2,)
+    estimation = estimator.estimate(late, reference)
+    assert estimation is not None and estimation.imputed == (model.sensor_ids[2],)
+    assert estimator.excluded(estimator.readmit(late, (2,)), late) == ()
+
+
+def test_no_usable_sensor_is_no_estimate(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    reference = estimator.begin(0.0, recording.temperatures_degc[0], 0.0)
+    state = estimator.advance(reference, 1.0, np.full(SENSORS, np.nan), 0.0)
+    assert estimator.estimate(state, reference) is None
+
+
+def test_far_from_training_confidence_fades(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    degc = recording.temperatures_degc[0]
+    reference = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
+    assert reference is not None
+    near = estimator.estimate(reference, reference)
+    hot = estimator.advance(reference, 961.0, degc + 200.0, 0.0, blame=False)
+    far = estimator.estimate(hot, reference)
+    assert near is not None and far is not None
+    assert near.confidence == 1.0 and near.in_domain
+    assert far.confidence == 0.0 and not far.in_domain and far.outside == model.sensor_ids
+
+
+def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    state = estimator.begin(5.0, recording.temperatures_degc[0], 0.0)
+    assert estimator.advance(state, 5.0, recording.temperatures_degc[1], 0.0) is state
+    with pytest.raises(ValueError, match="needs 5 temperatures"):
+        estimator.advance(state, 6.0, np.zeros(3), 0.0)
+    with pytest.raises(ValueError, match="finite"):
+        estimator.begin(float("nan"), recording.temperatures_degc[0], 0.0)
+
+
+def test_the_file_gives_the_model_back(model: LaggedModel) -> None:
+    text = lagged_model_to_json(model)
+    again = any_model_from_json(text, "m.json")
+    assert isinstance(again, LaggedModel)
+    assert lagged_model_to_json(again) == text
+    assert again.hyper_parameters == model.hyper_parameters
+    np.testing.assert_array_equal(again.coefficients((1,)), model.coefficients((1,)))
+
+
+def test_families_without_lags_are_models_that_the_daemon_loads_as_before(recording: Recording) -> None:
+    from models.thermal.artifact import model_to_json
+
+    for family in ("increments", "ridge", "pls", "lasso"):
+        made = train_family([recording], family, sample_s=60.0, created=CREATED).model
+        assert isinstance(made, ThermalModel)
+        assert isinstance(any_model_from_json(model_to_json(made), "m.json"), ThermalModel)
+
+
+def rewritten(model: LaggedModel, change: Callable[[dict[str, Any]], None]) -> str:
+    content = json.loads(lagged_model_to_json(model))
+    del content["sha256"]
+    change(content)
+    content["sha256"] = content_sha256(content)
+    return json.dumps(content)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda c: c.update(sensor_names=c["sensor_names"][1:]), "sensor_names: 4 where sensor_ids has 5"),
+        (lambda c: c.update(centre=[0.0]), "centre: has shape"),
+        (lambda c: c["ridges"][0]["weights"][0].__setitem__(0, 1e9), r"test_vectors\[0\]: channel c1: the model gives"),
+        (lambda c: c.update(ridges=[]), "ridges: is empty"),
+        (lambda c: c["watch"].update(threshold_k=[0.0] * 5), "watch.threshold_k: a limit is positive"),
+        (lambda c: c.update(test_vectors=[]), "test_vectors: is empty"),
+        (lambda c: c.update(layout={"sensors": 5, "lags_min": [-1], "speed_lags_min": []}), "layout"),
+        (lambda c: c.update(leverage_limit=0.0), "leverage_limit: 0.0 must be positive"),
+        (lambda c: c.pop("watch"), "watch: is missing"),
+        (lambda c: c.update(extra=1), "extra: is not a key of this format"),
+    ],
+)
+def test_a_file_that_cannot_be_right_is_refused(model: LaggedModel, change: Any, sentence: str) -> None:
+    with pytest.raises(ModelError, match=sentence):
+        lagged_model_from_json(rewritten(model, change), "m.json")
+
+
+def test_a_changed_or_foreign_file_is_refused(model: LaggedModel) -> None:
+    text = lagged_model_to_json(model)
+    with pytest.raises(ModelError, match="sha256: does not fit"):
+        any_model_from_json(text.replace('"kind": "default"', '"kind": "other"'), "m.json")
+    with pytest.raises(ModelError, match=r"m\.json: format_version: 7 is unknown"):
+        any_model_from_json(text.replace('"format_version": 2', '"format_version": 7'), "m.json")
+    with pytest.raises(ModelError, match="this is not JSON"):
+        any_model_from_json(text[: len(text) // 2], "m.json")
+
+
+def test_the_state_survives_a_restart(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    samples = history(recording)
+    reference = estimator.rebuild(samples[:80])
+    assert reference is not None
+    lost = samples[80][1].copy()
+    lost[1] = np.nan
+    state = estimator.advance(reference, 80.0, lost, 3000.0)
+    again = state_from_json(model, state_to_json(model, state), "state")
+    later = samples[90][1]
+    before, after = (estimator.estimate(estimator.advance(s, 90.0, later, 3000.0), reference) for s in (state, again))
+    assert before is not None and after is not None
+    np.testing.assert_array_equal(before.thermal_error_um, after.thermal_error_um)
+    assert before.imputed == after.imputed
+
+
+def test_the_state_of_another_model_or_a_damaged_one_is_refused(recording: Recording, model: LaggedModel) -> None:
+    estimator = LaggedEstimator(model)
+    text = state_to_json(model, estimator.begin(0.0, recording.temperatures_degc[0]))
+    with pytest.raises(ModelError, match="belongs to"):
+        state_from_json(model, text.replace(model.model_id, "other"), "state")
+    with pytest.raises(ModelError, match="this is not JSON"):
+        state_from_json(model, text[:50], "state")
+    content = json.loads(text)
+    content["state"]["lagged"] = [[1.0]]
+    with pytest.raises(ModelError, match=r"state\.lagged: does not have the shape"):
+        state_from_json(model, json.dumps(content), "state")
