@@ -87,12 +87,16 @@ def test_a_request_without_an_answer_holds_its_block_until_the_time_is_over(time
     assert simulated.nc.sequence_number == 100
     simulated.advance(ends_s + 0.2)
     assert simulated.nc.sequence_number == 200
+    assert request_of(simulated)[1] == 0.0
     assert not simulated.guard.control.messages
 
 
 def test_a_timeout_can_say_so() -> None:
     simulated = machine(on_timeout="message")
+    simulated.advance(14.9)
+    assert request_of(simulated)[1] == 1.0
     simulated.advance(16.0)
+    assert request_of(simulated)[1] == 0.0
     assert list(simulated.guard.control.messages) == ["TOOLPOINT GIVES NO ANSWER"]
 
 
