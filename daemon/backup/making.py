@@ -71,7 +71,7 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
             copy_store(configuration.history.path, store)
             sources = list(_sources(configuration, config_path, store))
             manifest = _manifest(configuration, sources)
-            _write(partial, manifest, sources)
+            write_archive(partial, manifest, sources)
         partial.replace(destination)
     except HistoryError as error:
         raise BackupError(str(error)) from error
@@ -140,7 +140,8 @@ def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manife
     )
 
 
-def _write(partial: Path, manifest: Manifest, sources: Sequence[Source]) -> None:
+def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source]) -> None:
+    """Write the tar, the manifest first, and hand it to the disk."""
     content = manifest.model_dump_json(indent=2).encode() + b"\n"
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, BACKUP_MODE)
     with os.fdopen(descriptor, "wb") as file:

@@ -104,7 +104,7 @@ def restore(archive_path: Path, config_path: Path, *, person: str, replace: bool
         with _stopped(store), tempfile.TemporaryDirectory(prefix=".toolpoint-restore-", dir=store.parent) as work:
             folder = Path(work)
             _extract(archive_path, [item.name for item in manifest.files], folder)
-            _disarm(folder / STORE_NAME, manifest, person)
+            disarm(folder / STORE_NAME, manifest, person)
             _check_releases(folder, manifest)
             return _put_in_place(folder, manifest, configuration, config_path, replace=replace)
     except OSError as error:
@@ -154,7 +154,7 @@ class _stopped:
         self._lock.release()
 
 
-def _disarm(store: Path, manifest: Manifest, person: str) -> None:
+def disarm(store: Path, manifest: Manifest, person: str) -> None:
     """Check the store in the back-up, bring it up to date, and make it forget what a start would take up again."""
     said = (
         f"the history was restored from the back-up of {manifest.created}, so what the CNC holds is unknown here: "
