@@ -28,6 +28,7 @@ from models.records import (
 )
 from models.thermal.estimate import Estimator, linear_estimator
 from models.thermal.model import ThermalModel
+from models.thermal.rebase import rebased_reference_degc
 
 log = structlog.get_logger(__name__)
 
@@ -222,21 +223,16 @@ class ThermalTask:
         )
 
     def _rebase_returned(self, reference: Reference, degc: FloatArray, elapsed_min: float) -> Reference:
-        """Let a sensor that returns go on from where it was imputed, so that its return moves nothing.
-
-        Its temperature at the reference becomes what makes its increment the imputed one. The same
-        gives a sensor that was missing at the reference a value to count from.
-        """
+        """Let a sensor that returns go on from where it was imputed, so that its return moves nothing."""
         assert self._estimator is not None and self._order is not None
         now = degc[self._order]
-        back = np.isfinite(now) & (self._absent | ~np.isfinite(reference.degc[self._order]))
-        if not back.any() or back.all():
-            return reference
-        without = self._estimator.renew(np.where(back, np.nan, now), reference.degc[self._order], elapsed_min)
-        if without is None:
+        then = reference.degc[self._order]
+        back = np.isfinite(now) & (self._absent | ~np.isfinite(then))
+        counted = rebased_reference_degc(self._estimator, now, then, back, elapsed_min)
+        if counted is then:
             return reference
         at_reference = reference.degc.copy()
-        at_reference[self._order[back]] = (now - without.increment_k)[back]
+        at_reference[self._order] = counted
         rebased = replace(reference, degc=at_reference)
         ids = [self._sensor_ids[i] for i in self._order[back]]
         log.info("reference.rebased", reference=reference.reference_id, sensors=ids[:20], count=len(ids))
