@@ -2,13 +2,12 @@
 
 import asyncio
 import contextlib
+import json
 import re
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from config.commissioning import CommissioningRecord
 from config.loader import load_configuration
@@ -88,6 +87,7 @@ class Bench:
         self.directory = directory
         self.clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=time.time(), speed=SPEED)
         self._described = load_configuration(shipped_file("cfrpmt.yaml"))
+        self._content = self._described.model_dump_json()
         self.stores = 0
         self.reset()
         self.server = SimulatedCncServer(PresentNc(self), self._described.cnc, port=0)
@@ -122,7 +122,7 @@ class Bench:
 
     def configuration(self, change: Callable[[dict[str, Any]], None] = lambda content: None) -> Configuration:
         """The published machine on this bench, with slews that a test can wait for."""
-        content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
+        content = json.loads(self._content)
         content["machine"] = "bench <of tests>"
         endpoint = f"opc.tcp://127.0.0.1:{self.relay.port}/cnc"
         content["cnc"]["opcua"] = {
@@ -137,9 +137,7 @@ class Bench:
         content["history"] = {"path": str(self.directory / f"{self.stores}.sqlite")}
         content["service"] = {"socket": str(self.directory / "control.sock"), "http_port": None}
         change(content)
-        path = self.directory / f"{self.stores}.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        return load_configuration(path)
+        return Configuration.model_validate_json(json.dumps(content))
 
     async def commission(
         self,
