@@ -128,8 +128,8 @@ def test_wheel_holds_the_data_that_the_daemon_needs(wheel: zipfile.ZipFile) -> N
     tracked = {
         str(path.relative_to(ROOT))
         for package in PACKAGES
-        for pattern in ("*.yaml", "*.json", "*.sql")
+        for pattern in ("*.yaml", "*.json", "*.sql", "*.nc")
         for path in (ROOT / package).rglob(pattern)
     }
-    assert "config/cfrpmt.yaml" in tracked
+    assert {"config/cfrpmt.yaml", "config/guard/guard.nc"} <= tracked
     assert tracked <= set(wheel.namelist())
