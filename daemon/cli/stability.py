@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.stability_recordings import chatter, roughness
 
 if TYPE_CHECKING:
     from models.stability.lobes_zoa import StabilityLobes
@@ -33,6 +34,10 @@ def _points(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) 
 @click.group()
 def stability() -> None:
     """Stability of milling: lobes, a stable spindle speed, chatter in recordings."""
+
+
+stability.add_command(chatter)
+stability.add_command(roughness)
 
 
 @stability.command()

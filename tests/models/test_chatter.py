@@ -1,0 +1,173 @@
+"""Chatter in made-up and in simulated signals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.sim.milling import MillingCuts, arc_of, mill
+from models.records import FloatArray
+from models.stability.chatter import (
+    ChatterMonitor,
+    ChatterSettings,
+    check_clipping,
+    detect_chatter,
+    short_time_spectra,
+    summarise,
+    window_samples,
+)
+from models.stability.errors import StabilityError
+
+RATE_HZ = 6400.0
+RNG = np.random.default_rng(8)
+
+
+def forced(speed_rpm: float, seconds: float, teeth: int = 4, runout: float = 0.3, noise: float = 0.3) -> FloatArray:
+    """A stable cut: tooth-passing harmonics, runout at the spindle's harmonics, noise."""
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    passing, turn = speed_rpm * teeth / 60.0, speed_rpm / 60.0
+    signal = noise * RNG.normal(size=len(time_s))
+    for order in range(1, 6):
+        signal += 2.0 / order * np.sin(2.0 * np.pi * order * passing * time_s + order)
+    for order in (1, 2, 3, 5):
+        signal += runout * np.sin(2.0 * np.pi * order * turn * time_s + 2.0 * order)
+    return signal
+
+
+def tone(frequency_hz: float, seconds: float, amplitude: float) -> FloatArray:
+    return amplitude * np.sin(2.0 * np.pi * frequency_hz * np.arange(round(seconds * RATE_HZ)) / RATE_HZ)
+
+
+@pytest.mark.parametrize("speed_rpm", [1500.0, 6000.0, 7000.0, 11987.0])
+def test_forced_vibration_is_no_chatter(speed_rpm: float) -> None:
+    verdict = detect_chatter(forced(speed_rpm, 4.0, runout=1.0), RATE_HZ, speed_rpm, 4)
+    assert not verdict.chatter
+    assert verdict.frequency_hz is None
+    assert verdict.tooth_passing_hz == pytest.approx(speed_rpm / 15.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed_rpm", "chatter_hz"), [(6000.0, 609.0), (7000.0, 655.3), (6000.0, 1310.7), (9000.0, 618.0)]
+)
+@pytest.mark.parametrize("amplitude", [1.0, 5.0])
+def test_a_line_elsewhere_is_chatter(speed_rpm: float, chatter_hz: float, amplitude: float) -> None:
+    verdict = detect_chatter(forced(speed_rpm, 4.0) + tone(chatter_hz, 4.0, amplitude), RATE_HZ, speed_rpm, 4)
+    assert verdict.chatter
+    assert verdict.frequency_hz == pytest.approx(chatter_hz, abs=0.5)
+
+
+def test_a_speed_that_is_a_little_off_raises_no_alarm() -> None:
+    for true_rpm in (5976.0, 6024.0):
+        verdict = detect_chatter(forced(true_rpm, 4.0), RATE_HZ, 6000.0, 4)
+        assert not verdict.chatter
+        assert verdict.tooth_passing_hz == pytest.approx(true_rpm / 15.0, rel=5e-4)
+
+
+def test_noise_alone_and_a_resonance_in_noise_are_no_chatter() -> None:
+    noise = RNG.normal(size=int(8 * RATE_HZ))
+    assert not detect_chatter(noise, RATE_HZ, 6000.0, 4).chatter
+    ringing = np.zeros(len(noise))
+    angular, damping = 2.0 * math.pi * 650.0 / RATE_HZ, 0.03
+    for i in range(2, len(noise)):
+        ringing[i] = (
+            2.0 * math.exp(-damping * angular) * math.cos(angular) * ringing[i - 1]
+            - math.exp(-2.0 * damping * angular) * ringing[i - 2]
+            + noise[i]
+        )
+    assert not detect_chatter(ringing + 50.0 * forced(6000.0, 8.0, noise=0.0), RATE_HZ, 6000.0, 4).chatter
+
+
+def test_onset_and_share_follow_the_signal() -> None:
+    signal = forced(6000.0, 8.0)
+    signal[int(4 * RATE_HZ) :] += tone(609.0, 4.0, 3.0)
+    verdict = detect_chatter(signal, RATE_HZ, 6000.0, 4)
+    assert verdict.onset_s == pytest.approx(4.0, abs=0.35)
+    assert verdict.share == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_monitor_says_the_same_whatever_the_pieces() -> None:
+    signal = forced(6000.0, 5.0) + tone(609.0, 5.0, 1.5)
+    whole = detect_chatter(signal, RATE_HZ, 6000.0, 4)
+    monitor = ChatterMonitor(RATE_HZ, 6000.0, 4)
+    frames, place = [], 0
+    while place < len(signal):
+        size = int(RNG.integers(1, 900))
+        frames += monitor.push(signal[place : place + size])
+        place += size
+    assert monitor.alarm
+    assert summarise(frames) == whole
+
+
+def test_a_change_of_speed_begins_anew() -> None:
+    monitor = ChatterMonitor(RATE_HZ, 6000.0, 4)
+    monitor.push(forced(6000.0, 3.0) + tone(609.0, 3.0, 3.0))
+    assert monitor.alarm
+    monitor.change_speed(7000.0)
+    assert not monitor.alarm
+    frames = monitor.push(forced(7000.0, 3.0))
+    assert frames
+    assert not any(frame.chatter for frame in frames)
+    assert frames[0].time_s == pytest.approx(3.0 + window_samples(RATE_HZ) / RATE_HZ / 2.0, abs=1e-9)
+
+
+def test_spectra_carry_the_power_of_the_signal() -> None:
+    noise = RNG.normal(size=int(20 * RATE_HZ))
+    frames = short_time_spectra(noise, RATE_HZ)
+    mean = np.mean([frame.power_density for frame in frames], axis=0)
+    assert float(mean.sum() * frames[0].frequency_hz[1]) == pytest.approx(float(noise.var()), rel=0.02)
+    assert len(frames[0].frequency_hz) == 2049
+
+
+def test_the_simulated_cut_is_judged_as_it_is() -> None:
+    first, last = arc_of("slot", 10e-3, 10e-3)
+    speed_rpm, steps, seconds = 15962.8, 50, 1.2
+    both = np.ones(2)
+    cuts = MillingCuts(
+        teeth=2,
+        speed_rpm=speed_rpm * both,
+        axial_depth_m=np.array([0.25e-3, 0.6e-3]),
+        first_bearing_rad=first * both,
+        last_bearing_rad=last * both,
+        tangential_n_per_m2=6e8 * both,
+        radial_n_per_m2=2e8 * both,
+        feed_per_tooth_m=1e-4 * both,
+        feed_direction_rad=0.0 * both,
+        mode_frequency_hz=np.full((2, 1), 922.0),
+        mode_damping_ratio=np.full((2, 1), 0.011),
+        mode_stiffness_n_per_m=np.full((2, 1), 0.03993 * (2.0 * math.pi * 922.0) ** 2),
+        mode_axis=(0,),
+    )
+    passing_hz = speed_rpm * 2 / 60.0
+    raw = np.array([sample.acceleration_m_s2[:, 0] for sample in mill(cuts, round(seconds * passing_hz), steps)])
+    times = np.arange(int(0.4 * RATE_HZ), int(seconds * RATE_HZ)) / RATE_HZ
+    for series, expected in zip(raw.T, (False, True), strict=True):
+        smooth = np.convolve(series, np.ones(4) / 4.0, mode="same")
+        signal = np.interp(times, np.arange(1, len(raw) + 1) / (passing_hz * steps), smooth)
+        verdict = detect_chatter(signal, RATE_HZ, speed_rpm, 2)
+        assert verdict.chatter is expected
+        if verdict.frequency_hz is not None:
+            aliases = np.abs(verdict.frequency_hz - 922.0 + passing_hz * np.arange(-5, 6))
+            assert aliases.min() < 40.0
+
+
+def test_short_clipped_and_unreachable_recordings_are_refused() -> None:
+    with pytest.raises(StabilityError, match=r"100 samples.*record longer"):
+        detect_chatter(np.zeros(100), RATE_HZ, 6000.0, 4)
+    with pytest.raises(StabilityError, match="clipped"):
+        detect_chatter(np.clip(forced(6000.0, 2.0), -2.0, 2.0), RATE_HZ, 6000.0, 4)
+    with pytest.raises(StabilityError, match="check speed and teeth"):
+        detect_chatter(forced(6000.0, 2.0), RATE_HZ, 60000.0, 4)
+    with pytest.raises(StabilityError, match="no window"):
+        summarise([])
+
+
+@pytest.mark.parametrize("decimals", [2, 4, 9])
+def test_rounded_signals_are_not_taken_for_clipped(decimals: int) -> None:
+    check_clipping(np.round(tone(400.0, 2.0, 1.0), decimals))
+    check_clipping(np.round(tone(400.0, 2.0, 1.0) + tone(609.0, 2.0, 0.8), decimals))
+    check_clipping(np.round(forced(6000.0, 2.0), decimals))
+
+
+def test_settings_decide_what_counts() -> None:
+    signal = forced(6000.0, 3.0) + tone(609.0, 3.0, 1.0)
+    assert not detect_chatter(signal, RATE_HZ, 6000.0, 4, ChatterSettings(power_ratio=1.0)).chatter
