@@ -74,6 +74,17 @@ def build_spindle(
     return _Builder(description, file, rotary, cells).build()
 
 
+def segment_elasticity(
+    description: SpindleDescription, segment: SegmentDescription, file: Path, cells: int = CELLS
+) -> Elasticity:
+    """Return the equivalent constants of a segment's own section; raises ConfigurationError."""
+    builder = _Builder(description, file, None, cells)
+    found = builder.section(segment, ())
+    if found is None:
+        raise ConfigurationError(_located(file, builder.problems))
+    return found
+
+
 class _Builder:
     def __init__(self, description: SpindleDescription, file: Path, rotary: Rotary | None, cells: int) -> None:
         self.description = description

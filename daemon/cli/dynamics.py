@@ -1,23 +1,17 @@
 """`toolpoint dynamics`: modes and frequency responses of a spindle, and what is identified from measured ones."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.dynamics_identify import contact, identify
+from daemon.cli.dynamics_options import POSITIVE, picture_option, rotary_option, show_warnings, spindle_argument
+from daemon.cli.dynamics_studies import compare, sensitivity
 
 if TYPE_CHECKING:
     from config.spindle import Rotary
-
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
-
-spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=click.Path(path_type=Path))
-rotary_option = click.option(
-    "--rotary",
-    type=click.Choice(["correct", "published"]),
-    help="Rotary inertia of a segment's rigid rotation; published: 4-12 as printed. Without: what the file says.",
-)
 
 
 @click.group()
@@ -29,8 +23,9 @@ def dynamics() -> None:
 @spindle_argument
 @rotary_option
 @click.option("--count", type=click.IntRange(1, 100), default=6, show_default=True, help="How many modes.")
+@picture_option
 @json_option
-def modes(spindle_path: Path, rotary: "Rotary | None", count: int, json_path: str | None) -> None:
+def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path | None, json_path: str | None) -> None:
     """Undamped natural frequencies and mode shapes of SPINDLE, free or on its bearings as the file says.
 
     SPINDLE is a file or the name of one that ships. Positions count from the nose backwards.
@@ -40,13 +35,18 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, json_path: st
     from daemon.dynamics.spindle_files import read_spindle
 
     try:
-        found = modes_summary(read_spindle(spindle_path, rotary), count)
+        spindle = read_spindle(spindle_path, rotary)
+        found = modes_summary(spindle, count)
     except ConfigurationError as error:
         refuse(str(error))
     show_warnings(found)
     click.echo(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long", err=True)
     for number, mode in enumerate(found["modes"], start=1):
         click.echo(f"mode {number:2}: {mode['frequency_hz']:10.2f} Hz", err=True)
+    if picture is not None:
+        from daemon.dynamics.pictures import modes_picture
+
+        modes_picture(picture, spindle, found)
     write_json(json_path, found)
 
 
@@ -64,6 +64,7 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, json_path: st
 @click.option("--to-hz", type=POSITIVE, default=2500.0, show_default=True, help="Last frequency [Hz].")
 @click.option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
 @click.option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
+@picture_option
 @json_option
 def frf(
     spindle_path: Path,
@@ -73,6 +74,7 @@ def frf(
     to_hz: float,
     points: int | None,
     step_hz: float | None,
+    picture: Path | None,
     json_path: str | None,
 ) -> None:
     """Receptance of SPINDLE where it is hit: displacement per force [m/N] over frequency."""
@@ -81,7 +83,8 @@ def frf(
     from daemon.dynamics.spindle_files import read_spindle
 
     try:
-        found = response_summary(read_spindle(spindle_path, rotary), at, frequencies(from_hz, to_hz, points, step_hz))
+        spindle = read_spindle(spindle_path, rotary)
+        found = response_summary(spindle, at, frequencies(from_hz, to_hz, points, step_hz))
     except ConfigurationError as error:
         refuse(str(error))
     except ResponseError as error:
@@ -89,10 +92,12 @@ def frf(
     show_warnings(found)
     for peak in found["peaks"]:
         click.echo(f"peak {peak['frequency_hz']:10.2f} Hz {peak['magnitude_m_per_n']:10.3e} m/N", err=True)
+    if picture is not None:
+        from daemon.dynamics.pictures import response_picture
+
+        response_picture(picture, spindle, found)
     write_json(json_path, found)
 
 
-def show_warnings(found: dict[str, Any]) -> None:
-    """Write the warnings of a result on standard error."""
-    for warning in found["warnings"]:
-        click.echo(f"warning: {warning}", err=True)
+for command in (identify, contact, sensitivity, compare):
+    dynamics.add_command(command)

@@ -37,7 +37,7 @@ def frequencies(from_hz: float, to_hz: float, points: int | None, step_hz: float
         raise ResponseError(f"{count} frequencies are more than {MOST_POINTS}; widen --df")
     if count < 2:
         raise ResponseError(f"a step of {step:g} Hz leaves one frequency between {from_hz:g} and {to_hz:g} Hz")
-    return from_hz + step * np.arange(count)
+    return np.asarray(from_hz + step * np.arange(count), dtype=np.float64)
 
 
 def properties(spindle: Spindle) -> BearingProperties:

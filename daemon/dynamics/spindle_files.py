@@ -7,7 +7,7 @@ from config.spindle import Rotary, load_spindle, shipped_spindles, spindle_folde
 from config.spindle_chain import Spindle, build_spindle
 
 
-def spindle_path(given: Path) -> Path:
+def found_file(given: Path) -> Path:
     """Return the file that is meant: a path, or the name of a spindle that ships with Toolpoint."""
     if given.exists():
         return given
@@ -27,5 +27,5 @@ def read_spindle(given: Path, rotary: Rotary | None = None) -> Spindle:
         With everything that is wrong, each with file, line, column and key.
 
     """
-    path = spindle_path(given)
+    path = found_file(given)
     return build_spindle(load_spindle(path), path, rotary)

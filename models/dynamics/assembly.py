@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.dynamics.beam import ComplexArray, Segment, close
-from models.dynamics.bearings import BearingProperties, CondensedShaft
+from models.dynamics.bearings import BearingProperties, CondensedShaft, inverse_rows
 from models.dynamics.chain import Chain, Part, chain_span
 from models.records import FloatArray
 
@@ -54,8 +54,16 @@ class CondensedAssembly:
 
         H_11 of 4-35 for the nose, of 4-38 for the holder and the tool.
         """
+        a, b, d = self.stiffness(properties)
+        return np.asarray(d / (a * d - b * b), dtype=np.complex128)
+
+    def receptance_matrix(self, properties: BearingProperties) -> ComplexArray:
+        """Return H, L (= N) and P at the front as rows, shape (3, n) [m/N, rad/N, rad/(Nm)]."""
+        return inverse_rows(self.stiffness(properties))
+
+    def stiffness(self, properties: BearingProperties) -> ComplexArray:
+        """Return the dynamic stiffness at the front as rows (11, 12, 22), shape (3, n) [N/m, N/rad, Nm/rad]."""
         stiffness = self.shaft.nose_stiffness(properties)
         if self._front is not None:
             stiffness, _ = close(self._front, stiffness)
-        a, b, d = stiffness
-        return np.asarray(d / (a * d - b * b), dtype=np.complex128)
+        return np.asarray(stiffness, dtype=np.complex128)
