@@ -54,7 +54,11 @@ def _readings(
 @config_option
 @click.option("--axis", "axes", multiple=True, help="Commission this axis (repeatable; default: every axis).")
 @click.option(
-    "--offset-um", type=FiniteFloat(min=-1000, max=1000), default=5.0, show_default=True, help="Offset that each axis is moved by [um]."
+    "--offset-um",
+    type=FiniteFloat(min=-1000, max=1000),
+    default=5.0,
+    show_default=True,
+    help="Offset that each axis is moved by [um].",
 )
 @click.option("--person", default=None, help="Who reads the instrument and signs (else asked).")
 @click.option("--instrument", default=None, help="What is read, with its number (else asked).")
@@ -93,6 +97,13 @@ def _readings(
     help="Text of the guard program that is loaded in the control; its digest goes into the record.",
 )
 @click.option(
+    "--secrets",
+    "secrets_path",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=None,
+    help="Folder of the files that cnc.opcua.security names, when the service's credentials are not there.",
+)
+@click.option(
     "--record",
     "record_path",
     type=click.Path(path_type=Path),
@@ -127,6 +138,7 @@ def commission(
     accept_reversed: tuple[str, ...],
     accept_scale: tuple[str, ...],
     guard_program: Path | None,
+    secrets_path: Path | None,
     record_path: Path | None,
     report_path: Path | None,
     initialise_only: bool,
@@ -139,9 +151,14 @@ def commission(
     refused, 130 when it was interrupted; the offsets go back to zero in every case.
     """
     from daemon.commissioning.procedure import Plan
-    from daemon.commissioning.session import Sources
+    from daemon.commissioning.refusal import CommissioningRefusedError
+    from daemon.commissioning.session import Sources, with_secrets
 
     configuration = read_configuration(config_path)
+    try:
+        configuration = configuration if secrets_path is None else with_secrets(configuration, secrets_path)
+    except CommissioningRefusedError as error:
+        refuse(str(error))
     record_file = record_path or configuration.compensation.commissioning_file
     if only_check:
         sys.exit(_check(configuration, record_file, report_path))

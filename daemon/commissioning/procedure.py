@@ -1,5 +1,7 @@
 """The steps of a commissioning, each announced and agreed to before it happens."""
 
+import os
+import pwd
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -85,7 +87,7 @@ class Commissioning:
         """
         refuse_insecure(self._configuration)
         refuse_offset(self._configuration, self._plan.axes, self._plan.offset_um)
-        self._event("begun")
+        self._event(f"begun by {_login()}")
         try:
             await self._prepare()
             if self._plan.initialise_only:
@@ -228,6 +230,17 @@ class Commissioning:
             software=f"toolpoint {version('toolpoint')}",
             axes=outcome.axes,
         )
+
+
+def _login() -> str:
+    """Return whose account this runs under, for the audit."""
+    uid = os.getuid()
+    try:
+        name = pwd.getpwuid(uid).pw_name
+    except KeyError:
+        name = "unknown"
+    caller = os.environ.get("SUDO_USER")
+    return f"{name} (uid {uid}{f', called by {caller}' if caller else ''})"
 
 
 def _numbers(numbers: tuple[int, ...]) -> str:

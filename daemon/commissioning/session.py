@@ -10,6 +10,7 @@ from pathlib import Path
 from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon import registry
+from daemon.backup.restoring import give_to_owner_of_folder
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.preconditions import refuse_running_daemon
 from daemon.commissioning.procedure import Commissioning, Plan
@@ -84,6 +85,7 @@ async def commission(
             loop.remove_signal_handler(number)
         await asyncio.to_thread(history.close)
         last_block.close()
+        await asyncio.to_thread(hand_over, configuration.history.path)
 
 
 async def commission_by(
@@ -107,6 +109,30 @@ async def commission_by(
             raise CommissioningRefusedError(f"you said no to: {question}")
     named = replace(plan, person=person, instrument=instrument)
     return await commission(configuration, named, sources, dialogue, clock)
+
+
+def hand_over(store: Path) -> None:
+    """Give the store's files to the owner of its folder: what root has made the daemon could not write."""
+    for path in store.parent.glob(f"{store.name}*"):
+        give_to_owner_of_folder(path)
+
+
+def with_secrets(configuration: Configuration, folder: Path) -> Configuration:
+    """Return the configuration with password and key from a folder, because credentials exist in the service only.
+
+    Raises CommissioningRefusedError when one of the files is not there.
+    """
+    opcua = configuration.cnc.opcua
+    if opcua.security is None:
+        raise CommissioningRefusedError("--secrets is given, but cnc.opcua.security is not configured")
+    files = {}
+    for key in ("password_file", "private_key"):
+        files[key] = folder / getattr(opcua.security, key).name
+        if not files[key].is_file():
+            raise CommissioningRefusedError(f"{files[key]} is not there; cnc.opcua.security.{key} names a file like it")
+    security = opcua.security.model_copy(update=files)
+    cnc = configuration.cnc.model_copy(update={"opcua": opcua.model_copy(update={"security": security})})
+    return configuration.model_copy(update={"cnc": cnc})
 
 
 def check_destination(path: Path) -> None:

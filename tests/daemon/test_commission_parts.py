@@ -28,6 +28,7 @@ from daemon.commissioning.judgement import judge
 from daemon.commissioning.readings import Moment, Reading
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.report import record_digest, report_html
+from daemon.commissioning.session import hand_over, with_secrets
 
 CONFIGURATION = load_configuration(shipped_file("cfrpmt.yaml"))
 
@@ -280,6 +281,7 @@ def test_check_says_what_a_record_does_not_cover(tmp_path):
         (["--record", "R", "--yes"], 1, "give --person"),
         (["--record", "R", "--yes", "--person", "A"], 1, "unencrypted, anonymous connection"),
         (["--check"], 2, "there is no record"),
+        (["--secrets", ".", "--record", "R"], 2, "cnc.opcua.security is not configured"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_anything_is_touched(tmp_path, monkeypatch, arguments, status, words):
@@ -287,3 +289,37 @@ def test_what_cannot_be_done_is_said_before_anything_is_touched(tmp_path, monkey
     found = run("--config", machine_file(tmp_path), *arguments)
     assert found.exit_code == status and words in found.output, found.output
     assert not (tmp_path / "R").exists()
+
+
+def test_secrets_come_from_a_folder_where_there_is_no_service(tmp_path):
+    configured = machine_file(tmp_path)
+    content = yaml.safe_load(configured.read_text(encoding="utf-8"))
+    run_folder = "/run/credentials/toolpoint.service"
+    content["cnc"]["opcua"]["security"] = {
+        "user_name": "toolpoint",
+        "password_file": f"{run_folder}/cnc-password",
+        "certificate": "/etc/toolpoint/pki/a.der",
+        "private_key": f"{run_folder}/key.pem",
+        "server_certificate": "/etc/toolpoint/pki/b.der",
+    }
+    configured.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    configuration = load_configuration(configured)
+    (tmp_path / "cnc-password").write_text("secret", encoding="utf-8")
+    with pytest.raises(CommissioningRefusedError, match=r"key\.pem is not there"):
+        with_secrets(configuration, tmp_path)
+    (tmp_path / "key.pem").write_text("key", encoding="utf-8")
+    security = with_secrets(configuration, tmp_path).cnc.opcua.security
+    assert security is not None
+    assert (security.password_file, security.private_key) == (tmp_path / "cnc-password", tmp_path / "key.pem")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+def test_what_root_has_made_belongs_to_the_folders_owner(tmp_path):
+    state = tmp_path / "state"
+    state.mkdir()
+    os.chown(state, 4242, 4243)
+    for name in ("history.sqlite", "history.sqlite-wal", "other"):
+        (state / name).touch()
+    hand_over(state / "history.sqlite")
+    owners = {path.name: (path.stat().st_uid, path.stat().st_gid) for path in state.iterdir()}
+    assert owners == {"history.sqlite": (4242, 4243), "history.sqlite-wal": (4242, 4243), "other": (0, 0)}
