@@ -29,11 +29,12 @@ COMMANDS = {
     "commission": "daemon.cli.commission:commission",
     "history": "daemon.cli.history:history",
     "export": "daemon.cli.history:export",
-    "thermal": "daemon.cli.thermal:thermal",
     "backup": "daemon.cli.backup:backup",
     "restore": "daemon.cli.backup:restore",
+    "thermal": "daemon.cli.thermal:thermal",
     "model": "daemon.cli.model:model",
     "stability": "daemon.cli.stability:stability",
+    "dynamics": "daemon.cli.dynamics:dynamics",
 }
 """Sub-command -> module:attribute."""
 
