@@ -48,7 +48,15 @@ class DisplacementCsvSource:
     for at shut-down, because a network share may take minutes to answer.
     """
 
-    def __init__(self, config: DisplacementsConfig, clock: Clock, *, after_utc_s: float | None = None) -> None:
+    def __init__(
+        self,
+        config: DisplacementsConfig,
+        clock: Clock,
+        *,
+        after_utc_s: float | None = None,
+        in_thread: bool = True,
+    ) -> None:
+        """Prepare; without `in_thread` files are read in the event loop, which a slow share would stop."""
         self.name = "displacements"
         self.problems = 0
         """Rows, fields and files that could not be read."""
@@ -61,12 +69,13 @@ class DisplacementCsvSource:
         )
         self._files: dict[Path, _File] = {}
         self._unreachable = 0
+        self._threaded = in_thread
         self._closed = asyncio.Event()
 
     async def samples(self) -> AsyncIterator[DisplacementSample]:
         """Follow the file and yield each new row once, in file order; raises LinkError."""
         while not self._closed.is_set():
-            look, cause = await self._in_thread(self._follower.look)
+            look, cause = await self._in_thread(self._follower.look) if self._threaded else self._follower.look()
             if look is None:
                 self._unreachable_for(cause)
                 await self._sleep()

@@ -115,7 +115,11 @@ class Fault:
 
     def active(self, now_s: float) -> bool:
         """Tell whether the fault is on at a simulated time [s]."""
-        return self.at_s <= now_s and (self.duration_s is None or now_s < self.at_s + self.duration_s)
+        return self.at_s <= now_s and not self.over(now_s)
+
+    def over(self, now_s: float) -> bool:
+        """Tell whether the fault has ended by a simulated time [s]."""
+        return self.duration_s is not None and now_s >= self.at_s + self.duration_s
 
 
 def of_kind(faults: Iterable[Fault], *kinds: FaultKind) -> tuple[Fault, ...]:

@@ -94,13 +94,15 @@ class LineTransmitter:
         self._stuck: dict[Fault, int] = {}
         self._pass: _Pass | None = None
         self._last_number = -1
+        self._near: list[Fault] = []
         self.cycles_sent = 0
         """Passes whose bytes all went out on the wire (whether a reader was there or not)."""
         self.cycles_disturbed = 0
         """Passes that a fault touched."""
         self.last_pass_s: tuple[float, float] | None = None
         """When the latest pass that has gone out began and ended [s]."""
-        self._refuse_overlong()
+        self.pass_s = self._checked_pass_s()
+        """Time that a whole pass takes on the wire [s]."""
 
     def plugged(self, now_s: float) -> bool:
         """Tell whether the line's adapter is plugged in."""
@@ -142,6 +144,9 @@ class LineTransmitter:
     def _begin(self, number: int) -> None:
         start_s = self._start_s(number)
         self._last_number = number
+        self._faults = [fault for fault in self._faults if not fault.over(start_s)]
+        on_the_way = (*self._byte_faults, *self._cuts, *self._unplugged)
+        self._near = [f for f in on_the_way if f.at_s <= start_s + self.pass_s and not f.over(start_s)]
         data, disturbed = self._encode(start_s)
         self._pass = _Pass(number=number, start_s=start_s, data=data, disturbed=disturbed)
 
@@ -154,12 +159,12 @@ class LineTransmitter:
     def _send(self, current: _Pass, now_s: float) -> bytes:
         due = min(len(current.data), max(current.sent, int((now_s - current.start_s) / self._byte_s + 1e-9)))
         data, first, current.sent = current.data[current.sent : due], current.sent, due
-        if not (self._byte_faults or self._cuts or self._unplugged):
+        if not self._near:
             return data
         out = bytearray()
         for index, byte in enumerate(data, start=first):
             at_s = current.start_s + (index + 1) * self._byte_s
-            if any(fault.active(at_s) for fault in (*self._cuts, *self._unplugged)):
+            if any(fault.active(at_s) and fault not in self._random for fault in self._near):
                 current.whole, current.disturbed = False, True
                 continue
             arrived = self._through_faults(byte, at_s)
@@ -169,8 +174,8 @@ class LineTransmitter:
         return bytes(out)
 
     def _through_faults(self, byte: int, at_s: float) -> int | None:
-        for fault in self._byte_faults:
-            if fault.active(at_s) and self._random[fault].random() < fault.amount:
+        for fault in self._near:
+            if fault in self._random and fault.active(at_s) and self._random[fault].random() < fault.amount:
                 if fault.kind is FaultKind.LOST_BYTES:
                     return None
                 byte ^= 1 << self._random[fault].randrange(8)
@@ -220,7 +225,7 @@ class LineTransmitter:
             return 4, 16
         return (4, 13) if self._line.extended_mode else (3, 12)
 
-    def _refuse_overlong(self) -> None:
+    def _checked_pass_s(self) -> float:
         frames = [self._frame(position, i, 0) for position, i in enumerate(self._line.sensor_ids, start=1)]
         needed_s = sum(map(len, frames)) * self._byte_s
         if needed_s > self._line.cycle_period_s:
@@ -228,3 +233,4 @@ class LineTransmitter:
                 f"line {self._line.name} needs {needed_s:.1f} s per cycle at {self._line.baud} baud, "
                 f"more than its cycle_period_s of {self._line.cycle_period_s:g} s"
             )
+        return needed_s

@@ -63,6 +63,9 @@ class PartProgram:
 POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION = 100, 200, 900, 10, 300
 """Sequence numbers of the shipped programs."""
 
+SHIFT_PARTS = 19
+"""Parts that are made before the night."""
+
 
 def demo_program() -> PartProgram:
     """Return O1000: standstill, then for ever work positioning (N100), 48 min of cuts (N200 ..), a short stop.
@@ -85,6 +88,14 @@ def demo_program() -> PartProgram:
 def standing_program() -> PartProgram:
     """Return O9100: stands at a safe point (N900) for ever, spindle off, and has the guard run again and again."""
     return PartProgram(number=9100, blocks=(Block(sequence_number=SAFE, kind="safe", duration_s=HOUR_S),))
+
+
+def shift_program() -> PartProgram:
+    """Return O1000 over whole days: 19 parts of the demo's programme, then a night's standstill to 24 h."""
+    start, *part = demo_program().blocks
+    parts_s = SHIFT_PARTS * sum(block.duration_s for block in part)
+    night = Block(sequence_number=STANDSTILL + 20, kind="idle", duration_s=24 * HOUR_S - parts_s)
+    return PartProgram(number=1000, blocks=(start, *part * SHIFT_PARTS, night), repeat_from=1)
 
 
 def rotation_program(

@@ -1,0 +1,392 @@
+"""The fault campaign: days of a simulated machine and the real daemon, in virtual time.
+
+The machine lives here and owns time; the daemon lives in a process of its own, asks for what happens
+next whenever it is idle, and can be killed at any moment. See docs/how-to/run-a-fault-campaign.md.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from config.schema import Configuration
+from daemon.rehearsal.campaign_person import ROUND_S, Person
+from daemon.rehearsal.campaign_process import Acknowledgements, DaemonProcess
+from daemon.rehearsal.campaign_result import Result
+from daemon.rehearsal.campaign_store import StoreCheck
+from daemon.rehearsal.invariants import Claims, Ledger, WriteWatch
+from daemon.rehearsal.recovery import GoodInput, RecoveryWatch, Truth
+from drivers.sim.campaign_script import DAY_S, OF_A_PERSON, Happening, Incident, campaign
+from drivers.sim.campaign_world import CampaignWorld
+from drivers.sim.day import Day
+from drivers.sim.faults import FaultKind
+from drivers.sim.machine import CfrpMachine
+from drivers.sim.program import shift_program
+
+NAMES = (
+    *WriteWatch.NAMES,
+    "state_after_fault",
+    "acknowledged_cycles_kept",
+    "audit_complete",
+    "audit_has_every_block",
+    "nothing_unexpected",
+    "memory_growth",
+)
+GROWTH_MIB = 5.0
+"""The daemon's memory may grow by so much after its first hour [MiB]."""
+WARM_UP_S = 3600.0
+MEMORY_LOOK_S = 600.0
+KEPT_BLOCKS = 100_000
+TEMPERATURES_LATE_S = 25.0
+"""Temperatures arrive when a line has been heard whole within this time [s]."""
+ZERO_UM = 1e-6
+STOP_S = 120.0
+"""At the end the daemon gets so much virtual time to stop [s]."""
+
+
+class Campaign:
+    """One campaign; run it once."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        config_path: Path,
+        directory: Path,
+        *,
+        days: float,
+        seed: int,
+        epoch_utc_s: float,
+        progress: Callable[[str], None],
+    ) -> None:
+        self._configuration = configuration
+        self._config_path = config_path
+        self._directory = directory
+        self._end_s = days * DAY_S
+        self._seed = seed
+        self._epoch_utc_s = epoch_utc_s
+        self._progress = progress
+        ledger = self._ledger = Ledger(NAMES, tell=progress)
+        self.result = Result(days=days, seed=seed, ledger=ledger)
+        self._writes = WriteWatch(configuration, ledger)
+        self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
+        lines = configuration.temperatures.lines
+        script = campaign(days, seed, lines)
+        machine = CfrpMachine(
+            Day.draw(seed, start="cold"),
+            shift_program(),
+            configuration.temperatures.sensors,
+            configuration.cnc.macros,
+            configuration.compensation.axes,
+        )
+        self._world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=epoch_utc_s, seed=seed)
+        self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
+        first_sensors = {line.name: line.sensor_ids[0] for line in lines}
+        self._store = StoreCheck(configuration.history.path, first_sensors, ledger)
+        self._acknowledged = Acknowledgements()
+        self._process: DaemonProcess | None = None
+        self._claims: Claims | None = None
+        self._heard_at_s = 0.0
+        self._life_began_s = 0.0
+        self._heard_whole_s = -1e9
+        self._case_kinds: set[str] = set()
+        self._good_input = GoodInput([line.name for line in lines])
+        self._kill: Happening | None = None
+        self._kill_after_groups: tuple[int, Happening] | None = None
+        self._ends_by_force = 0
+        self._blocks: list[float] = []
+        self._memory_at_start: float | None = None
+        self._next_memory_s = 0.0
+        self._stopping = False
+        self._world.at(ROUND_S, self._round)
+
+    def run(self) -> Result:
+        """Run it to its end."""
+        began = time.monotonic()
+        next_progress_s = 0.0
+        try:
+            while self._world.time_s < self._end_s:
+                self._live()
+                if self._world.time_s >= next_progress_s:
+                    next_progress_s = self._world.time_s + DAY_S / 24
+                    self._say(time.monotonic() - began)
+            self._finish()
+        finally:
+            if self._process is not None:
+                self._process.kill()
+                self._bury()
+        self.result.wall_s = time.monotonic() - began
+        return self.result
+
+    # --- the daemon's lives -----------------------------------------------------------------
+
+    def _live(self) -> None:
+        """Answer one question of the daemon; start it first where there is none."""
+        process = self._process or self._start()
+        message = process.channel.receive()
+        if message is None:
+            self._ledger.check("nothing_unexpected", False, f"{self._world.time_s:.1f} s: the daemon ended by itself")
+            self._after_end(Happening(kind=Incident.KILLED_DAEMON, at_s=self._world.time_s, duration_s=10.0))
+            return
+        name, time_s, claims, arguments = message
+        content = self._answer(name, time_s, claims, arguments)
+        if self._kill is not None:
+            process.kill()
+            self._after_end(self._kill)
+            return
+        world = self._world
+        with contextlib.suppress(OSError):  # it has just died: the next question will not come
+            process.channel.send((world.time_s, world.quiet_until_s, world.utc_step_s, world.deliveries(), content))
+
+    def _start(self) -> DaemonProcess:
+        self.result.lives += 1
+        seed = f"daemon {self._seed} {self.result.lives}"
+        self._process = DaemonProcess(
+            self._config_path,
+            epoch_utc_s=self._epoch_utc_s,
+            seed=seed,
+            log_path=self._directory / "daemon.log",
+        )
+        self._life_began_s = self._next_memory_s = self._world.time_s
+        self._memory_at_start = None
+        self._blocks = []
+        self._writes.restarted(self._world.time_s)
+        if any(happening.kind is Incident.FULL_DISK for happening in self._world.active):
+            self._process.fill_disk()
+        return self._process
+
+    def _after_end(self, killed: Happening) -> None:
+        """Check what a killed daemon left; let the machine go on alone until the next one is started."""
+        self._kill = self._kill_after_groups = None
+        self._ends_by_force += 1
+        self._bury()
+        self._hear(self._world.time_s, None)
+        until_s = max(killed.end_s, self._world.time_s)
+        while self._world.time_s < until_s:
+            self._world.advance(until_s)
+            self._world.deliveries()
+            self._kill = self._kill_after_groups = None
+        self._hear(self._world.time_s, None)
+
+    def _bury(self) -> None:
+        process, self._process = self._process, None
+        assert process is not None
+        self._person.hang_up()
+        self._world.desert()
+        process.wait()
+        self._acknowledged.take(process)
+        process.close()
+        self._ledger.check("nothing_unexpected", not process.defects, "; ".join(process.defects[:2])[:2000])
+        self._store.acknowledged_cycles(self._acknowledged)
+        self._store.audit(self._ends_by_force, None)
+
+    def _finish(self) -> None:
+        """Stop the daemon in order, and look at everything once more."""
+        process = self._process
+        if process is not None:
+            process.ask_to_stop()
+            until_s = self._world.time_s + STOP_S
+            while self._world.time_s < until_s and (message := process.channel.receive()) is not None:
+                name, time_s, claims, arguments = message
+                content = self._answer(name, min(time_s, until_s), claims, arguments)
+                world = self._world
+                with contextlib.suppress(OSError):
+                    process.channel.send(
+                        (world.time_s, world.quiet_until_s, world.utc_step_s, world.deliveries(), content)
+                    )
+            status = process.wait()
+            self._ledger.check("nothing_unexpected", status == 0, f"the daemon ended with status {status}")
+            self._bury()
+            self._store.audit(self._ends_by_force, self._blocks)
+        self._store.acknowledged_cycles(self._acknowledged, all_of_them=True)
+        result = self.result
+        result.recovery_s = self._recovery.times_s
+        result.not_judged = self._recovery.disturbed
+        growth_mib = result.rss_growth_mib
+        self._ledger.check("memory_growth", growth_mib <= GROWTH_MIB, f"{growth_mib:.2f} MiB in one life")
+        result.acknowledged, result.lost = self._acknowledged.count, self._store.lost
+
+    # --- the daemon's questions ---------------------------------------------------------------
+
+    def _answer(self, name: str, time_s: float, raw: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
+        world = self._world
+        claims = _claims(raw)
+        if name == "advance":
+            self._hear(time_s, claims)
+            world.advance(min(arguments[0], self._end_s + (STOP_S if self._stopping else 0.0)))
+            return None
+        world.catch_up(time_s)
+        self._hear(world.time_s, claims)
+        match name:
+            case "connect":
+                return world.cnc.connect()
+            case "read":
+                answer = world.cnc.read(arguments[0])
+                if answer[0] == "ok":
+                    self._good_input.cnc()
+                return answer
+            case "read_macros":
+                return world.cnc.read_macros(arguments[0])
+            case "write":
+                return self._write(arguments[0])
+            case "listen":
+                return world.listen(arguments[0])
+            case "leave":
+                world.leave(arguments[0])
+        return None
+
+    def _write(self, groups: tuple[tuple[tuple[int, float], ...], ...]) -> Any:
+        """Take the groups of a block one after the other; the content of the answer says how many were taken."""
+        delay_s = 0.0
+        for number, group in enumerate(groups, start=1):
+            if self._killed_before(group):
+                return None
+            verdict, group_delay_s, content = self._world.cnc.write(group)
+            delay_s += group_delay_s
+            self._note_group(group, taken=content is True)
+            if verdict != "ok":
+                return verdict, delay_s, content
+            if delay_s > 0:
+                return verdict, delay_s, number
+        return "ok", 0.0, len(groups)
+
+    def _killed_before(self, group: tuple[tuple[int, float], ...]) -> bool:
+        """Tell whether the daemon is to die before this group."""
+        if self._kill_after_groups is None:
+            return False
+        left, happening = self._kill_after_groups
+        begins = group[0][0] == self._configuration.cnc.macros.sequence_a
+        if not begins and left == int(happening.amount):
+            return False
+        if left == 0:
+            self._kill = happening
+            return True
+        self._kill_after_groups = (left - 1, happening)
+        return False
+
+    def _note_group(self, group: tuple[tuple[int, float], ...], *, taken: bool) -> None:
+        self._writes.group(self._world.time_s, group, self._claims, taken=taken)
+        if taken and group[0][0] == self._configuration.cnc.macros.sequence_a:
+            self.result.blocks += 1
+            self._blocks.append(group[0][1])
+            del self._blocks[:-KEPT_BLOCKS]
+
+    # --- what is watched ------------------------------------------------------------------------
+
+    def cycle(self, time_s: float, line: str, whole: bool) -> None:
+        """Take the end of a pass (`drivers.sim.campaign_world.Watcher`)."""
+        self.result.cycles += 1
+        if not whole:
+            return
+        self._heard_whole_s = time_s
+        self._good_input.cycle(line)
+
+    def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
+        """Take what the NC applies."""
+        self._writes.applied(time_s, applied_um, cutting=cutting)
+
+    def begun(self, time_s: float, happening: Happening) -> None:
+        """Take the begin of an incident."""
+        self.result.incidents[happening.kind.value] += 1
+        self._recovery.begun(happening.kind.value)
+        self._case_kinds.add(happening.kind.value)
+        process = self._process
+        if happening.kind is Incident.FULL_DISK and process is not None:
+            process.fill_disk()
+        elif happening.kind is Incident.KILLED_DAEMON and process is not None:
+            self._kill = happening
+        elif happening.kind is Incident.KILLED_IN_WRITE and process is not None:
+            self._kill_after_groups = (int(happening.amount), happening)
+        elif happening.kind in OF_A_PERSON:
+            self._person.do(happening)
+
+    def ended(self, time_s: float, happening: Happening) -> None:
+        """Take its end."""
+        if happening.kind is Incident.FULL_DISK and self._process is not None:
+            self._process.free_disk()
+        if happening.kind in OF_A_PERSON:
+            self._person.undo(happening)
+        self._good_input.after(happening)
+        if not self._world.active:
+            self._recovery.over(time_s, self._case_kinds)
+            self._case_kinds = set()
+
+    def _round(self) -> None:
+        """Let the person look at the machine, and look at the daemon's memory."""
+        world = self._world
+        calm = not any(not isinstance(h.kind, FaultKind) for h in world.active)
+        if self._claims is not None and self._claims.state == "FAULT" and calm:
+            world.cnc.repair()
+        self._person.round(world.time_s, self._claims, calm=calm)
+        world.at(world.time_s + ROUND_S, self._round)
+        process = self._process
+        if process is None or world.time_s < self._next_memory_s:
+            return
+        self._acknowledged.take(process)
+        self._next_memory_s = world.time_s + MEMORY_LOOK_S
+        if world.time_s - self._life_began_s >= min(WARM_UP_S, self._end_s / 4):
+            self.result.rss_mib = process.rss_mib()
+            if self._memory_at_start is None:
+                self._memory_at_start = self.result.rss_mib
+            growth_mib = self.result.rss_mib - self._memory_at_start
+            self.result.rss_growth_mib = max(self.result.rss_growth_mib, growth_mib)
+
+    def _hear(self, time_s: float, claims: Claims | None) -> None:
+        """Take what the daemon says of itself at a time; count how long it was in its state."""
+        state = self._claims.state if self._claims is not None else "not running"
+        states_s = self.result.states_s
+        states_s[state] = states_s.get(state, 0.0) + max(0.0, time_s - self._heard_at_s)
+        self._heard_at_s = max(time_s, self._heard_at_s)
+        before = self._claims
+        self._claims = claims
+        if claims is None:
+            return
+        if before is not None and before.state == "FAULT" and claims.state != "FAULT":
+            self._world.cnc.forgiven()
+        self._writes.heard(time_s, claims)
+        self._writes.input_is(time_s, good=time_s - self._heard_whole_s <= TEMPERATURES_LATE_S)
+        if self._recovery.waiting_since_s is not None and self._good_input.there:
+            self._recovery.good_input(time_s, claims)
+        if self._recovery.open:
+            self._recovery.look(time_s, self._truth(time_s), claims)
+
+    def _truth(self, time_s: float) -> Truth:
+        macros = self._configuration.cnc.macros
+        table = self._world.machine.nc.macros
+        echoes = [table.get(number) for number in macros.echo_applied.values()]
+        known = [value for value in echoes if value is not None]
+        return Truth(
+            reachable=self._world.cnc.reachable,
+            temperatures=time_s - self._heard_whole_s <= TEMPERATURES_LATE_S,
+            distrust=bool(self._world.cnc.proof),
+            echo_known=len(known) == len(echoes),
+            at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),
+        )
+
+    def _say(self, wall_s: float) -> None:
+        states = ", ".join(f"{state} {100 * s / max(self._world.time_s, 1):.0f} %" for state, s in self._shares())
+        self._progress(
+            f"day {self._world.time_s / DAY_S:.2f} of {self.result.days:g} after {wall_s:.0f} s: "
+            f"{self.result.cycles} cycles, {self.result.blocks} blocks, "
+            f"{sum(self.result.incidents.values())} incidents, "
+            f"{self._ledger.violations} violations, {self.result.rss_mib:.1f} MiB; {states}"
+        )
+
+    def _shares(self) -> list[tuple[str, float]]:
+        return sorted(self.result.states_s.items(), key=lambda item: -item[1])
+
+
+def _claims(raw: tuple[Any, ...]) -> Claims | None:
+    if not raw:
+        return None
+    state, wanted, reference, link, confidence, in_domain, estimate_reference, reason = raw
+    return Claims(
+        state=state,
+        wanted=wanted,
+        reference=reference,
+        link=link,
+        confidence=confidence,
+        in_domain=in_domain,
+        estimate_reference=estimate_reference,
+        reason=reason,
+    )

@@ -1,0 +1,81 @@
+"""What the store of a fault campaign holds, against what was acknowledged and what the CNC received."""
+
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+from daemon.history import HistoryReader
+from daemon.history.database import HistoryError
+from daemon.history.kinds import WRITES
+from daemon.rehearsal.campaign_process import NUMBER_BITS, Acknowledgements, cycle_key
+from daemon.rehearsal.invariants import Ledger
+from models.records import WriteOutcome
+
+EVER = (0.0, 1e11)
+AT_ONCE_S = 86400.0
+
+
+class StoreCheck:
+    """Looks for what must be there; counts what is lost."""
+
+    def __init__(self, path: Path, lines: dict[str, int], ledger: Ledger) -> None:
+        """Prepare; `lines` gives one sensor of each line."""
+        self._path = path
+        self._lines = lines
+        self._ledger = ledger
+        self._checked: dict[str, int] = {}
+        self.lost = 0
+
+    def acknowledged_cycles(self, acknowledgements: Acknowledgements, *, all_of_them: bool = False) -> None:
+        """Look for every cycle acknowledged since the last call (or ever)."""
+        for line, keys in acknowledgements.keys.items():
+            first = 0 if all_of_them else self._checked.get(line, 0)
+            wanted = np.frombuffer(array("q", keys[first:]), dtype=np.int64)
+            self._checked[line] = len(keys)
+            if not wanted.size:
+                continue
+            missing = int((~np.isin(wanted, self._stored(line, wanted))).sum())
+            self.lost += missing
+            count = self._ledger.counts["acknowledged_cycles_kept"]
+            count.checked += int(wanted.size)
+            count.violated += missing
+            if missing:
+                count.examples.append(f"line {line}: {missing} of {wanted.size} acknowledged cycles are not stored")
+
+    def _stored(self, line: str, wanted: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.int64]":
+        times_s = (wanted >> NUMBER_BITS) / 1e3
+        found: list[int] = []
+        with HistoryReader(self._path) as reader:
+            from_s = float(times_s.min())
+            while from_s <= float(times_s.max()):
+                to_s = from_s + AT_ONCE_S
+                history = reader.temperatures([self._lines[line]], from_s, to_s)
+                for name, number, time_s in zip(history.line, history.number, history.time_s, strict=True):
+                    if name == line:
+                        found.append(cycle_key(int(number), round(float(time_s) * 1e3)))
+                from_s = to_s
+        return np.array(found, dtype=np.int64)
+
+    def audit(self, ends: int, blocks: list[float] | None) -> None:
+        """Check that every intent has an outcome but one per violent end, and that every block has its intent.
+
+        `blocks` are the sequence numbers that the CNC received in a life that ended in order.
+        """
+        try:
+            with HistoryReader(self._path) as reader:
+                unsettled = reader.unsettled_writes()
+                frame = reader.frame(WRITES, *EVER, ["outcome", "sequence"]) if blocks else None
+        except HistoryError as error:
+            self._ledger.check("audit_complete", False, str(error))
+            return
+        why = f"{len(unsettled)} intents have no outcome, {ends} lives ended by force"
+        self._ledger.check("audit_complete", len(unsettled) <= ends, why)
+        if frame is None or not blocks:
+            return
+        outcomes = frame.integers("outcome")
+        audited = set(frame.numbers("sequence")[outcomes != int(WriteOutcome.INTENDED)].tolist())
+        for sequence in blocks:
+            self._ledger.check(
+                "audit_has_every_block", sequence in audited, f"block {sequence:g} reached the CNC and is not audited"
+            )
