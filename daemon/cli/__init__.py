@@ -14,6 +14,7 @@ COMMANDS = {
     "demo": "daemon.cli.demo:demo",
     "simulate": "daemon.cli.simulate:simulate",
     "replay": "daemon.cli.replay:replay",
+    "faults": "daemon.cli.faults:faults",
     "latency": "daemon.cli.latency:latency",
     "check": "daemon.cli.check:check",
     "doctor": "daemon.cli.doctor:doctor",
