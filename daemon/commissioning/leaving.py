@@ -65,6 +65,7 @@ class WayBack:
             await self._movement.switch_off()
 
         station.target_um = station.command_um.copy()
+        station.going_back = True
         await station.supervise(back())
 
     async def _reconnect(self) -> None:

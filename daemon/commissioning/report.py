@@ -14,7 +14,7 @@ h1 { font-size: 18pt; margin: 0 0 2mm; } h2 { font-size: 13pt; margin: 7mm 0 2mm
 table { border-collapse: collapse; width: 100%; margin: 2mm 0; }
 th, td { border: 0.3mm solid #777; padding: 1mm 2mm; text-align: left; vertical-align: top; }
 th { background: #eee; }
-code { font-size: 9pt; overflow-wrap: anywhere; }
+table.readings { font-size: 8.5pt; } code { font-size: 9pt; overflow-wrap: anywhere; }
 .signatures td { height: 16mm; width: 50%; vertical-align: bottom; }
 .void { border: 0.6mm solid #900; padding: 2mm 3mm; }
 tr, .signatures { page-break-inside: avoid; }
@@ -132,7 +132,7 @@ def _readings(record: CommissioningRecord) -> str:
         "other axes [um]",
         "read by",
     )
-    return _table(head, rows)
+    return _table(head, rows, "readings")
 
 
 def _limits(record: CommissioningRecord, configuration: Configuration) -> str:
@@ -165,8 +165,8 @@ def _macros(configuration: Configuration) -> str:
     return _table(("key", "variable"), [(escape(key), value) for key, value in rows])
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "plain") -> str:
     """Return a table; its cells are HTML already. Without a head there is none."""
     top = f"<tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>" if head else ""
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table>{top}{body}</table>"
+    return f'<table class="{kind}">{top}{body}</table>'

@@ -73,6 +73,8 @@ class Station:
         self.target_um: FloatArray = np.zeros(len(self.axes))
         self.command_um: FloatArray = np.zeros(len(self.axes))
         self.enable = [False] * len(self.axes)
+        self.going_back = False
+        """On the way back to zero an alarm or a power cycle is no reason to stop: the values must still go to zero."""
         self.touched = False
         """An enable bit has been written, so the machine must be left in order."""
 
@@ -263,6 +265,8 @@ class Station:
 
     def _refuse_state(self, sample: CncSample) -> None:
         previous, self._previous = self._previous, sample
+        if self.going_back:
+            return
         if power_cycled(previous, sample):
             raise CommissioningRefusedError("the control was switched off and on; begin the commissioning again")
         refuse_unsafe(sample)

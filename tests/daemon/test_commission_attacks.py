@@ -298,12 +298,20 @@ async def test_a_second_writer_ends_everything_without_another_write(bench):
     assert bench.macro(number) == 0.025
 
 
-async def test_an_alarm_in_the_middle_takes_the_offset_back_as_far_as_it_goes(bench):
+@pytest.mark.parametrize(
+    ("happens", "words"),
+    [
+        (lambda machine: setattr(machine.nc, "alarm", 1), "alarm is active"),
+        (lambda machine: machine.power_cycle(), "switched off and on"),
+    ],
+)
+async def test_what_happens_at_the_control_in_the_middle_takes_the_offset_back(bench, happens, words):
     person = Person(bench)
+    happened = []
 
     def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9:
-            bench.machine.nc.alarm = 1
+        if bench.machine.guard.applied_um["z"] > 4.9 and not happened:
+            happened.append(happens(bench.machine))
         return bench.moved_um()[axis]
 
     async def slowly(question: str) -> float | None:
@@ -312,8 +320,9 @@ async def test_an_alarm_in_the_middle_takes_the_offset_back_as_far_as_it_goes(be
         return answer
 
     person.eyes, person.number = read, slowly
-    assert "alarm is active" in await refused(bench, person, axes=("z",))
-    assert "LEFT BEHIND" in person.text_said
+    assert words in await refused(bench, person, axes=("z",))
+    assert "Everything is back at zero" in person.text_said
+    assert bench.at_rest()
 
 
 # --- before anything begins ------------------------------------------------------------
