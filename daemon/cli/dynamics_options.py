@@ -1,5 +1,6 @@
 """What the `toolpoint dynamics` commands share."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import click
 from daemon.cli.common import FiniteFloat
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
-PICTURE_ENDINGS = (".png", ".html")
+PICTURE_LIBRARIES = {".png": "matplotlib", ".html": "plotly"}
 
 spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=click.Path(path_type=Path))
 rotary_option = click.option(
@@ -22,8 +23,11 @@ def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
     """Refuse a picture that cannot be written before the work is done."""
     if value is None:
         return None
-    if value.suffix.lower() not in PICTURE_ENDINGS:
-        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURE_ENDINGS)}")
+    library = PICTURE_LIBRARIES.get(value.suffix.lower())
+    if library is None:
+        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURE_LIBRARIES)}")
+    if find_spec(library) is None:
+        raise click.BadParameter(f"this picture needs {library}: install toolpoint[plots]")
     if not value.parent.is_dir():
         raise click.BadParameter(f"{value}: there is no folder {value.parent}")
     return value

@@ -25,7 +25,7 @@ ASSUMED_ERROR = 0.01
 IDENTIFIABLE = 0.5
 """A parameter is identifiable when an error of that size, the same way at all frequencies, moves its
 logarithm by less than this."""
-GOOD_FIT = 0.02
+GOOD_FIT = 0.03
 """Root mean square of the log ratio below which no other start is tried."""
 MOST_ITERATIONS = 200
 SEARCH_ITERATIONS = 60

@@ -1,0 +1,173 @@
+"""Identification on synthetic responses whose parameters are known."""
+
+import numpy as np
+import pytest
+
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
+from models.dynamics.beam import Segment
+from models.dynamics.bearings import CondensedShaft, properties_from_parameters
+from models.dynamics.chain import Chain, SpringDamper, Support
+from models.dynamics.contact import Interface, identify_contact
+from models.dynamics.coupling import chain_receptance
+from models.dynamics.identification import FIXED, identify_bearings
+from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification, receptance
+from models.dynamics.section import Elasticity, Tube, beam_segment
+
+STEEL = Elasticity(young_pa=200e9, shear_pa=76.9e9, poisson=0.3, density_kg_per_m3=7850.0)
+PLACES = (("12", 0.0991), ("12", 0.1271), ("34", 0.1841), ("34", 0.2111), ("5", 0.4371))
+FREQUENCY_HZ = np.linspace(300.0, 2500.0, 500)
+TRUE = {"kt_12": 4e7, "ct_12": 2.5e3, "kr_12": 3e6, "cr_12": 2.0, "kt_34": 1.4e8, "ct_34": 900.0, "kr_34": 2e5,
+        "cr_34": 3.0, "kt_5": 6e7, "ct_5": 2e3, "kr_5": 4e5, "cr_5": 5.0}  # fmt: skip
+
+
+def tube(length_mm: float, outer_mm: float, inner_mm: float = 0.0) -> Segment:
+    section = Tube(outer_m=outer_mm / 1e3, inner_m=inner_mm / 1e3, elasticity=STEEL)
+    return beam_segment(length_mm / 1e3, (section,), structural_damping=0.003)
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    supports = tuple(Support(position_m=m, group=group, properties=SpringDamper()) for group, m in PLACES)
+    return Chain(
+        parts=(tube(89.1, 89, 38), tube(165, 60, 28), tube(154, 90, 32.3), tube(93, 45, 33)), supports=supports
+    )
+
+
+@pytest.fixture(scope="module")
+def shaft(chain: Chain) -> CondensedShaft:
+    return CondensedShaft(chain, FREQUENCY_HZ)
+
+
+@pytest.mark.parametrize(("parameters", "method"), [(5, "lm"), (5, "nelder-mead"), (7, "lm")])
+def test_identification_is_exact_on_synthetic_data(shaft: CondensedShaft, parameters: int, method: str) -> None:
+    true = {**TRUE, **FIXED[parameters]}
+    measured = shaft.nose_receptance(properties_from_parameters(true))
+    found = identify_bearings(shaft, measured, parameters=parameters, method=method)  # type: ignore[arg-type]
+    assert set(found.free) == set(TRUE) - set(FIXED[parameters])
+    for name in found.free:
+        assert found.values[name] == pytest.approx(true[name], rel=1e-4 if method == "lm" else 1e-3), name
+    assert found.cost_m_per_n < 1e-4 * np.sum(np.abs(measured))
+    if parameters == 5:
+        assert all(found.identifiable.values())
+    if (parameters, method) == (5, "lm"):
+        assert found.evaluations < 60
+
+
+def test_least_squares_needs_far_fewer_evaluations_than_the_simplex(shaft: CondensedShaft) -> None:
+    measured = shaft.nose_receptance(properties_from_parameters({**TRUE, **FIXED[5]}))
+    quick, slow = (identify_bearings(shaft, measured, method=each) for each in ("lm", "nelder-mead"))
+    assert 10 * quick.evaluations < slow.evaluations
+
+
+def test_five_parameters_survive_noise(shaft: CondensedShaft) -> None:
+    true = {**TRUE, **FIXED[5]}
+    random = np.random.default_rng(7)
+    noise = 1.0 + 0.02 * (random.standard_normal(500) + 1j * random.standard_normal(500))
+    found = identify_bearings(shaft, shaft.nose_receptance(properties_from_parameters(true)) * noise)
+    for name in found.free:
+        assert found.values[name] == pytest.approx(true[name], rel=0.05), name
+    assert found.log_error == pytest.approx(0.02 * np.sqrt(2), rel=0.2)
+
+
+def test_twelve_parameters_fit_but_are_not_all_seen(shaft: CondensedShaft) -> None:
+    measured = shaft.nose_receptance(properties_from_parameters(TRUE))
+    near = {name: value * 1.1 for name, value in TRUE.items()}
+    found = identify_bearings(shaft, measured, parameters=12, start=near)
+    assert found.log_error < 0.02
+    assert len(found.free) == 12
+    assert not all(found.identifiable.values())
+
+
+def test_a_parameter_without_influence_is_not_identifiable(shaft: CondensedShaft) -> None:
+    true = {**TRUE, **FIXED[5], "ct_5": 1e-6}
+    found = identify_bearings(shaft, shaft.nose_receptance(properties_from_parameters(true)))
+    assert not found.identifiable["ct_5"]
+    assert found.identifiable["kt_5"]
+
+
+def test_a_shaft_with_one_group_has_only_its_parameters(chain: Chain) -> None:
+    few = Chain(parts=chain.parts, supports=tuple(s for s in chain.supports if s.group != "34"))
+    shaft = CondensedShaft(few, FREQUENCY_HZ)
+    measured = shaft.nose_receptance(properties_from_parameters(TRUE))
+    found = identify_bearings(shaft, measured, parameters=12, start=TRUE)
+    assert not any(name.endswith("_34") for name in found.free)
+    assert found.log_error < 1e-6
+
+
+@pytest.mark.parametrize("method", ["lm", "nelder-mead"])
+def test_contact_parameters_are_found_again(chain: Chain, method: str) -> None:
+    properties = properties_from_parameters({**TRUE, **FIXED[5]})
+    joint = SpringDamper(kt_n_per_m=1.25e8, ct_ns_per_m=3.56e3, kr_nm_per_rad=8.63e5, cr_nms_per_rad=2.35e3)
+    holder = (tube(25, 42, 20), tube(53, 48, 20), tube(26, 63, 20))
+    whole = CondensedAssembly(SpindleAssembly(shaft=chain, front=(*holder, joint)), FREQUENCY_HZ)
+    measured = whole.receptance(properties)
+    rows = CondensedShaft(chain, FREQUENCY_HZ).nose_receptance_matrix(properties)
+    rear = np.stack([rows[0], rows[1], rows[1], rows[2]], axis=1).reshape(-1, 2, 2)
+    interface = Interface(
+        frequency_hz=FREQUENCY_HZ, front=chain_receptance(Chain(parts=holder), FREQUENCY_HZ), rear=rear
+    )
+    true = {"kt": 1.25e8, "ct": 3.56e3, "kr": 8.63e5, "cr": 2.35e3}
+    computed, slopes = interface.response(true)
+    assert computed == pytest.approx(measured, rel=1e-7)
+    for name, value in true.items():
+        step = {**true, name: value * 1.00001}
+        slope = (interface.response(step)[0] - computed) / (value * 1e-5)
+        assert slopes[name] == pytest.approx(slope, rel=1e-3, abs=1e-4 * abs(slope).max()), name
+    found = identify_contact(interface, measured, method=method)
+    assert found.values == pytest.approx(true, rel=1e-4)
+
+
+def test_accelerance_is_integrated_twice() -> None:
+    at = np.array([100.0, 200.0])
+    omega = 2 * np.pi * at
+    values = np.array([1e-7 + 1e-8j, -2e-8 - 3e-9j])
+    assert receptance("accelerance", at, -(omega**2) * values) == pytest.approx(values)
+    assert receptance("mobility", at, 1j * omega * values) == pytest.approx(values)
+
+
+def measurement(size: float = 1e-7, low: float = 300.0, high: float = 2500.0, points: int = 300) -> Measurement:
+    at = np.linspace(low, high, points)
+    return Measurement(frequency_hz=at, receptance_m_per_n=size / (1 - (at / 1000) ** 2 + 0.05j))
+
+
+def test_averaging_reduces_noise_and_shows_it_as_coherence() -> None:
+    random = np.random.default_rng(3)
+    clean = measurement()
+    noisy = [
+        Measurement(
+            frequency_hz=clean.frequency_hz,
+            receptance_m_per_n=clean.receptance_m_per_n
+            * (1 + 0.3 * (random.standard_normal(300) + 1j * random.standard_normal(300))),
+        )
+        for _ in range(20)
+    ]
+    mean = average(noisy)
+    assert np.mean(np.abs(mean.receptance_m_per_n / clean.receptance_m_per_n - 1)) < 0.12
+    assert mean.coherence is not None
+    assert np.mean(mean.coherence) == pytest.approx(1 / (1 + 2 * 0.09), abs=0.03)
+    assert len(mean.coherent(0.8).frequency_hz) < 300
+    with pytest.raises(MeasurementError, match="different frequencies"):
+        average([clean, measurement(points=299)])
+    with pytest.raises(MeasurementError, match="not measured"):
+        clean.coherent(0.5)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (measurement(size=0.1), "is the unit um/N"),
+        (measurement(low=1200.0, high=1260.0), "from 1200 to 1260 Hz is too narrow"),
+        (measurement(low=1200.0, high=2000.0), "holds no resonance"),
+        (measurement(points=12), "12 frequencies cannot determine 5"),
+    ],
+    ids=["unit", "narrow", "no peak", "few"],
+)
+def test_unfit_measurements_are_refused(bad: Measurement, words: str) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        check_for_identification(bad, 5)
+    check_for_identification(measurement(), 12)
+
+
+def test_a_measurement_with_a_hole_is_refused() -> None:
+    with pytest.raises(MeasurementError, match="at 2 Hz the response is zero or not finite"):
+        Measurement(frequency_hz=np.array([1.0, 2.0]), receptance_m_per_n=np.array([1e-7, np.nan], dtype=complex))
