@@ -87,6 +87,8 @@ class Daemon:
         model, obstacle = self._loaded.model, self._loaded.obstacle
         if obstacle:
             log.error("model.missing", problem=obstacle)
+        elif self._loaded.warning:
+            log.warning("model.unprotected", problem=self._loaded.warning)
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
         self._block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))

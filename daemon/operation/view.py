@@ -78,6 +78,8 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append(f"\n{output['alarm']}", style="bold red")
     elif output["notices"]:
         line.append(f"\n{output['notices'][-1]}", style="dim")
+    if problem := picture["model"].get("problem"):
+        line.append(f"\nmodel refused: {problem}", style="red")
     if output["insecure_writes"]:
         line.append("\nwrites go over an insecure connection (allow_insecure_writes)", style="yellow")
     if output["writable_model_directory"]:

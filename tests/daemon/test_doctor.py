@@ -4,6 +4,7 @@ import importlib.metadata
 import subprocess
 import sys
 
+from config.sample import sample_configuration
 from daemon.diagnosis import OUR_PACKAGES, examine
 
 
@@ -30,6 +31,16 @@ def test_a_package_that_takes_one_of_the_names_is_found(tmp_path, monkeypatch):
     findings = {finding.subject: finding for finding in examine()}
     assert not findings["package names"].passed
     assert "models also belongs to intruder" in findings["package names"].detail
+
+
+def test_the_model_of_a_machine_is_looked_at(tmp_path):
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(sample_configuration().replace("#model_file:", "model_file:"), encoding="utf-8")
+    found = {finding.subject: finding for finding in examine(path)}["thermal model"]
+    assert not found.passed and "there is no thermal model; release one" in found.detail
+    path.write_text("machine: [", encoding="utf-8")
+    found = {finding.subject: finding for finding in examine(path)}["thermal model"]
+    assert not found.passed and str(path) in found.detail
 
 
 def test_the_command_prints_what_it_finds():

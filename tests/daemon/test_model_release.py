@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
@@ -17,8 +18,10 @@ from control_rig import machine
 from other_user import OTHER, as_root, as_user, in_child
 from small_model import model
 
+from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.compensation import ReleaseConfig
+from daemon.cli import main
 from daemon.release.loading import load_released
 from daemon.release.proposing import propose
 from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
@@ -356,3 +359,26 @@ def test_the_policy_takes_the_newest_that_is_not_worse(folder):
     assert record is not None and record.model_id == "ridge-2" and record.note == "by policy"
     assert "its bands are not wider than the active model's" in record.checks
     assert release_by_policy(configuration, person="policy") is None, "what was released once is not proposed again"
+
+
+# --- the commands ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["release"], 2, "name one PROPOSAL"),
+        (["release", "p.json", "--by-policy"], 2, "name one PROPOSAL"),
+        (["release", "p.json"], 1, "model_file is not set"),
+        (["release", "--by-policy"], 1, "only a person releases"),
+        (["rollback"], 1, "model_file is not set"),
+        (["rollback", "--to", "0"], 2, "--to"),
+        (["list"], 2, "model_file is not set"),
+    ],
+)
+def test_what_the_commands_cannot_do_they_say(tmp_path, words, status, said):
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(sample_configuration(), encoding="utf-8")
+    finished = CliRunner().invoke(main, ["model", *words, "--config", str(path)])
+    assert finished.exit_code == status, finished.output
+    assert said in finished.output
