@@ -18,6 +18,15 @@ N20#{pending}=0
 #{mirror}=0
 #{echo}=0
 @end
+@request
+#{kind}=0
+#{axis}=0
+#{value_mm}=0
+IF[#{counter}EQ#0]THEN#{counter}=0
+@end
+@flag
+#{safe_flag}=0
+@end
 #{echo_time}=#3001/1000
 #{echo_status}=0
 #{echo_guard_version}={version}

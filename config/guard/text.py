@@ -112,17 +112,15 @@ def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gu
     """Return the text of all NC programs: guard, initialise, and where the map has macros for them the others."""
     programs = GuardPrograms.of(macros, guard)
     rows = list(_axis_rows(macros, axes, guard))
-    common = _common_fields(macros, guard, len(rows))
-    parts = [
-        _filled("guard", programs.guard, common, rows, guard),
-        _filled("initialise", programs.initialise, common, rows, guard),
-    ]
-    if macros.request is not None and programs.request is not None:
-        parts.append(_filled("request", programs.request, common | _request_fields(macros, guard), rows, guard))
-    if programs.enter is not None and programs.leave is not None:
-        flag = {"safe_flag": str(macros.safe_flag), "guard": str(programs.guard)}
-        parts.append(_filled("enter", programs.enter, common | flag, rows, guard))
-        parts.append(_filled("leave", programs.leave, common | flag, rows, guard))
+    fields = _common_fields(macros, guard, len(rows))
+    numbers = {
+        "guard": programs.guard,
+        "initialise": programs.initialise,
+        "request": programs.request,
+        "enter": programs.enter,
+        "leave": programs.leave,
+    }
+    parts = [_filled(name, number, fields, rows, guard) for name, number in numbers.items() if number is not None]
     body = "\n".join(parts) + "\n"
     first, rest = body.split("\n", 1)
     text = "%\n" + first + "\n" + "\n".join(_head(macros, axes, guard, machine, body)) + "\n" + rest + "%\n"
@@ -195,11 +193,15 @@ def _down(value: float, increment: float) -> float:
 
 def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
     numbers = ("sequence_a", "sequence_b", "valid_until", "enable", "echo_time", "echo_status", "echo_guard_version")
+    flag = {"safe_flag": str(macros.safe_flag)} if macros.safe_flag is not None else {}
     alarms = {f"alarm{status}": _stop(guard.alarm, 100 + status) for status in GuardStatus if status >= 3}
     return {
         **{name: str(getattr(macros, name)) for name in numbers},
         **{name: str(guard.memory + place) for place, name in enumerate(("pending", "planned", "before", "after"))},
         **alarms,
+        **flag,
+        **(_request_fields(macros, guard) if macros.request is not None else {}),
+        "guard": str(guard.program),
         "version": str(GUARD_VERSION),
         "stop": guard.read_ahead_stop,
         "look_ahead": decimal(guard.look_ahead_s),
@@ -234,6 +236,8 @@ def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[
         "@keep": [{}] if guard.on_expiry == "keep" else [],
         "@zero": [{}] if guard.on_expiry == "zero" else [],
         "@zero_axes": rows if guard.on_expiry == "zero" else [],
+        "@request": [{}] if "counter" in common else [],
+        "@flag": [{}] if "safe_flag" in common else [],
     }
     lines: list[str] = []
     section: list[str] = []

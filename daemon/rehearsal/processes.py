@@ -28,6 +28,8 @@ from drivers.opcua_certificates import create_application_certificate
 FIRST_LEAD_S = 4.0
 """The simulated time starts this long after the processes [s]; doubled when they were not ready."""
 MOST_LEADS = 4
+REQUEST_REAL_S = 2.0
+"""A request of the NC program waits at least this long for its answer [s of the wall clock]."""
 STOP_PATIENCE_S = 15.0
 
 
@@ -61,6 +63,7 @@ def write_rehearsal_configuration(
         "security": _keys(directory) if secure else None,
     }
     base["cnc"]["stale_after_s"] = max(3.0, speed)
+    base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
     base["compensation"]["allow_writable_model_directory"] = True
     output = base["compensation"].setdefault("output", {})
     output["validity_s"] = min(max(30.0, speed), 100.0)

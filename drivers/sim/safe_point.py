@@ -83,6 +83,8 @@ class SafePointApplication:
         for number in (self._map.sequence_a, self._map.sequence_b, self._map.enable, *self._map.values.values()):
             macros.set(number, 0.0)
         macros.set(self._map.valid_until, None)
+        if self._map.request is not None:
+            macros.set(self._map.request.acknowledge, 0.0)
         self._own_mm = {axis: self._external_mm(axis) for axis in self._axes}
         self.at(macros, clock_s).run(self.programs.initialise, A=1.0)
 

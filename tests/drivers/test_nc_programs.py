@@ -55,7 +55,7 @@ def request_of(simulated: CfrpMachine) -> tuple[float | None, ...]:
 def test_requests_are_made_where_the_program_asks() -> None:
     simulated = machine()
     simulated.advance(4.9)
-    assert request_of(simulated)[0] is None
+    assert request_of(simulated) == (0.0, 0.0, 0.0, 0.0)
     simulated.advance(5.5)
     assert request_of(simulated) == (1.0, 1.0, 0.0, 0.0)
     simulated.nc.macros.set(524, 1.0)
@@ -142,7 +142,7 @@ def test_a_wrong_call_is_refused_before_anything_is_asked(arguments: dict[str, f
     assert guard.programs.request is not None
     guard.at(simulated.nc.macros, 1.0).run(guard.programs.request, **arguments)
     assert guard.control.alarm == (120, "TOOLPOINT REQUEST K A V WRONG")
-    assert request_of(simulated) == (None, None, None, None)
+    assert request_of(simulated) == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_request_in_inches_is_refused() -> None:
@@ -172,7 +172,7 @@ def test_the_safe_flag_is_set_in_safe_blocks_only() -> None:
     for tenths in range(1, 1300):
         simulated.advance(tenths / 10.0)
         flags.setdefault(simulated.nc.sequence_number, set()).add(simulated.nc.macros.get(FLAG))
-    assert flags[200] <= {None, 0.0} and flags[100] <= {None, 0.0} and flags[210] == {0.0}
+    assert flags[200] == {0.0} and flags[100] == {0.0} and flags[210] == {0.0}
     assert 1.0 in flags[SAFE]
 
 
@@ -195,3 +195,10 @@ def test_power_off_while_a_request_waits() -> None:
     assert not simulated.guard.interpreter.running
     simulated.advance(12.0)
     assert request_of(simulated)[0] == 2.0
+
+
+def test_initialising_again_keeps_the_counter() -> None:
+    simulated = machine()
+    simulated.nc.macros.set(520, 12.0)
+    simulated.initialise_macros()
+    assert request_of(simulated) == (12.0, 0.0, 0.0, 0.0)
