@@ -54,7 +54,11 @@ def model_finding(configuration: Configuration) -> Finding:
 def _record(configuration: Configuration) -> Finding:
     path = configuration.compensation.commissioning_file
     if path is None:
-        return Finding(subject="commissioning", passed=False, detail="no record: nothing can be switched on")
+        return Finding(
+            subject="commissioning",
+            passed=False,
+            detail="no record, so nothing can be switched on: run `toolpoint commission`",
+        )
     try:
         record = load_commissioning(path)
     except CommissioningError as error:
@@ -114,5 +118,20 @@ async def _cnc(configuration: Configuration, clock: Clock) -> str:
     vacant = [n for n in block.polled if sample.macros.get(n) is None and n != configuration.cnc.macros.valid_until]
     if vacant:
         raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
+    if obstacle := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
+        raise DriverError(f"{cnc.identity}: {obstacle}")
     security = "encrypted" if cnc.secure else "NOT secure"
     return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
+
+
+def _other_control(configuration: Configuration, identity: str, guard_version: float | None) -> str:
+    """Return why the record is not that of this control and guard; '' without a record, which is told apart."""
+    path = configuration.compensation.commissioning_file
+    try:
+        record = None if path is None else load_commissioning(path)
+    except CommissioningError:
+        return ""
+    if record is None:
+        return ""
+    macros = configuration.cnc.macros
+    return commissioning_obstacle(record, cnc_identity=identity, macros=macros, axes=(), guard_version=guard_version)

@@ -168,6 +168,8 @@ def commission(
         refuse(f"there is no axis {', '.join(unknown)}; axes are {', '.join(known)}")
     if record_file is None and not initialise_only:
         refuse("no place for the record: set compensation.commissioning_file, or name --record")
+    if guard_program is not None:
+        _compare_guard(configuration, guard_program)
     plan = Plan(
         axes=tuple(axis for axis in known if not axes or axis in axes),
         offset_um=offset_um,
@@ -227,6 +229,18 @@ def _commission(
     if configuration.compensation.commissioning_file != record_file:
         click.echo(f"The daemon reads it once the configuration says compensation.commissioning_file: {record_file}")
     return 0
+
+
+def _compare_guard(configuration: "Configuration", path: Path) -> None:
+    """Say when the guard that is loaded is not the one that this configuration makes."""
+    from config.guard import GuardTextError, guard_program
+
+    try:
+        same = path.read_bytes() == guard_program(configuration).encode("ascii")
+    except GuardTextError as error:
+        refuse(str(error))
+    if not same:
+        click.echo(f"{path} differs from what `toolpoint guard` prints for this configuration; it is recorded as it is")
 
 
 def _write_report(report_path: Path, text: str) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from config.guard import GuardStatus
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.station import Station
@@ -11,15 +12,15 @@ from daemon.output.alarm import GUARD_CONTENT
 from models.records import FloatArray
 
 CALL_THE_GUARD = "Call the guard now: in MDI, or run the program to its safe point."
-GUARD_SAYS = {
-    2: "the block was torn (status 2): the guard and the map of the macros do not agree on the sequence numbers",
-    3: "the block has expired (status 3): the guard's clock is not the one that is configured, or its limit is shorter",
-    4: "a value is vacant (status 4): the guard reads other variables than the map says",
-    5: "the value is outside its bound (status 5): the guard's bound is smaller than the offset, or its unit differs",
-    6: "the control is in inch mode (status 6): command G21",
-    7: "cutter compensation or a canned cycle is active (status 7): command G40 and G80",
-    8: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
-    9: "the external work offset was changed in between (status 9): run the guard's initialise program in MDI",
+GUARD_SAYS: dict[int, str] = {
+    GuardStatus.TORN: "the block was torn (status 2): guard and map of the macros disagree on the sequence numbers",
+    GuardStatus.EXPIRED: "the block has expired (status 3): the guard reads another clock, or its limit is shorter",
+    GuardStatus.VACANT: "a value is vacant (status 4): the guard reads other variables than the map says",
+    GuardStatus.OVERSIZE: "the value is outside the guard's bound (status 5): its bound or its unit differs",
+    GuardStatus.INCH: "the control is in inch mode (status 6): command G21",
+    GuardStatus.MODAL: "cutter compensation or a canned cycle is active (status 7): command G40 and G80",
+    GuardStatus.MEMORY: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
+    GuardStatus.UNSETTLED: "the external offset was changed in between (status 9): run the initialise program in MDI",
 }
 """What a guard that does not apply the block says by its status."""
 NO_MEMORY = "its echo of what is applied is vacant: run the guard's initialise program in MDI, then the guard again"

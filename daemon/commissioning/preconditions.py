@@ -8,7 +8,7 @@ import numpy as np
 from config.commissioning import LEAST_PROOF_UM
 from config.schema import Configuration
 from daemon.commissioning.refusal import CommissioningRefusedError
-from daemon.commissioning.station import refuse_unsafe
+from daemon.commissioning.station import INCREMENT_SLACK, UM_PER_MM, refuse_unsafe
 from daemon.output.reference_watch import phase_of
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
@@ -78,6 +78,12 @@ def refuse_offset(configuration: Configuration, axes: tuple[str, ...], offset_um
     if not np.isfinite(offset_um) or abs(offset_um) < LEAST_PROOF_UM:
         raise CommissioningRefusedError(
             f"an offset of {offset_um:g} um is too small to prove anything: at least {LEAST_PROOF_UM:g} um"
+        )
+    increment_um = configuration.cnc.guard.increment_mm * UM_PER_MM
+    if abs(offset_um / increment_um - round(offset_um / increment_um)) > INCREMENT_SLACK:
+        raise CommissioningRefusedError(
+            f"an offset of {offset_um:g} um is no whole number of the control's increments of {increment_um:g} um "
+            "(cnc.guard.increment_mm), so the guard could not apply it exactly; choose another --offset-um"
         )
     for axis in axes:
         bound_um = configuration.compensation.axes[axis].absolute_bound_um

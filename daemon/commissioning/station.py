@@ -38,6 +38,8 @@ STOP_CALLS = 4
 """A beat may end this many calls to the CNC before it is cancelled."""
 SPINDLE_AT_REST_RPM = 1.0
 """A spindle that turns faster tears the instrument off [1/min]."""
+UM_PER_MM = 1000.0
+INCREMENT_SLACK = 1e-6
 COMMIT_S = 10.0
 """The audit takes the intent within this, or nothing is written [s of the wall clock]."""
 
@@ -329,8 +331,9 @@ class Station:
         """Return the next target of an axis: no more than the guard's step from what is applied [um]."""
         here_um = float(self.command_um[index])
         step_um = float(self.limits.step_um[index])
-        if step_um > 1.0:
-            step_um = float(np.floor(step_um))  # a control may count in whole micrometres
+        increment_um = self._configuration.cnc.guard.increment_mm * UM_PER_MM
+        if step_um > increment_um:  # the guard moves by whole increments of the control
+            step_um = float(np.floor(step_um / increment_um + INCREMENT_SLACK)) * increment_um
         return here_um + float(np.clip(target_um - here_um, -step_um, step_um))
 
     def whats_left(self) -> str:

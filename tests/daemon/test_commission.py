@@ -10,7 +10,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from commissioning_bench import Bench, Person, serving
 
-from config.commissioning import commissioning_obstacle
+from config.commissioning import commissioning_obstacle, save_commissioning
+from daemon.probe import probe
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -47,3 +48,20 @@ async def test_a_straight_machine_is_commissioned(bench):
     assert obstacle == ""
     assert bench.at_rest()
     assert all(write.outcome is WriteOutcome.VERIFIED for write in bench.writes())
+
+
+async def test_check_compares_the_record_with_the_control_and_its_guard(bench):
+    path = bench.directory / "record.json"
+
+    def change(content):
+        content["compensation"]["commissioning_file"] = str(path)
+
+    record = await bench.commission(Person(bench), axes=("y", "z"))
+    assert record is not None
+    for version, passed, words in ((1, True, "O9100"), (9, False, "runs guard version 1")):
+        save_commissioning(record.model_copy(update={"guard_version": version}), path)
+        findings = [f async for f in probe(bench.configuration(change), bench.clock, devices=True)]
+        (cnc,) = (finding for finding in findings if finding.subject == "cnc")
+        assert (cnc.passed, words in cnc.detail) == (passed, True), cnc
+        (covered,) = (finding for finding in findings if finding.subject == "commissioning")
+        assert covered.passed

@@ -392,6 +392,7 @@ async def test_an_insecure_connection_and_a_wrong_offset_are_refused(bench):
 
     assert "allow_insecure_writes" in await refused(bench, change=insecure)
     assert "too small" in await refused(bench, offset_um=1.0)
+    assert "no whole number" in await refused(bench, offset_um=4.55)
     assert "outside its absolute bound" in await refused(bench, offset_um=31.0)
 
 

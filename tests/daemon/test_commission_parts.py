@@ -20,11 +20,13 @@ from config.commissioning import (
     load_commissioning,
     macro_map_digest,
 )
+from config.guard import GuardStatus, guard_program
 from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.cli.commission import commission
 from daemon.commissioning.dialogue import TerminalDialogue
 from daemon.commissioning.judgement import judge
+from daemon.commissioning.movement import GUARD_SAYS
 from daemon.commissioning.readings import Moment, Reading
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.report import record_digest, report_html
@@ -99,6 +101,10 @@ def test_only_a_right_movement_passes(offset_um, ratio, zero_um):
     else:
         assert abs(ratio - 1.0) < PROOF_TOLERANCE + 1e-3
         assert (found.sign, found.scale) == (1, 1.0)
+
+
+def test_every_refusal_of_the_guard_is_explained():
+    assert {GuardStatus.APPLIED, GuardStatus.DISABLED} | set(GUARD_SAYS) == set(GuardStatus)
 
 
 # --- report ----------------------------------------------------------------------------
@@ -323,3 +329,14 @@ def test_what_root_has_made_belongs_to_the_folders_owner(tmp_path):
     hand_over(state / "history.sqlite")
     owners = {path.name: (path.stat().st_uid, path.stat().st_gid) for path in state.iterdir()}
     assert owners == {"history.sqlite": (4242, 4243), "history.sqlite-wal": (4242, 4243), "other": (0, 0)}
+
+
+def test_a_guard_that_is_not_the_configured_one_is_recorded_and_said(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    configured, loaded = machine_file(tmp_path), tmp_path / "loaded.nc"
+    text = guard_program(load_configuration(configured))
+    arguments = ["--config", configured, "--record", "R", "--yes", "--person", "A", "--guard-program", loaded]
+    loaded.write_text(text, encoding="ascii")
+    assert "differs" not in run(*arguments).output
+    loaded.write_text(text.replace("G53", "G4"), encoding="ascii")
+    assert "differs from what `toolpoint guard` prints" in run(*arguments).output
