@@ -18,6 +18,8 @@ SHORTEST_HORIZON_MIN = 240.0
 """So much must follow such an instant [min], or half of the run."""
 REFERENCES = 30
 """So many instants of every run are tried."""
+NORMAL_90 = 1.282
+"""90 % point of the normal distribution."""
 FEWEST_FOLDS_BEFORE = 2
 """A fold is predicted from at least so many before it: one warm-up alone is no alternating operation."""
 EXCURSION_SHARE = 0.3
@@ -77,7 +79,7 @@ def judge(
     try:
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         score = relative_rmse(inputs, rows, fold, fits, probe_min)
-        band_um = _band_um(inputs, rows, fold, fits, probe_min)
+        band_um = few_folds_factor(len(numbers)) * _band_um(inputs, rows, fold, fits, probe_min)
     except DatasetError as error:
         return Trust(
             refused=f"without one of its folds it cannot be fitted ({error})",
@@ -185,6 +187,23 @@ def _band_um(
             later = np.abs(residual_um[first:] - residual_um[first])
             widths.append(np.quantile(later, BAND_QUANTILE, axis=0))
     return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def few_folds_factor(folds: int) -> float:
+    """Return by how much a band is widened because it comes from few folds.
+
+    The largest of K folds' quantiles holds on another fold with probability K / (K + 1) only. Below
+    nine folds it is widened by the ratio of the 90 % points of Student's distribution with K - 1
+    degrees of freedom and of the normal distribution.
+
+    Parameters
+    ----------
+    folds
+        K, at least 2.
+
+    """
+    table = {2: 3.078, 3: 1.886, 4: 1.638, 5: 1.533, 6: 1.476, 7: 1.440, 8: 1.415}
+    return table.get(folds, NORMAL_90) / NORMAL_90
 
 
 def _probed_widths(fold: IntArray, time_min: FloatArray, residual_um: FloatArray, probe_min: float) -> list[FloatArray]:

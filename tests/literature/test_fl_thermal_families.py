@@ -1,0 +1,95 @@
+"""Families of models on a public recording of a spindle (CAIVIAC/FL_THERMAL, MIT licence, 46 h).
+
+Split A trains on hours 0-32 (four on/off cycles) and tests all that follows as one run with one
+reference; split C leaves each of the six cycles out. A published study of the same data found, with
+a mean of two ridges on temperatures, their lags and lagged spindle speed, 80 % (A) and 80 % (C) of
+the RMSE removed, and 93 % / 92 % with an hourly probe. The bounds below are what this project
+asks of itself; they leave room for other linear algebra libraries, not for another method.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.cli.thermal_evaluate import parse_fault
+from daemon.thermal_evaluation import Protocol, evaluate
+from drivers.recording_csv import read_recording
+from models.dataset import Recording
+
+SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
+PATH = SHARED / "data" / "fl_thermal" / "fl_thermal_46h_15s.csv"
+pytestmark = pytest.mark.skipif(not PATH.is_file(), reason=f"the recording is not there ({PATH}); set TOOLPOINT_SHARED")
+SPLIT_A: dict[str, Any] = {"train_hours": (0.0, 32.0), "test_hours": (32.0, 46.3)}
+
+
+@pytest.fixture(scope="module")
+def minutes() -> Recording:
+    return read_recording(PATH).downsampled(60.0)
+
+
+def figures(minutes: Recording, model: str = "default", **protocol: Any) -> dict[str, Any]:
+    return evaluate([minutes], 60.0, model, Protocol(**protocol), lambda what, done, total: None)
+
+
+def test_split_a(minutes: Recording) -> None:
+    found = figures(minutes, **SPLIT_A)
+    assert found["mean"]["reduction_rmse"] >= 0.80
+    assert found["mean"]["reduction_max"] >= 0.78
+    assert all(channel["band_coverage"] >= 0.85 for channel in found["channels"].values())
+    assert (found["false_alarms"], found["refused"]) == (0, None)
+    assert len(found["hyper_parameters"]["penalties"]) == 2
+
+
+def test_split_c(minutes: Recording) -> None:
+    found = figures(minutes, leave_out="cycles")
+    assert [test["name"] for test in found["tests"]] == [f"cycle {number}" for number in range(1, 7)]
+    assert found["mean"]["reduction_rmse"] >= 0.80
+    assert sum(test["reduction_rmse"] for test in found["tests"]) / 6 >= 0.76
+    assert all(channel["band_coverage"] >= 0.85 for channel in found["channels"].values())
+
+
+def test_an_hourly_probe(minutes: Recording) -> None:
+    without = figures(minutes, **SPLIT_A)["mean"]
+    with_probe = figures(minutes, **SPLIT_A, probe_min=60.0)["mean"]
+    assert with_probe["reduction_rmse"] >= 0.915
+    assert with_probe["rmse_um"] <= 0.5 * without["rmse_um"]
+    assert figures(minutes, leave_out="cycles", probe_min=60.0)["mean"]["reduction_rmse"] >= 0.905
+
+
+def test_any_single_sensor_may_fail(minutes: Recording) -> None:
+    texts = ("stuck:each@36h", "step:each:5degC@36h", "open:each@36h", "drift:each:1degC/h@36h")
+    found = figures(minutes, **SPLIT_A, faults=tuple(parse_fault(text) for text in texts))
+    of_kind = {kind: [f for f in found["faults"] if f["kind"] == kind] for kind in ("stuck", "step", "open", "drift")}
+    assert {kind: len(faults) for kind, faults in of_kind.items()} == dict.fromkeys(of_kind, 16)
+    for kind in ("stuck", "step", "open"):
+        assert max(fault["max_ratio"] for fault in of_kind[kind]) <= 1.5
+        assert all(fault["found_after_min"] is not None for fault in of_kind[kind])
+    assert max(fault["max_ratio"] for fault in of_kind["drift"]) <= 2.0
+    minutes_to_find = sorted(fault["found_after_min"] or 1e9 for fault in of_kind["drift"])
+    assert minutes_to_find[8] <= 90.0
+
+
+@pytest.mark.parametrize(
+    ("model", "least", "most"),
+    [("ridge", 0.62, 0.75), ("pls", 0.62, 0.78), ("lasso", 0.60, 0.75), ("increments", 0.35, 0.50)],
+)
+def test_the_other_families_come_near_what_is_known_of_them(
+    minutes: Recording, model: str, least: float, most: float
+) -> None:
+    """The study found 67 % for ridge and PLS on temperatures alone and 36 % for increments over 1 min."""
+    assert least <= figures(minutes, model, **SPLIT_A)["mean"]["reduction_rmse"] <= most
+
+
+def test_the_drift_term_of_the_source_is_worse(minutes: Recording) -> None:
+    with_drift = figures(minutes, "increments-b0", **SPLIT_A)["mean"]["reduction_rmse"]
+    assert with_drift < figures(minutes, "increments", **SPLIT_A)["mean"]["reduction_rmse"] - 0.1
+
+
+def test_without_spindle_speed_it_works_less_well(minutes: Recording) -> None:
+    from dataclasses import replace
+
+    found = figures(replace(minutes, speed_rpm=None), **SPLIT_A)
+    assert found["hyper_parameters"]["speed_lags_min"] == []
+    assert 0.65 <= found["mean"]["reduction_rmse"] < figures(minutes, **SPLIT_A)["mean"]["reduction_rmse"]
