@@ -158,6 +158,7 @@ def _checks(configuration: Configuration) -> SheetSection:
             f"least increment of the offsets is {guard.increment_mm:g} mm",
             "offset screen: decimals of EXT; parameter 1013 [control]",
         ),
+        ("G90 and G91 are absolute and incremental", "a machining centre, or a lathe with G-code system B or C"),
         ("metric, G21", "#4006 is 21 in the program that calls the guard"),
         ("#5201.. is the external offset (EXT)", "set EXT by hand, read #5201.. [control]"),
         (f"{guard.read_ahead_stop} ends the reading ahead", "the last test below; else choose an M code of parameters "

@@ -19,6 +19,8 @@ GUARD_VERSION = 1
 LONGEST_LINE = 76
 POLL_MS = 50
 """The request program looks for its answer once in this time [ms]."""
+RETRIES, RETRY_MS = 3, 200
+"""A block that is being written is read again so often, after so long [ms]."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
 _ALLOWED = re.compile(r"[A-Z0-9 .,\-=/#+]*")
 _FOREIGN = re.compile(r"[^A-Z0-9 .,\-=/#+]+")
@@ -203,6 +205,8 @@ def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dic
         **(_request_fields(macros, guard) if macros.request is not None else {}),
         "guard": str(guard.program),
         "version": str(GUARD_VERSION),
+        "tries": str(RETRIES),
+        "retry_ms": str(RETRY_MS),
         "stop": guard.read_ahead_stop,
         "look_ahead": decimal(guard.look_ahead_s),
         "increment": decimal(guard.increment_mm),

@@ -14,7 +14,8 @@ from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
 from drivers.sim.contract import AxisTruth
 from drivers.sim.nc import NumericalControl, RunCode
-from drivers.sim.nc_programs import GUARD_PERIOD_S
+from drivers.sim.nc_programs import NcPrograms
+from drivers.sim.program import Block
 from drivers.sim.safe_point import SafePointApplication
 from models.dataset import Recording
 from models.records import FloatArray
@@ -54,7 +55,11 @@ class RecordedMachine:
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
         self._guard.initialise(self._nc.macros, self._nc.clock_s)
-        self._next_guard_s = LEAD_IN_S + POSITIONING_S
+        self._programs = NcPrograms(self._guard, self._nc)
+        self._coming = [
+            (LEAD_IN_S, Block(sequence_number=POSITIONING, kind="positioning", duration_s=POSITIONING_S)),
+            (LEAD_IN_S + POSITIONING_S, Block(sequence_number=SAFE, kind="safe", duration_s=self.duration_s)),
+        ]
         self._blocks = BlockMeans(block_s, len(self._axes))
         self._show()
 
@@ -74,9 +79,11 @@ class RecordedMachine:
             return
         self.time_s = to_s
         self._show()
-        while self._next_guard_s <= to_s:
-            self._guard.run(self._nc.macros, self._nc.clock_at(self._next_guard_s))
-            self._next_guard_s += GUARD_PERIOD_S
+        while self._coming and self._coming[0][0] <= to_s:
+            start_s, block = self._coming.pop(0)
+            self._programs.run_until(start_s)
+            self._programs.enter(block, start_s, probed_um=None)
+        self._programs.run_until(np.nextafter(to_s, np.inf))
         if LEAD_IN_S <= to_s <= self.duration_s:
             self._blocks.add(to_s - LEAD_IN_S, self._error_um(), self._applied_um())
 

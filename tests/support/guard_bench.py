@@ -44,6 +44,8 @@ class GuardBench:
             self.nc.change_own_offset(axis, um)
         self.nc.initialise(self.macros, self.clock_s)
         self.sequence = 0.0
+        self.waits = 0
+        """Dwells of the guard in the latest run by `steps`."""
 
     # --- the daemon ----------------------------------------------------------------------
 
@@ -79,11 +81,12 @@ class GuardBench:
         """Run the guard block by block; yield the number of blocks run, before each one."""
         interpreter = self.nc.at(self.macros, self.clock_s)
         interpreter.start(self.nc.programs.guard)
-        count = 0
+        count = self.waits = 0
         while interpreter.running:
             yield count
             interpreter.step()
             count += 1
+            self.waits += interpreter.dwell_s > 0.0
 
     def interrupted(self, after: int) -> bool:
         """Call the guard and press RESET after so many blocks; return False when it had ended before."""
