@@ -1,0 +1,101 @@
+"""A played recording on the simulated NC: its axes are channels, the guard's text runs all the same."""
+
+import numpy as np
+import pytest
+
+from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
+from config.schema.compensation import AxisConfig
+from config.schema.guard import GuardConfig
+from config.schema.temperatures import SensorConfig
+from drivers.sim.recorded import LEAD_IN_S, POSITIONING_S, RecordedMachine
+from models.dataset import Recording
+
+REQUEST = RequestMacrosConfig(counter=530, kind=531, axis=532, value_mm=533, acknowledge=534)
+CHANNELS = ("Y1", "Z1", "Z2")
+
+
+def machine(*, request: bool = False) -> RecordedMachine:
+    values = {name: 510 + index for index, name in enumerate(CHANNELS)}
+    macros = MacroMapConfig(
+        writable=["120", "500-540"],
+        sequence_a=500,
+        values=values,
+        valid_until=120,
+        enable=501,
+        sequence_b=502,
+        echo_applied={name: 550 + index for index, name in enumerate(CHANNELS)},
+        echo_time=580,
+        echo_status=581,
+        echo_guard_version=582,
+        request=REQUEST if request else None,
+    )
+    times_s = np.arange(0.0, 600.0, 10.0)
+    recording = Recording(
+        name="made up",
+        time_s=times_s,
+        speed_rpm=None,
+        temperature_names=("T1",),
+        temperatures_degc=np.full((len(times_s), 1), 21.5),
+        displacement_names=CHANNELS,
+        displacements_um=np.tile([0.0, 0.0, -6.0], (len(times_s), 1)) * (times_s[:, None] >= 60.0),
+    )
+    axes = dict.fromkeys(CHANNELS, AxisConfig(absolute_bound_um=50.0, slew_um_per_min=5.0, step_um=5.0))
+    guard = GuardConfig.model_validate(
+        {
+            "increment_mm": 0.0001,
+            "on_timeout": "continue",
+            "axes": {name: {"letter": "XYZ"[i], "number": i + 1} for i, name in enumerate(CHANNELS)},
+        }
+    )
+    return RecordedMachine(recording, [SensorConfig(id=1, component="recording")], macros, axes, guard, block_s=60.0)
+
+
+def ask(played: RecordedMachine, z2_um: float) -> None:
+    macros = played.nc.macros
+    for number, value in ((500, 1.0), (512, z2_um / 1000.0), (120, played.nc.clock_s + 90.0), (501, 7.0), (502, 1.0)):
+        macros.set(number, value)
+
+
+def test_nothing_is_applied_before_the_tool_is_at_a_safe_point() -> None:
+    played = machine()
+    ask(played, 6.0)
+    played.advance(LEAD_IN_S + POSITIONING_S - 0.1)
+    assert played.nc.macros.get(552) == 0.0
+    ask(played, 6.0)
+    played.advance(LEAD_IN_S + POSITIONING_S)
+    assert played.nc.macros.get(552) == pytest.approx(0.005)
+    played.advance(LEAD_IN_S + POSITIONING_S + 1.0)
+    assert played.nc.macros.get(552) == pytest.approx(0.006)
+    played.advance(LEAD_IN_S + 70.0)
+    assert played.truth()["Z2"].uncompensated_um == pytest.approx(-6.0)
+    assert played.truth()["Z2"].compensated_um == pytest.approx(0.0)
+    assert played.truth()["Y1"].compensated_um == pytest.approx(0.0)
+
+
+def test_the_guard_runs_once_a_second_however_the_machine_is_moved_on() -> None:
+    often, seldom = machine(), machine()
+    for played in (often, seldom):
+        ask(played, 6.0)
+    for time_s in np.arange(0.5, 300.0, 0.5):
+        often.advance(float(time_s))
+    seldom.advance(300.0)
+    often.advance(300.0)
+    for number in (550, 551, 552, 580, 581):
+        assert often.nc.macros.get(number) == seldom.nc.macros.get(number)
+
+
+def test_a_map_with_a_handshake_asks_for_a_reference_at_positioning() -> None:
+    played = machine(request=True)
+    played.advance(LEAD_IN_S - 0.1)
+    assert played.nc.macros.get(530) == 0.0
+    played.advance(LEAD_IN_S + 1.0)
+    assert [played.nc.macros.get(number) for number in (530, 531, 532)] == [1.0, 1.0, 0.0]
+    played.advance(LEAD_IN_S + 11.0)
+    assert played.nc.macros.get(531) == 0.0
+
+
+def test_the_sensors_must_be_those_of_the_recording() -> None:
+    played = machine()
+    assert played.register_codes([1]) == [round(21.5 * 16)]
+    with pytest.raises(KeyError):
+        played.register_codes([2])
