@@ -9,11 +9,14 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from config.commissioning import CommissioningRecord
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.commissioning.procedure import Plan
+from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.session import Sources, commission
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
@@ -198,3 +201,10 @@ async def serving(directory: Path) -> AsyncIterator[Bench]:
         await asyncio.gather(running, return_exceptions=True)
         await bench.relay.stop()
         await bench.server.stop()
+
+
+async def refused(bench: Bench, person: Person | None = None, **changes: Any) -> str:
+    """Return the sentence with which a commissioning is refused."""
+    with pytest.raises(CommissioningRefusedError) as error:
+        await bench.commission(person or Person(bench), **changes)
+    return str(error.value)
