@@ -5,6 +5,7 @@ next whenever it is idle, and can be killed at any moment. See docs/how-to/run-a
 """
 
 import contextlib
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,21 +98,24 @@ class Campaign:
         self._blocks: list[float] = []
         self._memory_at_start: float | None = None
         self._next_memory_s = 0.0
-        self._stopping = False
+        self._interrupted = False
         self._world.at(ROUND_S, self._round)
 
     def run(self) -> Result:
-        """Run it to its end."""
+        """Run it to its end, or to a Ctrl-C: then the days so far are what it found."""
         began = time.monotonic()
+        before = signal.signal(signal.SIGINT, lambda *_: setattr(self, "_interrupted", True))
         next_progress_s = 0.0
         try:
-            while self._world.time_s < self._end_s:
+            while self._world.time_s < self._end_s and not self._interrupted:
                 self._live()
                 if self._world.time_s >= next_progress_s:
                     next_progress_s = self._world.time_s + DAY_S / 24
                     self._say(time.monotonic() - began)
+            self.result.days = self._world.time_s / DAY_S
             self._finish()
         finally:
+            signal.signal(signal.SIGINT, before)
             if self._process is not None:
                 self._process.kill()
                 self._bury()
@@ -213,7 +217,7 @@ class Campaign:
         claims = _claims(raw)
         if name == "advance":
             self._hear(time_s, claims)
-            world.advance(min(arguments[0], self._end_s + (STOP_S if self._stopping else 0.0)))
+            world.advance(min(arguments[0], self._end_s + STOP_S))
             return None
         world.catch_up(time_s)
         self._hear(world.time_s, claims)
@@ -224,6 +228,7 @@ class Campaign:
                 answer = world.cnc.read(arguments[0])
                 if answer[0] == "ok":
                     self._good_input.cnc()
+                    self._note_good_input(world.time_s)
                 return answer
             case "read_macros":
                 return world.cnc.read_macros(arguments[0])
@@ -280,6 +285,7 @@ class Campaign:
             return
         self._heard_whole_s = time_s
         self._good_input.cycle(line)
+        self._note_good_input(time_s)
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
         """Take what the NC applies."""
@@ -308,7 +314,7 @@ class Campaign:
             self._person.undo(happening)
         self._good_input.after(happening)
         if not self._world.active:
-            self._recovery.over(time_s, self._case_kinds)
+            self._recovery.over(self._case_kinds)
             self._case_kinds = set()
 
     def _round(self) -> None:
@@ -345,10 +351,14 @@ class Campaign:
             self._world.cnc.forgiven()
         self._writes.heard(time_s, claims)
         self._writes.input_is(time_s, good=time_s - self._heard_whole_s <= TEMPERATURES_LATE_S)
-        if self._recovery.waiting_since_s is not None and self._good_input.there:
-            self._recovery.good_input(time_s, claims)
+        self._note_good_input(time_s)
         if self._recovery.open:
             self._recovery.look(time_s, self._truth(time_s), claims)
+
+    def _note_good_input(self, time_s: float) -> None:
+        """Begin to count when the first good input has arrived; what the daemon claims is still from before it."""
+        if self._claims is not None and self._recovery.waiting and self._good_input.there:
+            self._recovery.good_input(time_s, self._claims)
 
     def _truth(self, time_s: float) -> Truth:
         macros = self._configuration.cnc.macros
@@ -366,7 +376,7 @@ class Campaign:
     def _say(self, wall_s: float) -> None:
         states = ", ".join(f"{state} {100 * s / max(self._world.time_s, 1):.0f} %" for state, s in self._shares())
         self._progress(
-            f"day {self._world.time_s / DAY_S:.2f} of {self.result.days:g} after {wall_s:.0f} s: "
+            f"day {self._world.time_s / DAY_S:.2f} of {self._end_s / DAY_S:g} after {wall_s:.0f} s: "
             f"{self.result.cycles} cycles, {self.result.blocks} blocks, "
             f"{sum(self.result.incidents.values())} incidents, "
             f"{self._ledger.violations} violations, {self.result.rss_mib:.1f} MiB; {states}"

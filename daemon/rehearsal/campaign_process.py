@@ -43,6 +43,7 @@ class DaemonProcess:
             stderr=subprocess.PIPE,
             pass_fds=(far.fileno(), write_end),
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            process_group=0,  # a Ctrl-C is for the campaign, which then stops the daemon in order
         )
         far.close()
         os.close(write_end)

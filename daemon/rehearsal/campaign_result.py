@@ -32,7 +32,7 @@ class Result:
 def numbers(result: Result) -> dict[str, Any]:
     """Return the result as plain JSON values."""
     return {
-        "days": result.days,
+        "days": round(result.days, 4),
         "seed": result.seed,
         "invariants": {
             name: {"checked": count.checked, "violated": count.violated} for name, count in result.ledger.counts.items()
@@ -74,7 +74,7 @@ def summary(result: Result) -> str:
     slowest = max(((max(times), kind) for kind, times in result.recovery_s.items()), default=(0.0, "none"))
     return "\n".join(
         [
-            f"{result.days:g} simulated days in {result.wall_s:.0f} s, seed {result.seed}: "
+            f"{result.days:.4g} simulated days in {result.wall_s:.0f} s, seed {result.seed}: "
             f"{sum(result.incidents.values())} incidents of {len(result.incidents)} kinds, "
             f"{result.lives} lives of the daemon, {result.cycles} cycles, {result.blocks} blocks",
             f"{checked} checks of {len(result.ledger.counts)} invariants, {result.ledger.violations} violations",

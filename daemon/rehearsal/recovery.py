@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from daemon.rehearsal.invariants import Claims, Ledger
 from drivers.latsis_numbering import RELEASED_AFTER_CYCLES
-from drivers.sim.campaign_script import Happening
+from drivers.sim.campaign_script import Happening, Incident
 from drivers.sim.faults import FaultKind
 from models.compensation import TRANSITIONS, Condition
 from models.records import OutputState
@@ -18,6 +18,8 @@ from models.records import OutputState
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
 LONGEST_WALK = 8
+STARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE)
+"""Incidents after which a daemon begins to live."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +82,9 @@ def where_it_leads(
 class GoodInput:
     """What must arrive after an incident before the output can be right again.
 
-    A poll that the CNC answers, and a whole cycle: of the line that was disturbed, or of any line. A line whose
-    nodes were counted anew is believed again only after some whole cycles.
+    After one on a line a whole cycle of that line (the third, when its nodes were counted anew: before, the line is
+    not believed), after one on all lines a whole cycle of any, after a start of the daemon a cycle and a poll, and
+    else a poll that the CNC answers.
     """
 
     def __init__(self, lines: Sequence[str]) -> None:
@@ -97,16 +100,15 @@ class GoodInput:
 
     def after(self, happening: Happening) -> None:
         """An incident is over."""
-        self._cnc = True
-        if happening.target not in self._lines:
-            self._any_line = not self._cycles
+        kind = happening.kind
+        if happening.target in self._lines:
+            counted = kind is FaultKind.RENUMBERED or (kind is FaultKind.DEAD_LINE and happening.amount > 0)
+            line = str(happening.target)
+            self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1)
             return
-        counted = happening.kind is FaultKind.RENUMBERED or (
-            happening.kind is FaultKind.DEAD_LINE and happening.amount > 0
-        )
-        line = str(happening.target)
-        self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1)
-        self._any_line = False
+        if kind in STARTS or kind is Incident.BLIND:
+            self._any_line = True
+        self._cnc |= kind is not Incident.BLIND
 
     def cycle(self, line: str) -> None:
         """A line was heard whole and undisturbed."""
@@ -126,9 +128,10 @@ class _Case:
     """One incident, or several that met."""
 
     kinds: set[str]
-    ended_s: float
     good_s: float | None = None
     state_then: str = ""
+    wrong_since_s: float | None = None
+    took_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -148,14 +151,14 @@ class RecoveryWatch:
             self.disturbed += 1
         self._case = None
 
-    def over(self, time_s: float, kinds: set[str]) -> None:
+    def over(self, kinds: set[str]) -> None:
         """Everything that was going on has ended."""
-        self._case = _Case(kinds=kinds, ended_s=time_s)
+        self._case = _Case(kinds=kinds)
 
     @property
-    def waiting_since_s(self) -> float | None:
-        """When the incidents of the open case ended, while its first good input is awaited."""
-        return self._case.ended_s if self._case is not None and self._case.good_s is None else None
+    def waiting(self) -> bool:
+        """The first good input of a case is awaited."""
+        return self._case is not None and self._case.good_s is None
 
     @property
     def open(self) -> bool:
@@ -169,24 +172,30 @@ class RecoveryWatch:
             self._case.state_then = claims.state
 
     def look(self, time_s: float, truth: Truth, claims: Claims) -> None:
-        """Compare the claimed state with where the table leads; judge when they agree or time is over."""
+        """Compare the claimed state with where the table leads; judge when the time to get there is over."""
         case = self._case
         if case is None or case.good_s is None:
             return
         from_then = where_it_leads(case.state_then, truth, claims, self.least_confidence)
         from_now = where_it_leads(claims.state, truth, claims, self.least_confidence)
-        took_s = time_s - case.good_s
-        agrees = _same(claims.state, from_now) and _same(from_now, from_then)
-        if not agrees and took_s <= WITHIN_S:
+        if _same(claims.state, from_now) and _same(from_now, from_then):
+            case.wrong_since_s = None
+            if time_s - case.good_s < WITHIN_S:
+                return
+            self._judge(case, True)
             return
-        self.ledger.check(
-            "state_after_fault",
-            agrees,
-            f"{time_s:.1f} s after {'+'.join(sorted(case.kinds))}: {claims.state} ({claims.reason}), "
-            f"the table leads from {case.state_then} to {from_then}; {truth}; {claims}",
-        )
+        if case.wrong_since_s is None:
+            case.wrong_since_s = time_s
+        case.took_s = time_s - case.good_s
+        if time_s - case.wrong_since_s > WITHIN_S:
+            what = f"{time_s:.1f} s after {'+'.join(sorted(case.kinds))}: {claims.state} ({claims.reason}), "
+            self._judge(case, False, f"{what}the table leads from {case.state_then} to {from_then}; {truth}; {claims}")
+
+    def _judge(self, case: _Case, right: bool, what: str = "") -> None:
+        """Count a case that is over: right for as long as it was watched, or wrong for too long."""
+        self.ledger.check("state_after_fault", right, what)
         for kind in case.kinds:
-            self.times_s.setdefault(kind, []).append(took_s)
+            self.times_s.setdefault(kind, []).append(case.took_s)
         self._case = None
 
 
