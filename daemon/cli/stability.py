@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.dynamics_options import picture_option
 from daemon.cli.stability_recordings import chatter, roughness
+from daemon.cli.stability_studies import coefficients, compare, modes
 
 if TYPE_CHECKING:
     from models.stability.lobes_zoa import StabilityLobes
@@ -36,8 +38,8 @@ def stability() -> None:
     """Stability of milling: lobes, a stable spindle speed, chatter in recordings."""
 
 
-stability.add_command(chatter)
-stability.add_command(roughness)
+for _command in (chatter, roughness, compare, modes, coefficients):
+    stability.add_command(_command)
 
 
 @stability.command()
@@ -66,6 +68,7 @@ stability.add_command(roughness)
     help="Spectral radius at this speed and depth (sdm; may be repeated); without the lobes.",
 )
 @click.option("--steps", type=click.IntRange(8, 2000), help="Steps per tooth passing (sdm). Without: 200 for --at.")
+@picture_option
 @json_option
 def lobes(
     case_path: Path,
@@ -76,6 +79,7 @@ def lobes(
     max_depth_mm: float | None,
     at: tuple[tuple[float, float], ...],
     steps: int | None,
+    picture: Path | None,
     json_path: str | None,
 ) -> None:
     """Limiting depth of cut over spindle speed for the milling CASE."""
@@ -87,6 +91,8 @@ def lobes(
 
     if method == "zoa" and (at or steps is not None):
         refuse("--at and --steps belong to the semi-discretisation; add --method sdm")
+    if at and picture is not None:
+        refuse("--at gives numbers, not lobes to draw; leave out one of --at and --picture")
     request = LobesRequest(
         method=method, from_rpm=from_rpm, to_rpm=to_rpm, points=points, max_depth_mm=max_depth_mm, steps=steps
     )
@@ -99,6 +105,10 @@ def lobes(
             found = find_lobes(case, request)
             content = lobes_content(found, method, max_depth_mm)
             _show(found)
+            if picture is not None:
+                from daemon.stability.pictures import lobes_picture
+
+                lobes_picture(picture, [(case_path.stem, found)])
     except (ConfigurationError, FrfFileError) as error:
         refuse(str(error))
     except StabilityError as error:

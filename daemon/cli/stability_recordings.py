@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.dynamics_options import picture_option
 
 if TYPE_CHECKING:
     from daemon.stability.recordings import Passage
@@ -42,6 +43,7 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
     help="A part of the recording cut at one depth (may be repeated); without, the whole is judged.",
 )
 @click.option("--full-scale-m-s2", type=POSITIVE, help="What full scale of a WAV file means [m/s^2].")
+@picture_option
 @json_option
 def chatter(
     recording_path: Path,
@@ -49,6 +51,7 @@ def chatter(
     teeth: int,
     passages: "tuple[Passage, ...]",
     full_scale_m_s2: float | None,
+    picture: Path | None,
     json_path: str | None,
 ) -> None:
     """Look for chatter in the accelerometer RECORDING (WAV, or CSV with time_s,acceleration_m_s2)."""
@@ -65,6 +68,18 @@ def chatter(
         refuse(f"{recording_path}: {error}")
     for part in content.get("depths", [content]):
         _show(part)
+    if picture is not None:
+        from daemon.stability.pictures import spectrogram_picture
+        from models.stability.chatter import short_time_spectra
+
+        spectrogram_picture(
+            picture,
+            short_time_spectra(recording.acceleration_m_s2, recording.sample_rate_hz),
+            offset_s=recording.start_s,
+            tooth_passing_hz=content["tooth_passing_hz"],
+            chatter_hz=content["frequency_hz"],
+            title=recording_path.name,
+        )
     write_json(json_path, content)
 
 

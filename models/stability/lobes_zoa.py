@@ -14,11 +14,15 @@ import numpy as np
 from models.records import FloatArray
 from models.stability.errors import StabilityError
 from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
-from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, in_feed_axes
+from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, feed_rotation
 from models.units import mm_from_m
 
 ZOOM_POINTS = 33
 ZOOM_ROUNDS = 4
+MOST_REFINED = 8
+"""So many of the highest peaks are looked at between the samples; noise has more."""
+NEAR_RANGE = 1.02
+"""A peak between samples may belong to a speed this much beyond that of its highest sample."""
 RISE_BETWEEN_SAMPLES = 1.1
 """A peak between samples is at most this much higher than its highest sample."""
 
@@ -97,36 +101,7 @@ def zeroth_order_lobes(
         When the range is none, the FRF does not cover the tooth-passing band, or nothing can chatter.
 
     """
-    check_range(from_rpm, to_rpm, points)
-    warnings: tuple[str, ...] = ()
-    if isinstance(response, SampledResponse):
-        warnings = check_lines(response.frequency_hz, cut.teeth, from_rpm, to_rpm)
-    frequency_hz = response.frequencies_hz(tooth_passing_hz(to_rpm, cut.teeth))
-    branches = _branches(response, cut, frequency_hz, feed_deg)
-    if not any(bool(np.any(branch.eigenvalue.real > 0.0)) for branch in branches):
-        raise StabilityError("no frequency of this response can chatter; is the FRF a receptance in m/N?")
-    speed_rpm = np.linspace(from_rpm, to_rpm, points)
-    depth_m, chatter_hz = _envelope(branches, cut, speed_rpm)
-    ends = [
-        LobeMinimum(
-            speed_rpm=float(speed_rpm[i]), depth_mm=mm_from_m(float(depth_m[i])), chatter_hz=float(chatter_hz[i])
-        )
-        for i in (0, -1)
-    ]
-    minimum, at_edge = _minimum(response, cut, branches, feed_deg, ends)
-    if at_edge:
-        warnings += (
-            f"the lowest depth lies at the edge of the FRF ({minimum.chatter_hz:g} Hz); "
-            "a wider band may show a lower one",
-        )
-    return StabilityLobes(
-        speed_rpm=speed_rpm,
-        limiting_depth_mm=mm_from_m(depth_m),
-        chatter_hz=chatter_hz,
-        minimum=minimum,
-        feed_deg=feed_deg,
-        warnings=warnings,
-    )
+    return _lobes(response, cut, (from_rpm, to_rpm, points), (feed_deg,))
 
 
 def lowest_over_feed_directions(
@@ -137,11 +112,55 @@ def lowest_over_feed_directions(
     `feed_deg` of the result is the direction with the lowest minimum. Opposite directions are
     equal. Parameters and errors are those of `zeroth_order_lobes`; `step_deg` [deg] divides 180.
     """
-    each = [
-        zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=float(feed_deg))
-        for feed_deg in np.arange(0.0, 180.0, step_deg)
-    ]
-    return lowest_of(each)
+    feeds = tuple(np.arange(0.0, 180.0, step_deg).tolist())
+    return _lobes(response, cut, (from_rpm, to_rpm, points), feeds)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Direction:
+    """The lobes of one feed direction: its eigenvalues and their envelope."""
+
+    feed_deg: float
+    branches: tuple[_Branch, _Branch]
+    depth_m: FloatArray
+    chatter_hz: FloatArray
+
+
+def _lobes(
+    response: ToolPointResponse, cut: Cut, speeds: tuple[float, float, int], feeds_deg: tuple[float, ...]
+) -> StabilityLobes:
+    """Return the lowest lobes over some feed directions."""
+    check_range(*speeds)
+    speed_rpm = np.linspace(*speeds)
+    warnings: tuple[str, ...] = ()
+    if isinstance(response, SampledResponse):
+        warnings = check_lines(response.frequency_hz, cut.teeth, speeds[0], speeds[1])
+    frequency_hz = response.frequencies_hz(tooth_passing_hz(speeds[1], cut.teeth))
+    receptance = response.receptance_m_per_n(frequency_hz)
+    directions = []
+    for feed_deg in feeds_deg:
+        followed = _followed(_eigenvalues(receptance, cut, feed_deg))
+        first, second = (_Branch(frequency_hz=frequency_hz, eigenvalue=column) for column in followed.T)
+        depth_m, chatter_hz = _envelope((first, second), cut, speed_rpm)
+        directions.append(
+            _Direction(feed_deg=feed_deg, branches=(first, second), depth_m=depth_m, chatter_hz=chatter_hz)
+        )
+    minimum, feed_deg, at_edge = _minimum(response, cut, directions, speed_rpm)
+    if at_edge:
+        warnings += (
+            f"the lowest depth lies at the edge of the FRF ({minimum.chatter_hz:g} Hz); "
+            "a wider band may show a lower one",
+        )
+    depths = np.array([direction.depth_m for direction in directions])
+    lowest, columns = np.argmin(depths, axis=0), np.arange(len(speed_rpm))
+    return StabilityLobes(
+        speed_rpm=speed_rpm,
+        limiting_depth_mm=mm_from_m(depths[lowest, columns]),
+        chatter_hz=np.array([direction.chatter_hz for direction in directions])[lowest, columns],
+        minimum=minimum,
+        feed_deg=feed_deg,
+        warnings=warnings,
+    )
 
 
 def lowest_of(each: Sequence[StabilityLobes]) -> StabilityLobes:
@@ -206,22 +225,16 @@ def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: f
     return ()
 
 
-def _branches(
-    response: ToolPointResponse, cut: Cut, frequency_hz: FloatArray, feed_deg: float
-) -> tuple[_Branch, _Branch]:
-    eigenvalues = _eigenvalues(response.receptance_m_per_n(frequency_hz), cut, feed_deg)
-    followed = _followed(eigenvalues)
-    return (
-        _Branch(frequency_hz=frequency_hz, eigenvalue=followed[:, 0]),
-        _Branch(frequency_hz=frequency_hz, eigenvalue=followed[:, 1]),
-    )
-
-
 def _eigenvalues(receptance: ComplexArray, cut: Cut, feed_deg: float) -> ComplexArray:
-    """Return both eigenvalues of [a][H], shape (n, 2) [m/N]."""
-    product = mean_directional_matrix(cut) @ in_feed_axes(receptance, feed_deg)
-    half_trace = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
-    determinant = product[:, 0, 0] * product[:, 1, 1] - product[:, 0, 1] * product[:, 1, 0]
+    """Return both eigenvalues of [a][H], shape (n, 2) [m/N], the larger first.
+
+    With R the turn into feed axes, [a] R H R' has the eigenvalues of B H with B = R' [a] R.
+    """
+    turn = feed_rotation(feed_deg)
+    (b_xx, b_xy), (b_yx, b_yy) = (turn.T @ mean_directional_matrix(cut) @ turn).tolist()
+    h_xx, h_xy, h_yx, h_yy = receptance[:, 0, 0], receptance[:, 0, 1], receptance[:, 1, 0], receptance[:, 1, 1]
+    half_trace = 0.5 * (b_xx * h_xx + b_xy * h_yx + b_yx * h_xy + b_yy * h_yy)
+    determinant = (b_xx * b_yy - b_xy * b_yx) * (h_xx * h_yy - h_xy * h_yx)
     root = np.sqrt(half_trace**2 - determinant)
     first = np.where(np.abs(half_trace + root) >= np.abs(half_trace - root), half_trace + root, half_trace - root)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -263,68 +276,86 @@ def _envelope(branches: tuple[_Branch, ...], cut: Cut, speed_rpm: FloatArray) ->
 
 def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.ndarray, FloatArray, FloatArray]:
     """Return where the lobes of one branch cross the speeds: index of the speed, depth [m], frequency [Hz]."""
-    positive = branch.eigenvalue.real > 0.0
-    pairs = np.flatnonzero(positive[:-1] & positive[1:])
-    cycles = np.where(positive, _cycles(branch.eigenvalue), 0.5)
+    positive = np.flatnonzero(branch.eigenvalue.real > 0.0)
+    eigenvalue, frequency_hz = branch.eigenvalue[positive], branch.frequency_hz[positive]
+    apart = np.diff(positive) != 1
     highest_lobe = int(60.0 * branch.frequency_hz[-1] / (cut.teeth * speed_rpm[0]))
     numbers = np.arange(highest_lobe + 1.0)[:, None]
     spacing = speed_rpm[1] - speed_rpm[0]
-    with np.errstate(divide="ignore"):
-        place = (60.0 * branch.frequency_hz / cut.teeth / (numbers + cycles) - speed_rpm[0]) / spacing
-        depth = 1.0 / (cut.tangential_n_per_m2 * branch.eigenvalue.real)
-    start, end = place[:, pairs], place[:, pairs + 1]
+    turning = 60.0 / (cut.teeth * spacing) * frequency_hz
+    place = turning / (numbers + _cycles(eigenvalue)) - speed_rpm[0] / spacing
+    start, end = place[:, :-1], place[:, 1:]
     first = np.maximum(np.ceil(np.minimum(start, end)), 0.0)
     last = np.minimum(np.floor(np.maximum(start, end)), len(speed_rpm) - 1.0)
-    lobe, segment = np.nonzero(first <= last)
-    count = (last[lobe, segment] - first[lobe, segment] + 1.0).astype(np.intp)
-    offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    column = np.repeat(first[lobe, segment].astype(np.intp), count) + offset
-    begin, width = np.repeat(start[lobe, segment], count), np.repeat((end - start)[lobe, segment], count)
+    last[:, apart] = -1.0
+    lobe, left = np.nonzero(first <= last)
+    begins = first[lobe, left].astype(np.intp)
+    count = last[lobe, left].astype(np.intp) - begins + 1
+    column = np.repeat(begins - np.cumsum(count) + count, count) + np.arange(count.sum())
+    begin, width = np.repeat(start[lobe, left], count), np.repeat((end - start)[lobe, left], count)
     fraction = np.divide(column - begin, width, out=np.zeros(len(column)), where=width != 0.0)
-    left = np.repeat(pairs[segment], count)
+    left = np.repeat(left, count)
+    depth = 1.0 / (cut.tangential_n_per_m2 * eigenvalue.real)
     return (
         column,
         depth[left] + fraction * (depth[left + 1] - depth[left]),
-        branch.frequency_hz[left] + fraction * (branch.frequency_hz[left + 1] - branch.frequency_hz[left]),
+        frequency_hz[left] + fraction * (frequency_hz[left + 1] - frequency_hz[left]),
     )
 
 
 def _minimum(
-    response: ToolPointResponse,
-    cut: Cut,
-    branches: tuple[_Branch, ...],
-    feed_deg: float,
-    ends: Sequence[LobeMinimum],
-) -> tuple[LobeMinimum, bool]:
-    """Return the lowest point between two ends of the envelope, and whether the band of frequencies cuts it off."""
-    range_rpm = ends[0].speed_rpm, ends[1].speed_rpm
-    found: list[tuple[LobeMinimum, bool]] = []
-    peaks = [(branch, peak) for branch in branches for peak in _peaks(branch)]
-    peaks.sort(key=lambda pair: -float(pair[0].eigenvalue[pair[1]].real))
+    response: ToolPointResponse, cut: Cut, directions: Sequence[_Direction], speed_rpm: FloatArray
+) -> tuple[LobeMinimum, float, bool]:
+    """Return the lowest point between two speeds, its feed direction, and whether the band of frequencies cuts it off.
+
+    It lies where an eigenvalue's real part is largest, if a lobe has that frequency between the two
+    speeds, or else at one of the two.
+    """
+    range_rpm = float(speed_rpm[0]), float(speed_rpm[-1])
+    found: list[tuple[LobeMinimum, float, bool]] = []
+    peaks = [
+        (float(branch.eigenvalue[peak].real), peak, branch, direction.feed_deg)
+        for direction in directions
+        for branch in direction.branches
+        for peak in _peaks(branch, cut.teeth, range_rpm)
+    ]
+    peaks.sort(key=lambda entry: -entry[0])
     highest = 0.0
-    for branch, peak in peaks:
-        if branch.eigenvalue[peak].real * RISE_BETWEEN_SAMPLES < highest:
+    for sampled, peak, branch, feed_deg in peaks[:MOST_REFINED]:
+        if sampled * RISE_BETWEEN_SAMPLES < highest:
             break
         frequency_hz, eigenvalue = _refined(response, cut, branch, feed_deg, peak)
-        speed_rpm = _fastest_lobe_rpm(frequency_hz, eigenvalue, cut.teeth, range_rpm)
-        if speed_rpm is not None:
+        speed = _fastest_lobe_rpm(frequency_hz, eigenvalue, cut.teeth, range_rpm)
+        if speed is not None:
             highest = max(highest, eigenvalue.real)
             depth_mm = mm_from_m(1.0 / (cut.tangential_n_per_m2 * eigenvalue.real))
-            place = LobeMinimum(speed_rpm=speed_rpm, depth_mm=depth_mm, chatter_hz=frequency_hz)
-            found.append((place, peak in (0, len(branch.frequency_hz) - 1)))
-    found += [(end, False) for end in ends if math.isfinite(end.depth_mm)]
+            place = LobeMinimum(speed_rpm=speed, depth_mm=depth_mm, chatter_hz=frequency_hz)
+            found.append((place, feed_deg, peak in (0, len(branch.frequency_hz) - 1)))
+    for direction in directions:
+        for end in (0, -1):
+            if math.isfinite(direction.depth_m[end]):
+                place = LobeMinimum(
+                    speed_rpm=float(speed_rpm[end]),
+                    depth_mm=mm_from_m(float(direction.depth_m[end])),
+                    chatter_hz=float(direction.chatter_hz[end]),
+                )
+                found.append((place, direction.feed_deg, False))
     if not found:
         raise StabilityError(
             f"no lobe reaches {range_rpm[0]:g} to {range_rpm[1]:g} 1/min with this response; widen the range of "
-            "speeds or the FRF's band"
+            "speeds or the FRF's band, and check that the FRF is a receptance in m/N"
         )
-    return min(found, key=lambda pair: pair[0].depth_mm)
+    return min(found, key=lambda entry: entry[0].depth_mm)
 
 
-def _peaks(branch: _Branch) -> list[int]:
-    """Return the samples where the real part is positive and largest among its neighbours."""
+def _peaks(branch: _Branch, teeth: int, range_rpm: tuple[float, float]) -> list[int]:
+    """Return the samples where the real part is positive and largest, if a lobe has them near the range of speeds."""
     real = np.concatenate(([-np.inf], branch.eigenvalue.real, [-np.inf]))
-    return [int(i) for i in np.flatnonzero((real[1:-1] > 0.0) & (real[1:-1] >= real[:-2]) & (real[1:-1] > real[2:]))]
+    tops = np.flatnonzero((real[1:-1] > 0.0) & (real[1:-1] >= real[:-2]) & (real[1:-1] > real[2:]))
+    cycles = _cycles(branch.eigenvalue[tops])
+    turning = 60.0 * branch.frequency_hz[tops] / teeth
+    numbers = np.maximum(np.ceil(turning / (range_rpm[1] * NEAR_RANGE) - cycles), 0.0)
+    return [int(top) for top in tops[turning / (numbers + cycles) >= range_rpm[0] / NEAR_RANGE]]
 
 
 def _refined(

@@ -201,13 +201,6 @@ def _roughness(samples: ComplexArray) -> FloatArray:
     return ratio
 
 
-def in_feed_axes(receptance: ComplexArray, feed_deg: float) -> ComplexArray:
-    """Return receptances [m/N], shape (n, 2, 2), turned into feed and normal; the feed lies at `feed_deg` to X."""
-    turn = feed_rotation(feed_deg)
-    turned: ComplexArray = turn @ receptance @ turn.T
-    return turned
-
-
 def feed_rotation(feed_deg: float) -> FloatArray:
     """Return the matrix, shape (2, 2), that gives feed and normal components of an X, Y vector."""
     angle = math.radians(feed_deg)

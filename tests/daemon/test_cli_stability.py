@@ -1,0 +1,313 @@
+"""`toolpoint stability` as people and other programs call it: files in, JSON out, a sentence when refused."""
+
+import json
+import math
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from daemon.cli import main
+from models.stability.response import ModalResponse, mode_from_mass
+
+CASE = """\
+teeth: 2
+diameter_mm: 10
+radial_depth_mm: 10
+milling: slot            # up | down | slot
+kt_n_per_m2: 6.0e8
+kr_ratio: 0.33333333
+x: {modes: [{frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}]}
+y: rigid
+feed_deg: 0
+"""
+MODE = "modes: [{frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}]"
+ANGULAR = 2.0 * math.pi * 922.0
+RATE_HZ = 6400
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["stability", *map(str, arguments)])
+
+
+def answer(*arguments: object) -> dict:
+    result = run(*arguments, "--json", "-")
+    assert result.exit_code == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def refusal(*arguments: object) -> str:
+    result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    return result.stderr.strip()
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE)
+    return path
+
+
+def other(case: Path, *changes: tuple[str, str]) -> Path:
+    text = CASE
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path = case.with_name("other.yaml")
+    path.write_text(text)
+    return path
+
+
+def write_frf(path: Path, lines_hz: np.ndarray) -> None:
+    response = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
+    receptance = response.receptance_m_per_n(lines_hz)[:, 0, 0]
+    rows = [f"{f!r},{h.real!r},{h.imag!r}" for f, h in zip(lines_hz.tolist(), receptance.tolist(), strict=True)]
+    path.write_text("\n".join(["frequency_hz,receptance_re,receptance_im", *rows]) + "\n")
+
+
+LINES_HZ = np.arange(384, 3201) * 12800 / 16384
+
+
+def test_lobes_of_the_benchmark(case: Path) -> None:
+    found = answer("lobes", case, "--method", "zoa", "--from-rpm", 5000, "--to-rpm", 25000, "--points", 500)
+    assert len(found["speed_rpm"]) == len(found["limiting_depth_mm"]) == len(found["chatter_hz"]) == 500
+    assert (found["speed_rpm"][0], found["speed_rpm"][-1]) == (5000.0, 25000.0)
+    assert found["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
+    assert 5000.0 <= found["minimum"]["speed_rpm"] <= 25000.0
+    assert min(found["limiting_depth_mm"]) >= found["minimum"]["depth_mm"]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        f"{{modes: [{{frequency_hz: 922, damping_ratio: 0.011, stiffness_n_per_m: {0.03993 * ANGULAR**2:.9e}}}]}}",
+        "{modes: [{frequency_hz: 922, damping_ratio: 0.011, residue: "
+        f"[0, {-1.0 / (2 * 0.03993 * ANGULAR * math.sqrt(1 - 0.011**2)):.12e}]}}]}}",
+        "{frf: x.csv}",
+    ],
+    ids=["stiffness", "residue", "frf"],
+)
+def test_every_form_of_a_direction_gives_the_same_lobes(case: Path, form: str) -> None:
+    write_frf(case.with_name("x.csv"), LINES_HZ)
+    path = other(case, (f"{{{MODE}}}", form))
+    assert answer("lobes", path)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
+    (point,) = answer("lobes", path, "--method", "sdm", "--at", "9000:1.0")["points"]
+    assert point["spectral_radius"] == pytest.approx(0.69188, abs=1e-4)
+
+
+def test_greatest_depth_shows_where_nothing_is_found(case: Path) -> None:
+    found = answer("lobes", case, "--max-depth-mm", 0.5, "--points", 300)
+    pairs = list(zip(found["limiting_depth_mm"], found["chatter_hz"], strict=True))
+    assert max(found["limiting_depth_mm"]) == 0.5
+    assert all((depth == 0.5) == (chatter is None) for depth, chatter in pairs)
+    assert any(chatter is None for _, chatter in pairs)
+
+
+def test_spectral_radii_at_points(case: Path) -> None:
+    found = answer("lobes", case, "--method", "sdm", "--at", "9000:1", "--at", "15962.8:1.0")
+    assert [(point["speed_rpm"], point["depth_mm"]) for point in found["points"]] == [(9000.0, 1.0), (15962.8, 1.0)]
+    stable, unstable = (point["spectral_radius"] for point in found["points"])
+    assert stable < 1.0 < unstable
+
+
+def test_semi_discretised_lobes_and_their_picture(case: Path) -> None:
+    picture = case.with_name("lobes.png")
+    arguments = ("--from-rpm", 8000, "--to-rpm", 12000, "--points", 9, "--picture", picture)
+    found = answer("lobes", case, "--method", "sdm", *arguments)
+    assert found["minimum"]["depth_mm"] == pytest.approx(0.316, abs=0.003)
+    assert found["minimum"]["depth_mm"] <= min(found["limiting_depth_mm"])
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_worst_feed_direction(case: Path) -> None:
+    path = other(
+        case, ("feed_deg: 0", "feed_deg: all"), ("milling: slot", "milling: down"), ("_mm: 10\nmill", "_mm: 2\nmill")
+    )
+    worst = answer("lobes", path)
+    along_x = answer("lobes", other(case, ("milling: slot", "milling: down"), ("_mm: 10\nmill", "_mm: 2\nmill")))
+    assert worst["minimum"]["depth_mm"] < along_x["minimum"]["depth_mm"]
+
+
+def test_known_material_instead_of_coefficients(case: Path) -> None:
+    path = other(case, ("kt_n_per_m2: 6.0e8\nkr_ratio: 0.33333333\n", "material: aluminium_benchmark\n"))
+    assert answer("lobes", path)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
+    assert "a5052" in json.loads(run("coefficients", "--json", "-").stdout)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("mass_kg", "mas_kg"), "other.yaml:7:55: x.modes[0].mas_kg: unknown key"),
+        (("y: rigid", "y: rigit"), "other.yaml:8:4: y: this must be one of 'rigid'"),
+        (
+            ("radial_depth_mm: 10", "radial_depth_mm: 11"),
+            "radial_depth_mm: the radial depth 11 mm is outside 0 to 10 mm",
+        ),
+        (("radial_depth_mm: 10", "radial_depth_mm: 5"), "a slot is as wide as the tool"),
+        ((f"x: {{{MODE}}}", "x: rigid"), "both rigid"),
+        (("kr_ratio: 0.33333333\n", ""), "give kt_n_per_m2 and kr_ratio"),
+        (("damping_ratio: 0.011", "damping_ratio: 1.5"), "damping_ratio: this must be below 1"),
+        ((", mass_kg: 0.03993", ""), "give one of mass_kg, stiffness_n_per_m and residue, not none"),
+        (("teeth: 2", "teeth: 2.5"), "teeth: this must be a whole number"),
+        (("feed_deg: 0", "feed_deg: any"), "feed_deg: this must be one of 'all'"),
+    ],
+)
+def test_a_wrong_case_is_refused_with_its_place(case: Path, change: tuple[str, str], sentence: str) -> None:
+    assert sentence in refusal("lobes", other(case, change))
+
+
+@pytest.mark.parametrize("method", ["zoa", "sdm"])
+def test_an_frf_must_cover_the_tooth_passing(case: Path, method: str) -> None:
+    write_frf(case.with_name("x.csv"), LINES_HZ)
+    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
+    text = refusal("lobes", path, "--method", method, "--to-rpm", 90000)
+    assert "covers 300 to 2500 Hz, but 2 teeth at 2000 to 90000 1/min pass at" in text
+    assert "no such file" in refusal("lobes", other(case, (f"{{{MODE}}}", "{frf: missing.csv}"))).lower()
+
+
+def test_bad_usage_is_refused(case: Path) -> None:
+    assert "belong to the semi-discretisation" in refusal("lobes", case, "--at", "9000:1")
+    assert "is no speed and depth" in refusal("lobes", case, "--method", "sdm", "--at", "9000")
+    assert "no range" in refusal("lobes", case, "--from-rpm", 9000, "--to-rpm", 5000)
+
+
+def test_speed_from_a_resonance() -> None:
+    arguments = ("--offset-hz", 20, "--teeth", 4, "--lobe", 1)
+    for resonance_hz, speed_rpm in ((601, 8715.0), (664, 9660.0), (679, 9885.0)):
+        assert answer("speed", "--resonance-hz", resonance_hz, *arguments)["speed_rpm"] == pytest.approx(speed_rpm)
+    assert "leaves no frequency" in refusal("speed", "--resonance-hz", 15, *arguments)
+
+
+def test_choosing_a_speed_and_finding_none(case: Path) -> None:
+    found = answer("choose", case, "--programmed-rpm", 10000, "--depth-mm", 1.0, "--feed-mm-min", 1000)
+    assert found["stable"]
+    assert found["limiting_depth_mm"] >= 1.2
+    assert 8000.0 <= found["speed_rpm"] <= 12000.0
+    assert found["feed_mm_min"] / found["speed_rpm"] == pytest.approx(0.1)
+    none = run("choose", case, "--programmed-rpm", 10000, "--depth-mm", 30, "--json", "-")
+    assert none.exit_code == 1
+    content = json.loads(none.stdout)
+    assert (content["speed_rpm"], content["stable"]) == (10000.0, False)
+    assert "no speed between 8000 and 12000 1/min bears 30 mm" in content["alarm"]
+    assert "leave no range" in refusal("choose", case, "--programmed-rpm", 30000, "--depth-mm", 1.0)
+
+
+def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
+    warm = other(case, ("frequency_hz: 922", "frequency_hz: 990"))
+    picture = case.with_name("lobes.html")
+    arguments = ("--programmed-rpm", 10000, "--depth-mm", 1.0, "--picture", picture)
+    first, second = answer("compare", case, warm, *arguments)["cases"]
+    assert second["speed_rpm"] != first["speed_rpm"]
+    text = picture.read_text("utf-8")
+    assert "commanded, case" in text
+    assert "<script src=" not in text
+    assert "belong together" in refusal("compare", case, "--depth-mm", 1.0)
+
+
+def test_fitted_modes_can_be_put_into_a_case(case: Path) -> None:
+    write_frf(case.with_name("x.csv"), LINES_HZ)
+    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
+    picture = case.with_name("frf.png")
+    found = answer("modes", path, "--picture", picture)
+    (mode,) = found["x"]["modes"]
+    assert mode["frequency_hz"] == pytest.approx(922.0, rel=1e-6)
+    assert picture.stat().st_size > 10_000
+    again = other(case, (f"{{{MODE}}}", f"{{modes: [{json.dumps(mode)}]}}"))
+    assert answer("lobes", again)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
+    assert "no direction of this case names an FRF" in refusal("modes", case)
+
+
+def test_coefficients_from_mean_forces(case: Path) -> None:
+    feeds = np.array([0.05, 0.1, 0.15, 0.2])
+    depth_m, turns = 2e-3, 2 / (2.0 * math.pi)
+    square, product, cosine, sine = math.pi / 2.0, 0.0, 0.0, 2.0
+    tangential, radial, edge_t, edge_r = 6e8, 2e8, 15e3, 12e3
+    feed_m = feeds * 1e-3
+    force_x = turns * depth_m * (feed_m * (-tangential * product - radial * square) - edge_t * cosine - edge_r * sine)
+    force_y = turns * depth_m * (feed_m * (tangential * square - radial * product) + edge_t * sine - edge_r * cosine)
+    path = case.with_name("forces.csv")
+    rows = [f"{f},{x},{y}" for f, x, y in zip(feeds, force_x, force_y, strict=True)]
+    path.write_text("\n".join(["feed_per_tooth_mm,mean_force_x_n,mean_force_y_n", *rows]) + "\n")
+    found = answer("coefficients", path, "--case", case, "--depth-mm", 2.0)
+    assert found["kt_n_per_m2"] == pytest.approx(6e8)
+    assert found["kr_ratio"] == pytest.approx(1.0 / 3.0)
+    assert found["tangential_edge_n_per_m"] == pytest.approx(15e3)
+    path.write_text(path.read_text().replace(rows[1], "0.1,x,3"))
+    assert "forces.csv:3: a field is no number" in refusal("coefficients", path, "--case", case, "--depth-mm", 2.0)
+    assert "needs --case" in refusal("coefficients", path)
+
+
+def cut(seconds: float, chatter: float) -> np.ndarray:
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    signal = np.random.default_rng(3).normal(size=len(time_s)) * 0.2
+    for order in (1, 2, 3):
+        signal += np.sin(2.0 * np.pi * order * 400.0 * time_s) / order
+    return signal + chatter * np.sin(2.0 * np.pi * 609.0 * time_s)
+
+
+def write_csv(path: Path, signal: np.ndarray) -> Path:
+    rows = [f"{i / RATE_HZ:.8f},{value:.6f}" for i, value in enumerate(signal)]
+    path.write_text("\n".join(["time_s,acceleration_m_s2", *rows]) + "\n")
+    return path
+
+
+def write_wav(path: Path, signal: np.ndarray) -> Path:
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(RATE_HZ)
+        file.writeframes(np.clip(signal * 6000.0, -32768, 32767).astype("<i2").tobytes())
+    return path
+
+
+@pytest.mark.parametrize("write", [write_csv, write_wav])
+def test_chatter_in_a_recording(tmp_path: Path, write: object) -> None:
+    for level, expected in ((0.0, False), (2.0, True)):
+        path = write(tmp_path / f"cut.{'csv' if write is write_csv else 'wav'}", cut(3.0, level))
+        found = answer("chatter", path, "--speed-rpm", 6000, "--teeth", 4)
+        assert found["chatter"] is expected
+        assert found["frequency_hz"] == (pytest.approx(609.0, abs=0.5) if expected else None)
+        assert found["tooth_passing_hz"] == pytest.approx(400.0, abs=0.5)
+
+
+def test_chatter_per_depth_with_a_spectrogram(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "steps.csv", np.concatenate((cut(2.0, 0.0), cut(2.0, 1.0), cut(2.0, 2.0))))
+    passages = [f"--passage={begin}:{begin + 2}:{depth}" for begin, depth in ((0, 4), (2, 6), (4, 8))]
+    for picture in (tmp_path / "spectrogram.png", tmp_path / "spectrogram.html"):
+        found = answer("chatter", path, "--speed-rpm", 6000, "--teeth", 4, *passages, "--picture", picture)
+        assert picture.stat().st_size > 10_000
+    assert [(part["depth_mm"], part["chatter"]) for part in found["depths"]] == [(4, False), (6, True), (8, True)]
+    assert (found["chatter"], found["lowest_chatter_depth_mm"]) == (True, 6)
+    assert "not inside the recording" in refusal(
+        "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", "5:9:10"
+    )
+
+
+def test_recordings_that_cannot_be_judged(tmp_path: Path) -> None:
+    arguments = ("--speed-rpm", 6000, "--teeth", 4)
+    assert "record longer" in refusal("chatter", write_csv(tmp_path / "short.csv", cut(0.3, 0.0)), *arguments)
+    clipped = write_csv(tmp_path / "clipped.csv", np.clip(cut(2.0, 2.0), -1.5, 1.5))
+    assert "clipped" in refusal("chatter", clipped, *arguments)
+    assert "clipped" in refusal("chatter", write_wav(tmp_path / "clipped.wav", 9.0 * cut(2.0, 2.0)), *arguments)
+    (tmp_path / "odd.csv").write_text("t,a\n1,2\n")
+    assert "there is no column time_s" in refusal("chatter", tmp_path / "odd.csv", *arguments)
+    assert "cannot be opened" in refusal("chatter", tmp_path / "missing.csv", *arguments)
+
+
+def test_roughness_per_depth(tmp_path: Path) -> None:
+    path = tmp_path / "profile.csv"
+    position = np.arange(500) * 0.032
+    rows = [
+        f"{depth},{x:.4f},{height * math.sin(9.0 * x):.5f}" for depth, height in ((4, 1.0), (6, 3.0)) for x in position
+    ]
+    path.write_text("\n".join(["depth_mm,position_mm,height_um", *rows]) + "\n")
+    low, high = answer("roughness", path)["depths"]
+    assert (low["depth_mm"], high["depth_mm"]) == (4.0, 6.0)
+    assert low["ra_um"] == pytest.approx(2.0 / math.pi, rel=0.02)
+    assert high["ra_um"] == pytest.approx(3.0 * low["ra_um"], rel=1e-3)
+    path.write_text("position_mm,height\n1,2\n")
+    assert "no column height_um" in refusal("roughness", path)
