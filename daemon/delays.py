@@ -34,14 +34,23 @@ class DelaySeries:
     def __init__(self) -> None:
         self._values = np.zeros(KEPT_DELAYS)
         self._count = 0
+        self._summary = (0, summary(self._values[:0]))
 
     def add(self, delay_s: float) -> None:
         self._values[self._count % KEPT_DELAYS] = delay_s
         self._count += 1
 
     def summary(self) -> dict[str, float | int | None]:
-        """Return mean, percentiles and maximum [s]; None without samples."""
-        return summary(self._values[: min(self._count, KEPT_DELAYS)]) | {"samples": self._count}
+        """Return mean, percentiles and maximum [s]; None without samples. Worked out anew only after a new delay."""
+        if self._summary[0] != self._count:
+            found = summary(self._values[: min(self._count, KEPT_DELAYS)])
+            self._summary = (self._count, found | {"samples": self._count})
+        return dict(self._summary[1])
+
+
+def warm_up() -> None:
+    """Have the first percentiles behind us: they load a part of numpy, which takes as long as a cycle's feedback."""
+    summary([0.0])
 
 
 def summary(delays_s: Iterable[float]) -> dict[str, float | int | None]:

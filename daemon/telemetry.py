@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from daemon.delays import PUBLISHED_DELAY_S, PUBLISHED_NOTE, CycleDelays, DelaySeries, LineTiming
+from daemon.delays import PUBLISHED_DELAY_S, PUBLISHED_NOTE, CycleDelays, DelaySeries, LineTiming, warm_up
 from models.records import (
     CompensationCommand,
     FloatArray,
@@ -50,6 +50,7 @@ class Telemetry:
         """Prepare the metrics; `timings` by line, `scaled` when the machine's clock is not the computer's."""
         self.registry = CollectorRegistry()
         registry = self.registry
+        warm_up()
         self._cycle_delays = CycleDelays(timings or {}, scaled=scaled)
         self.delays = {part: DelaySeries() for part in PARTS}
         self.incomplete = {part: DelaySeries() for part in PARTS}
