@@ -6,6 +6,7 @@ take up again, the last block is not put back, and the daemon starts in FAULT un
 compared and acknowledged.
 """
 
+import filecmp
 import os
 import shutil
 import sqlite3
@@ -211,7 +212,11 @@ def _targets(configuration: Configuration, config_path: Path) -> Iterator[tuple[
 def _put_in_place(
     folder: Path, manifest: Manifest, configuration: Configuration, config_path: Path, *, replace: bool
 ) -> Restored:
-    targets = [(name, path) for name, path in _targets(configuration, config_path) if (folder / name).exists()]
+    targets = [
+        (name, path)
+        for name, path in _targets(configuration, config_path)
+        if (folder / name).exists() and not _is_there_already(folder / name, path)
+    ]
     in_the_way = [path for _, path in targets if os.path.lexists(path)]
     if in_the_way and not replace:
         listed = ", ".join(map(str, in_the_way))
@@ -233,6 +238,13 @@ def _put_in_place(
         _undo(placed, kept)
         raise
     return Restored(manifest=manifest, placed=tuple(placed), kept=tuple(kept.values()))
+
+
+def _is_there_already(source: Path, path: Path) -> bool:
+    """Say whether a single file stands in its place already, so that it is best left alone."""
+    if source.is_dir() or path.is_symlink() or not path.is_file():
+        return False
+    return filecmp.cmp(source, path, shallow=False)
 
 
 def _undo(placed: Iterable[Path], kept: dict[Path, Path]) -> None:

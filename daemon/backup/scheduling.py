@@ -5,6 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import structlog
@@ -18,6 +19,7 @@ log = structlog.get_logger(__name__)
 
 LOOK_PERIOD_S = 600
 """The age of the newest back-up is looked at this often [s of the wall clock]: it outlives restarts of the daemon."""
+FIRST_LOOK_S = 60
 NICENESS = "15"
 
 Report = Callable[[str, str], object]
@@ -36,7 +38,8 @@ class BackupJob:
         self._scheduler = AsyncIOScheduler(
             timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
         )
-        self._scheduler.add_job(self.run_if_due, "interval", seconds=LOOK_PERIOD_S)
+        first = datetime.now(UTC) + timedelta(seconds=FIRST_LOOK_S)
+        self._scheduler.add_job(self.run_if_due, "interval", seconds=LOOK_PERIOD_S, next_run_time=first)
 
     def start(self) -> None:
         """Look now and then from now on."""
