@@ -151,6 +151,9 @@ def _latency(picture: Mapping[str, Any]) -> Panel:
     table = Table.grid(padding=(0, 1))
     table.add_row("", "mean", "p99", "published*")
     feedback, total, published = latency["feedback"], latency["total"], latency["published"]
+    measurement = latency["measurement"]
+    means = number(measurement["mean"], 2, " s"), number(measurement["p99"], 2, " s")
+    table.add_row("measurement", *means, f"> {published['measurement']:g} s")
     table.add_row(
         "feedback", milliseconds(feedback["mean"]), milliseconds(feedback["p99"]), f"{published['feedback']} s"
     )

@@ -5,6 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
+from daemon.delays import PUBLISHED_DELAY_S
 from daemon.operation.view import sparkline, status_view, truth_panel
 
 AXIS = {
@@ -56,7 +57,7 @@ PICTURE = {
         "work_offset": 54,
     },
     "writes": {"sent": 10, "verified": 9, "refused": 0},
-    "latency_s": {"feedback": DELAY, "total": DELAY, "published": {"feedback": 1.2, "total": 24.7}},
+    "latency_s": {"measurement": DELAY, "feedback": DELAY, "total": DELAY, "published": PUBLISHED_DELAY_S},
     "links": [
         {"name": "cnc", "up": True, "problem": "", "attempts": 1, "failures": 0},
         {"name": "latsis spindle", "up": False, "problem": "no such port", "attempts": 3, "failures": 3},
@@ -77,7 +78,7 @@ def test_what_matters_is_on_the_screen():
         *("HOLD", "temperatures are stale", "held for 400 s", "cutting", "insecure connection", "O1000 N100"),
         *("nobody has released this model", "allow_writable_model_directory"),
         *("-12.3", "+12.3", "no model for this axis", "300 of 302", "sensor 17", "ALARM", "9 of 10"),
-        *("1.2 s", "24.7 s", "latsis spindle", "no such port", "5 line cycles, 1 incomplete", "the footer"),
+        *("> 20 s", "1.2 s", "24.7 s", "latsis spindle", "no such port", "5 line cycles, 1 incomplete", "the footer"),
     ):
         assert words in text, words
 
@@ -91,7 +92,12 @@ def test_before_anything_is_known_it_renders_too(width):
         "reference": None,
         "temperatures": None,
         "cnc": None,
-        "latency_s": {"feedback": unknown, "total": unknown, "published": {"feedback": 1.2, "total": 24.7}},
+        "latency_s": {
+            "measurement": unknown,
+            "feedback": unknown,
+            "total": unknown,
+            "published": PUBLISHED_DELAY_S,
+        },
     }
     text = shown(status_view(picture), width)
     assert "reference" in text and "–" in text
