@@ -1,6 +1,8 @@
 """The custom-macro interpreter: vacant variables, expressions, jumps, calls, and errors for everything else."""
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.sim.custom_macro import Interpreter, MacroControl, MacroError, compile_programs
 from drivers.sim.nc import MacroTable
@@ -219,3 +221,30 @@ def test_calls_end_somewhere() -> None:
     interpreter.start(1)
     with pytest.raises(MacroError, match="still running"):
         interpreter.start(1)
+
+
+PIECES = [
+    *("#1", "#100", "#500", "#5201", "#3001", "#0", "#", "[", "]", "=", "+", "-", "*", "/", "EQ", "LT", "AND", "MOD"),
+    *("IF", "THEN", "GOTO", "WHILE", "DO1", "END1", "FIX", "SQRT", "ROUND", "G10", "L2", "P0", "X", "Z", "G90", "G04"),
+    *("G65", "P2", "A1.", "M99", "N5", "1", "5", "2.5", "99999999999", "#3000", "#3006", "(TEXT)", "\n", "\n", "\n"),
+]
+
+
+@settings(max_examples=500, deadline=None)
+@given(pieces=st.lists(st.sampled_from(PIECES), max_size=40))
+def test_whatever_the_text_is_it_runs_or_is_refused(pieces: list[str]) -> None:
+    try:
+        run("".join(pieces))
+    except MacroError as refused:
+        assert str(refused)
+
+
+@pytest.mark.parametrize("body", ["#1=99999999999\n" + "#1=#1*#1\n" * 6 + "#2=FIX[#1]", "G04X99999999999999999999."])
+def test_numbers_beyond_all_bounds(body: str) -> None:
+    machine = control()
+    interpreter = Interpreter(compile_programs(f"O1\n{body}\nM99"), machine)
+    if "FIX" in body:
+        with pytest.raises(MacroError, match=r"out of range|whole number"):
+            interpreter.run(1)
+    else:
+        interpreter.run(1)

@@ -77,10 +77,11 @@ class Interpreter:
         self.dwell_s = 0.0
         try:
             target = level.program.blocks[index].action(self)
-        except MacroError as error:
+        except (MacroError, OverflowError) as error:
             where = level.program.where(index)
+            problem = error.problem if isinstance(error, MacroError) else "a number is out of range"
             self.reset()
-            raise MacroError(error.problem, where=where) from error
+            raise MacroError(problem, where=where) from error
         if target is not None:
             level.index = target
 
