@@ -1,5 +1,6 @@
 """A spindle as data: segments, materials, rings, bearings, holder, tool, joints (YAML)."""
 
+from functools import cache
 from pathlib import Path
 from typing import Literal, Self
 
@@ -271,4 +272,9 @@ def shipped_spindles() -> tuple[str, ...]:
 
 def shipped_materials() -> dict[str, MaterialDescription]:
     """Return the shipped materials by name."""
-    return dict(load_yaml_model(Path(__file__).parent / "dynamics" / "materials.yaml", _Materials).materials)
+    return dict(_read_materials().materials)
+
+
+@cache
+def _read_materials() -> _Materials:
+    return load_yaml_model(Path(__file__).parent / "dynamics" / "materials.yaml", _Materials)

@@ -19,6 +19,7 @@ PRECISION = 1e-12
 """Relative width of the interval that a natural frequency is known to lie in."""
 NODE = 1e-9
 """A front that moves less, beside the largest displacement, stands still."""
+INVERSE_ITERATIONS = 4
 SHAPE_STEP_M = 0.005
 """Largest distance between two points of a shape."""
 
@@ -99,8 +100,7 @@ def modes(chain: Chain, count: int, step_m: float = SHAPE_STEP_M) -> list[Mode]:
 def _mode(chain: Chain, frequency_hz: float, step_m: float) -> Mode:
     stiffness, position_m = dense_stiffness(chain, frequency_hz, step_m, damped=False)
     lever = np.tile([1.0, 1.0 / _gyration_m(chain)], len(position_m))
-    values, vectors = np.linalg.eigh(stiffness * lever[:, None] * lever)
-    vector = vectors[:, np.argmin(np.abs(values))] * lever
+    vector = _null_vector(stiffness * lever[:, None] * lever) * lever
     displacement, rotation = vector[::2], vector[1::2]
     scale = displacement[np.argmax(np.abs(displacement))]
     if abs(displacement[0]) > NODE * abs(scale):
@@ -111,6 +111,17 @@ def _mode(chain: Chain, frequency_hz: float, step_m: float) -> Mode:
         displacement=displacement / scale,
         rotation_per_m=rotation / scale,
     )
+
+
+def _null_vector(matrix: Values) -> FloatArray:
+    """Return the vector that a nearly singular symmetric matrix makes smallest, by inverse iteration."""
+    size = len(matrix)
+    shifted = matrix + np.eye(size) * (np.finfo(np.float64).eps * np.abs(matrix).max())
+    vector = np.cos(1.0 + np.arange(size) ** 1.5)
+    for _ in range(INVERSE_ITERATIONS):
+        vector = np.linalg.solve(shifted, vector)
+        vector /= np.linalg.norm(vector)
+    return np.asarray(vector, dtype=np.float64)
 
 
 def _gyration_m(chain: Chain) -> float:

@@ -163,7 +163,7 @@ def test_modal_sum_converges_to_the_exact_receptance_like_one_over_n() -> None:
     at = np.array([2500.0])
     exact = segment_receptance(segment, at, [0.0, 0.05, 0.133])[0]
     errors = []
-    for count in (6, 12, 24, 48):
+    for count in (5, 10, 20, 40):
         drive = modal_sum_receptance(segment, at, 0.0, 0.0, count)[0]
         errors.append(abs(drive[0, 0] - exact[0, 0]) / abs(exact[0, 0]))
         transfer = modal_sum_receptance(segment, at, 0.0, 0.05, count)[0]
