@@ -51,9 +51,12 @@ def existing_backups(folder: Path, machine: str) -> list[Path]:
     return sorted(path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
 
 
-def remove_old(folder: Path, machine: str, keep: int) -> list[Path]:
-    """Remove all but the newest `keep` of the machine's back-ups in a folder; return what was removed."""
-    old = existing_backups(folder, machine)[:-keep]
+def remove_old(folder: Path, machine: str, keep: int, spare: Path | None = None) -> list[Path]:
+    """Remove all but the newest `keep` of the machine's back-ups in a folder; return what was removed.
+
+    `spare` stays in any case: after a step of the clock the one just made may not be the newest by name.
+    """
+    old = [path for path in existing_backups(folder, machine)[:-keep] if path != spare]
     for path in old:
         path.unlink(missing_ok=True)
     return old

@@ -51,12 +51,9 @@ class BackupJob:
             self._scheduler.shutdown(wait=False)
 
     def due(self, now_utc_s: float) -> bool:
-        """Say whether the newest back-up is too old; one from the future, after a step of the clock, counts as old."""
-        found = existing_backups(self._backup.directory, self._machine)
-        if not found:
-            return True
-        age_s = now_utc_s - found[-1].stat().st_mtime
-        return not 0.0 <= age_s < self._backup.every_hours * 3600.0
+        """Say whether there is no young back-up; one from the future, after a step of the clock, is none."""
+        ages_s = [now_utc_s - path.stat().st_mtime for path in existing_backups(self._backup.directory, self._machine)]
+        return not any(0.0 <= age_s < self._backup.every_hours * 3600.0 for age_s in ages_s)
 
     async def run_if_due(self) -> None:
         """Make a back-up when one is due; say so in the audit, and say what went wrong once."""

@@ -39,7 +39,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
     path = destination / name if into_folder else destination
     try:
         manifest = make_backup(configuration, config_path, path)
-        removed = remove_old(destination, configuration.machine, keep) if keep is not None else []
+        removed = remove_old(destination, configuration.machine, keep, spare=path) if keep is not None else []
     except BackupError as error:
         click.echo(str(error), err=True)
         sys.exit(FAILED)

@@ -166,7 +166,9 @@ def test_only_this_machines_backups_are_removed(installation):
     for name in (*mine, *others):
         (folder / name).touch()
     assert [path.name for path in existing_backups(folder, "Mill 7 (hall)")] == mine
-    assert [path.name for path in remove_old(folder, "Mill 7 (hall)", 2)] == mine[:3]
+    removed = remove_old(folder, "Mill 7 (hall)", 2, spare=folder / mine[1])
+    assert [path.name for path in removed] == [mine[0], mine[2]]
+    assert [path.name for path in remove_old(folder, "Mill 7 (hall)", 2)] == [mine[1]]
     assert sorted(path.name for path in folder.iterdir()) == sorted([*mine[3:], *others])
 
 
@@ -343,6 +345,8 @@ async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):
     await job.run_if_due()
     assert len(said) == 1, "the newest is young"
     now_s = made.stat().st_mtime
+    (folder / "toolpoint-mill-7-hall-20990101T000000Z.tar").touch()
+    os.utime(folder / "toolpoint-mill-7-hall-20990101T000000Z.tar", (4e9, 4e9))
     assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
 
 
