@@ -13,6 +13,7 @@ from config.commissioning import CommissioningError, CommissioningRecord, load_c
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.backup.scheduling import BackupJob
+from daemon.delays import line_timings
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.operation.commands import CommandDesk
@@ -71,7 +72,7 @@ class Daemon:
         self._configuration = configuration
         self._parts = parts
         self._clock = clock
-        self._telemetry = Telemetry()
+        self._telemetry = Telemetry(line_timings(configuration), scaled=clock.speed != 1.0)
         self._service_manager = ServiceManager()
         self._history = HistoryWriter(
             configuration.history.path,
@@ -259,6 +260,7 @@ class Daemon:
         if now.real_s - self._alive_real_s > ALIVE_PERIOD_S:
             self._alive_real_s = now.real_s
             self._history.put_state("alive_utc_s", now.utc_s)
+        self._telemetry.report(now.real_s)
         self._telemetry.links((health.name, health.up) for health in self._healths)
         if self.thermal.latest is not None:
             self._telemetry.sensors_usable(self.thermal.usable)
