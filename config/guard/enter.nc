@@ -1,6 +1,9 @@
 O{program}(TOOLPOINT SAFE POINT BEGINS)
 (G65P{program} WHEN THE TOOL IS CLEAR OF THE WORK)
+#5=#4003
+G90
 {stop}
 #{safe_flag}=1
+G#5
 G65P{guard}
 M99

@@ -1,8 +1,9 @@
 O{program}(TOOLPOINT GUARD V{version})
 (CALL G65P{program} AT SAFE POINTS ONLY, TOOL CLEAR OF THE WORK)
 (NEVER IN A CUT. METRIC, G40, G80. ONE CALL MOVES AT MOST ONE STEP)
-{stop}(END READING AHEAD)
 #5=#4003(G90 OR G91, FOR LATER)
+G90
+{stop}(END READING AHEAD, G90 BECAUSE G91 MAY IGNORE G53)
 #7=0(STATUS)
 #8=0(TROUBLE WITH THE MEMORY)
 #10=0(TRIES)
@@ -117,7 +118,6 @@ IF[ABS[#21]LT{half}]GOTO{applied}
 #{after}=#{before}+#21
 #{pending}={number}
 G90G10L2P0{letter}[#{offset}+#21]
-G#5
 {stop}
 IF[ABS[#{offset}-#{after}]GT{half}]GOTO590
 #{echo}=#{planned}{per_unit}

@@ -1,5 +1,8 @@
 O{program}(TOOLPOINT SAFE POINT ENDS)
 (G65P{program} BEFORE THE TOOL GOES BACK TO THE WORK)
+#5=#4003
+G90
 {stop}
 #{safe_flag}=0
+G#5
 M99

@@ -46,7 +46,7 @@ def test_the_text_holds_only_what_a_control_takes(shipped: Configuration) -> Non
 def test_messages_fit_the_screen(shipped: Configuration) -> None:
     texts = re.findall(r"#300[06]=\d+\(([^)]*)\)", guard_program(shipped))
     assert len(texts) > 8
-    assert all(len(text) <= 31 for text in texts)
+    assert all(len(text) <= 26 for text in texts)
 
 
 def test_every_program_can_be_compiled_and_every_label_is_jumped_to(shipped: Configuration) -> None:

@@ -416,10 +416,10 @@ def test_initialising_forgets_only_on_demand(bench: GuardBench) -> None:
     bench.write(z=5.0)
     bench.call()
     interpreter.run(bench.nc.programs.initialise)
-    assert bench.nc.control.alarm == (110, "TOOLPOINT SWITCH IT OFF FIRST")
+    assert bench.nc.control.alarm == (110, "TOOLPOINT SWITCH OFF FIRST")
     bench.write(enable=0.0, valid_for_s=None)
     interpreter.run(bench.nc.programs.initialise)
-    assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET IS APPLIED")
+    assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET APPLIED")
     assert bench.echo_um["z"] == pytest.approx(5.0)
     bench.nc.control.alarm = None
     interpreter.run(bench.nc.programs.initialise, A=1.0)

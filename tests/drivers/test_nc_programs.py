@@ -91,6 +91,23 @@ def test_a_request_without_an_answer_holds_its_block_until_the_time_is_over(time
     assert not simulated.guard.control.messages
 
 
+@pytest.mark.parametrize("code", [90, 91])
+def test_the_programs_leave_the_modes_as_they_were(code: int) -> None:
+    simulated = machine(flag=True)
+    guard, macros = simulated.guard, simulated.nc.macros
+    guard.control.modal[3] = code
+    for number in (guard.programs.enter, guard.programs.leave, guard.programs.guard):
+        assert number is not None
+        guard.at(macros, 10.0).run(number)
+        assert guard.control.modal == {3: code, 6: 21, 7: 40, 9: 80}
+    assert guard.programs.request is not None
+    guard.at(macros, 10.0).start(guard.programs.request, K=1.0)
+    guard.at(macros, 10.0).wait()
+    while guard.at(macros, 30.0).wait() is not None:
+        continue
+    assert guard.control.modal == {3: code, 6: 21, 7: 40, 9: 80}
+
+
 def test_a_timeout_can_say_so() -> None:
     simulated = machine(on_timeout="message")
     simulated.advance(14.9)
@@ -141,7 +158,7 @@ def test_a_wrong_call_is_refused_before_anything_is_asked(arguments: dict[str, f
     guard = simulated.guard
     assert guard.programs.request is not None
     guard.at(simulated.nc.macros, 1.0).run(guard.programs.request, **arguments)
-    assert guard.control.alarm == (120, "TOOLPOINT REQUEST K A V WRONG")
+    assert guard.control.alarm == (120, "TOOLPOINT REQUEST WRONG")
     assert request_of(simulated) == (0.0, 0.0, 0.0, 0.0)
 
 
