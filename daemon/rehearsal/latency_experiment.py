@@ -36,8 +36,8 @@ TEMPERATURE_MACRO = 549
 AXIS, CHANNEL = "y", "Y1"
 MODEL_UM_PER_K = 0.1
 """Sensitivity of the experiment's model to the moved sensor: 4 um from pack to pack, some of the machine's size."""
-POLL_REAL_S = 0.05
-"""The CNC is polled ten times as often as on a real machine, and not as often as the speed would have it [s]."""
+POLL_REAL_S = {"temperature": 0.5, "compensation": 0.05}
+"""Between two polls of the CNC in wall time [s]: as on a real machine; compensation has to see the guard in time."""
 BELIEVE_ALL = {"max_change_degc": 1000.0, "max_rate_degc_per_min": 1000.0}
 """Cleansing rules that hold no step back."""
 
@@ -69,7 +69,7 @@ def latency_machine(base: dict[str, Any], experiment: Experiment, folder: Path) 
     """Return the machine's description for the experiment, from the demonstration's; writes its model into `folder`."""
     speed, cleansing = experiment.speed, base["temperatures"].setdefault("cleansing", {})
     base["machine"] = "simulated CFRP machine tool, one sensor on packs"
-    base["cnc"]["poll_period_s"] = max(0.5, POLL_REAL_S * speed)
+    base["cnc"]["poll_period_s"] = max(0.5, POLL_REAL_S[experiment.mode] * speed)
     base["compensation"]["reference"]["max_gap_s"] = max(5.0, speed)
     sensor = moved_sensor(base)
     if experiment.mode == "temperature":
