@@ -44,7 +44,7 @@ class WayBack:
             try:
                 await self._retreat(lost=isinstance(error, DriverError))
             except (CommissioningRefusedError, DriverError, asyncio.CancelledError) as problem:
-                self._dialogue.say(f"The way back to zero broke off: {problem or 'interrupted'}")
+                self._dialogue.say(f"The way back to zero broke off: {str(problem) or 'interrupted'}")
         left = station.whats_left()
         self._event(f"left behind: {left or 'nothing'}")
         self._dialogue.say(

@@ -97,10 +97,10 @@ async def commission_by(
     record_file: Path | None,
 ) -> CommissioningRecord | None:
     """Ask who is there and what with, and whether an old record may go; then commission."""
-    person = plan.person or await dialogue.text("Your name (it stands in the record and the audit):")
+    person = plan.person.strip() or await dialogue.text("Your name (it stands in the record and the audit):")
     if not person:
         raise CommissioningRefusedError("nobody is named who answers for the readings; give --person")
-    instrument = plan.instrument
+    instrument = plan.instrument.strip()
     if not instrument and not plan.initialise_only:
         instrument = await dialogue.text("Instrument (kind and number):")
     if record_file is not None and not plan.initialise_only and await asyncio.to_thread(record_file.exists):

@@ -361,7 +361,10 @@ class Station:
 def refuse_unsafe(sample: CncSample) -> None:
     """Refuse a state in which nobody may stand at the machine with an instrument."""
     if sample.alarm:
-        raise CommissioningRefusedError("an alarm is active at the CNC: clear it there, and begin again")
+        raise CommissioningRefusedError(
+            "an alarm is active at the CNC: clear it there, and begin again. An alarm of the guard because of an "
+            "expired block comes back with each of its calls until this command has renewed it: call it when asked"
+        )
     if abs(sample.spindle_speed_rpm) > SPINDLE_AT_REST_RPM:
         raise CommissioningRefusedError(
             f"the spindle turns at {sample.spindle_speed_rpm:.0f} 1/min: stop it before an instrument touches the "

@@ -289,6 +289,31 @@ async def test_an_interrupt_takes_the_offset_back(bench, number):
     assert not unfinished
 
 
+async def test_a_second_interrupt_leaves_the_machine_and_says_so(bench):
+    bench.reset(program=STOPPED)
+    person = Obedient(bench)
+    person.until_um = 4.9
+
+    def read(axis: str) -> float:
+        if bench.machine.guard.applied_um["z"] > 4.9:
+            os.kill(os.getpid(), signal.SIGINT)
+        return bench.moved_um()[axis]
+
+    def impatient(text: str) -> None:
+        if "Call the guard" in text and "zero" in text:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    person.eyes, person.on_say = read, impatient
+    with pytest.raises(asyncio.CancelledError):
+        await bench.commission(person, axes=("z",))
+    assert "broke off: interrupted" in person.text_said and "LEFT BEHIND: the guard applies 5.00 um" in person.text_said
+    # The block expires; whoever commissions next takes the offset back before anything else.
+    await bench.clock.sleep(130.0)
+    again = Obedient(bench)
+    assert await bench.commission(again, axes=("z",)) is not None
+    assert bench.at_rest()
+
+
 async def test_a_second_writer_ends_everything_without_another_write(bench):
     person = Person(bench)
     number = bench.configuration().cnc.macros.values["z"]
