@@ -33,11 +33,9 @@ from daemon.release.loading import load_released
 from daemon.release.reach import own_account
 from daemon.supervisor import Backoff, LinkHealth, keep_alive
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRequest, ThermalTask
+from daemon.thermal import Message, SpindleSpeed, ThermalTask
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
-from models.records import Reference, TemperatureCycle
-from models.thermal.model import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -97,7 +95,7 @@ class Daemon:
         self._last_block = LastBlock.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
-        inbox: asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel] = asyncio.Queue()
+        inbox: asyncio.Queue[Message] = asyncio.Queue()
         self.control = ControlTask(
             configuration,
             clock,
@@ -106,10 +104,13 @@ class Daemon:
             self._telemetry,
             commissioning=record,
             model_id=model.model_id if model is not None else None,
-            model_obstacle=obstacle,
+            model_obstacle=lambda: obstacle or self.thermal.obstacle(),
             resume=self._resume,
             ask_reference=inbox.put_nowait,
             on_tick=self._on_tick,
+            on_sample=lambda sample: inbox.put_nowait(
+                SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
+            ),
         )
         self.thermal = ThermalTask(
             configuration, clock, self._history, self._telemetry, model, inbox, self.control.deliver

@@ -9,10 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import structlog
 
 from config.schema import Configuration
+from daemon.estimation.contract import AnyThermalModel, OnLineModel
+from daemon.estimation.increments import IncrementsOnLine
+from daemon.estimation.lags import LagsOnLine
+from daemon.estimation.past import Past
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
@@ -26,9 +29,8 @@ from models.records import (
     TemperatureCycle,
     ThermalErrorEstimate,
 )
-from models.thermal.estimate import Estimator, linear_estimator
+from models.thermal.lagged_model import LaggedModel
 from models.thermal.model import ThermalModel
-from models.thermal.rebase import rebased_reference_degc
 
 log = structlog.get_logger(__name__)
 
@@ -52,6 +54,18 @@ class ReferenceRefused:
     why: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpindleSpeed:
+    """What a poll of the CNC said."""
+
+    monotonic_s: float
+    rpm: float
+
+
+Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | Reference | AnyThermalModel
+"""What the thermal task takes."""
+
+
 class ThermalTask:
     """Cleanses every completed line cycle and renews the estimate with it."""
 
@@ -61,8 +75,8 @@ class ThermalTask:
         clock: Clock,
         history: HistoryWriter,
         telemetry: Telemetry,
-        model: ThermalModel | None,
-        inbox: "asyncio.Queue[TemperatureCycle | ReferenceRequest | Reference | ThermalModel]",
+        model: AnyThermalModel | None,
+        inbox: "asyncio.Queue[Message]",
         deliver: Callable[[ThermalErrorEstimate | Reference | ReferenceRefused | MachineTemperatures], None],
     ) -> None:
         temperatures = configuration.temperatures
@@ -94,7 +108,9 @@ class ThermalTask:
         self.cycles_incomplete = 0
         self.estimates = 0
         self._position = position
-        self._use_model(model)
+        self._speed = RollingMean(configuration.compensation.reference.mean_s)
+        self._speed_at_s = -np.inf
+        self._online = self._on_line(model)
 
     @property
     def usable(self) -> int:
@@ -103,6 +119,8 @@ class ThermalTask:
 
     async def run(self) -> None:
         """Serve the inbox for ever."""
+        if self._online is not None:
+            await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
         while True:
             item = await self.inbox.get()
             try:
@@ -111,11 +129,14 @@ class ThermalTask:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
 
-    async def _take(self, item: TemperatureCycle | ReferenceRequest | Reference | ThermalModel) -> None:
+    async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):
             await self._on_cycle(item)
-        elif isinstance(item, ThermalModel):
-            self._use_model(item)
+        elif isinstance(item, SpindleSpeed):
+            self._speed.add(item.monotonic_s, np.array([item.rpm]))
+            self._speed_at_s = item.monotonic_s
+        elif isinstance(item, ThermalModel | LaggedModel):
+            await self.use_model(item)
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
@@ -123,24 +144,36 @@ class ThermalTask:
 
     def _use_reference(self, reference: Reference) -> None:
         self._reference = reference
-        self._absent = np.zeros(0 if self._order is None else len(self._order), dtype=bool)
+        if self._online is not None:
+            self._online.refer(reference, self._clock.now().monotonic_s)
 
-    def _use_model(self, model: ThermalModel | None) -> None:
+    async def use_model(self, model: AnyThermalModel | None) -> None:
         """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
-        self._model = model
-        self._order = self._model_order(model)
-        self._absent = np.zeros(0 if self._order is None else len(self._order), dtype=bool)
-        self._estimator = self._make_estimator(model)
+        online = self._on_line(model)
+        if online is not None:
+            now_s = self._clock.now().monotonic_s
+            await asyncio.to_thread(online.prepare, now_s)
+            if self._reference is not None:
+                await asyncio.to_thread(online.refer, self._reference, now_s)
+        self._online = online
 
-    def _model_order(self, model: ThermalModel | None) -> npt.NDArray[np.intp] | None:
-        if model is None:
-            return None
-        return np.array([self._position[i] for i in model.sensor_ids])
+    def _on_line(self, model: AnyThermalModel | None) -> OnLineModel | None:
+        if isinstance(model, LaggedModel):
+            past = Past(self._history.path, self._sensor_ids, self._clock)
+            return LagsOnLine(model, self._position, past.means)
+        return IncrementsOnLine(model, self._position, self._components) if model is not None else None
 
-    def _make_estimator(self, model: ThermalModel | None) -> Estimator | None:
-        if model is None or self._order is None:
-            return None
-        return linear_estimator(model, tuple(self._components[i] for i in self._order))
+    def obstacle(self) -> str:
+        """Return why the model cannot be followed yet, '' when it can or when there is none."""
+        if self._online is None:
+            return ""
+        model = self._online.model
+        if isinstance(model, LaggedModel) and abs(model.period_min * 60.0 - self._mean.window_s) > 1e-6:
+            return (
+                f"model {model.model_id} was fitted on means over {model.period_min * 60.0:g} s; "
+                f"set compensation.reference.mean_s: {model.period_min * 60.0:g}"
+            )
+        return self._online.obstacle()
 
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
         """Hand the estimate on first; the control task writes while the books are kept."""
@@ -195,17 +228,20 @@ class ThermalTask:
         )
 
     def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
-        reference, model = self._reference, self._model
-        if reference is None or model is None or self._estimator is None or self._order is None:
+        degc, now_s = self._mean.mean(), temperatures.trace.first_byte.monotonic_s
+        speed_rpm = float(self._speed.mean()[0]) if now_s - self._speed_at_s <= self._speed.window_s else np.nan
+        online, reference = self._online, self._reference
+        if online is None:
             return None
-        degc = self._mean.mean()
-        elapsed_min = (temperatures.trace.first_byte.monotonic_s - reference.time.monotonic_s) / 60.0
-        elapsed_min = max(elapsed_min, 0.0)
-        reference = self._rebase_returned(reference, degc, elapsed_min)
-        outcome = self._estimator.renew(degc[self._order], reference.degc[self._order], elapsed_min)
-        if outcome is None:
+        online.take(now_s, degc, speed_rpm)
+        answer = online.estimate(reference, now_s, degc) if reference is not None else None
+        if answer is None:
             return None
-        self._absent = ~np.isfinite(degc[self._order])
+        outcome, counted = answer
+        if counted is not reference:
+            self._reference = counted
+            self._deliver(counted)
+        reference, model = counted, online.model
         now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)
         return ThermalErrorEstimate(
             channels=model.channels,
@@ -216,29 +252,12 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=outcome.confidence,
             imputed=tuple(outcome.imputed),
+            doubt=self.obstacle(),
             model_id=model.model_id,
             reference_id=reference.reference_id,
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
         )
-
-    def _rebase_returned(self, reference: Reference, degc: FloatArray, elapsed_min: float) -> Reference:
-        """Let a sensor that returns go on from where it was imputed, so that its return moves nothing."""
-        assert self._estimator is not None and self._order is not None
-        now = degc[self._order]
-        then = reference.degc[self._order]
-        back = np.isfinite(now) & (self._absent | ~np.isfinite(then))
-        counted = rebased_reference_degc(self._estimator, now, then, back, elapsed_min)
-        if counted is then:
-            return reference
-        at_reference = reference.degc.copy()
-        at_reference[self._order] = counted
-        rebased = replace(reference, degc=at_reference)
-        ids = [self._sensor_ids[i] for i in self._order[back]]
-        log.info("reference.rebased", reference=reference.reference_id, sensors=ids[:20], count=len(ids))
-        self._reference = rebased
-        self._deliver(rebased)
-        return rebased
 
     def _label_means(self, degc: FloatArray) -> dict[str, float]:
         means = {}

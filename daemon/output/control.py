@@ -24,6 +24,7 @@ from daemon.output.handshake import Handshake
 from daemon.output.journal import Journal
 from daemon.output.limits import axis_sources, output_limits
 from daemon.output.permission import Permission, in_words
+from daemon.output.probing import judged_probe
 from daemon.output.references import References
 from daemon.output.request_desk import RequestDesk
 from daemon.output.requests import Requests
@@ -35,15 +36,14 @@ from daemon.thermal import ReferenceRefused, ReferenceRequest
 from drivers.clock import Clock
 from drivers.contract import DriverError, LinkError
 from models.axis_map import nose_errors_um
-from models.baseline import probe_objection
 from models.compensation import initial_memory, step, why_not_ready
 from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
+    CncSample,
     CompensationCommand,
     FloatArray,
     MachineTemperatures,
     Phase,
-    ProbeSample,
     Reference,
     ThermalErrorEstimate,
 )
@@ -67,10 +67,11 @@ class ControlTask:
         *,
         commissioning: CommissioningRecord | None,
         model_id: str | None,
-        model_obstacle: str,
+        model_obstacle: Callable[[], str],
         resume: ResumePoint,
         ask_reference: Callable[[ReferenceRequest | Reference], None],
         on_tick: Callable[[], None],
+        on_sample: Callable[[CncSample], None] = lambda _sample: None,
     ) -> None:
         self._configuration = configuration
         self._clock = clock
@@ -83,6 +84,7 @@ class ControlTask:
         self._model_id = model_id
         self._ask_reference = ask_reference
         self._on_tick = on_tick
+        self._on_sample = on_sample
         self.limits = output_limits(configuration)
         self._sources = axis_sources(configuration)
         self._tool = ToolInSpindle(self._sources, history)
@@ -237,6 +239,7 @@ class ControlTask:
         sample = session.sample
         assert sample is not None and session.echo is not None
         self._history.cnc_sample(sample)
+        self._on_sample(sample)
         self._echo_watch.seen(session.echo, sample.time)
         if problems:
             self.journal.raise_fault("; ".join(problems))
@@ -273,28 +276,18 @@ class ControlTask:
 
     def _take_probe(self, axis: str, deviation_um: float) -> str:
         """Let a probe value correct the estimate, or return why not; it reaches the history either way."""
-        deviations = np.where([name == axis for name in self.limits.axes], deviation_um, np.nan)
-        refusal = "the CNC has not been reached yet"
-        if self.memory is not None:
-            inputs = self._inputs_now(NO_REQUEST)
-            obstacle = why_not_ready(self.memory, inputs, self.limits)
-            refusal = probe_objection(self.memory, inputs, self.limits, obstacle, deviations)
-        index = self.limits.axes.index(axis)
-        self._history.probe(
-            ProbeSample(
-                time=self._clock.now(),
-                axis=axis,
-                deviation_um=deviation_um,
-                applied_um=float(self.applied_um()[index]),
-                thermal_error_um=float(self.thermal_error_um()[index]),
-                reference_id=self.reference.reference_id if self.reference is not None else None,
-                accepted=not refusal,
-                reason=refusal,
-            )
+        sample, deviations = judged_probe(
+            self.memory,
+            self._inputs_now(NO_REQUEST),
+            self.limits,
+            axis=axis,
+            deviation_um=deviation_um,
+            now=self._clock.now(),
         )
-        if not refusal:
+        self._history.probe(sample)
+        if sample.accepted:
             self._probe_um = deviations
-        return refusal
+        return sample.reason
 
     def _start_from(self, session: CncSession) -> None:
         """Begin from the CNC's echo, not from zero and not from the store."""
@@ -376,6 +369,7 @@ class ControlTask:
             tool_term_um=self._tool.term_um(estimate) if estimate is not None else None,
             estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
             confidence=estimate.confidence if estimate is not None else 0.0,
+            doubt=estimate.doubt if estimate is not None else "",
             in_domain=estimate.in_domain if estimate is not None else False,
             reference_id=self.reference.reference_id if self.reference is not None else None,
             estimate_reference_id=estimate.reference_id if estimate is not None else None,

@@ -1,6 +1,6 @@
 """Who and what may move the machine: everything that stands against switching an axis on."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from config.commissioning import CommissioningRecord, commissioning_obstacle
 from config.schema import Configuration
@@ -18,7 +18,7 @@ class Permission:
         configuration: Configuration,
         clock: Clock,
         commissioning: CommissioningRecord | None,
-        model_obstacle: str,
+        model_obstacle: Callable[[], str],
     ) -> None:
         self._configuration = configuration
         self._clock = clock
@@ -34,7 +34,7 @@ class Permission:
         if session is not None:
             guard_version = None if session.echo is None else session.echo.guard_version
             of_control = self._obstacles_of_control(session.cnc, axes, guard_version)
-        return tuple(obstacle for obstacle in (self._model_obstacle, *of_control) if obstacle)
+        return tuple(obstacle for obstacle in (self._model_obstacle(), *of_control) if obstacle)
 
     def prohibition(self, cnc: Cnc) -> str:
         """Return why nothing at all may be written to this control, not even a retreat, '' when it may."""

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from config.schema import Configuration
-from models.thermal.model import ThermalModel
+from daemon.estimation.contract import AnyThermalModel
+from models.thermal.lagged_model import LaggedModel
 
 
 def channels_in_use(configuration: Configuration) -> dict[str, float]:
@@ -18,12 +19,14 @@ def channels_in_use(configuration: Configuration) -> dict[str, float]:
     return widest
 
 
-def gate_obstacle(model: ThermalModel, configuration: Configuration) -> str:
+def gate_obstacle(model: AnyThermalModel, configuration: Configuration) -> str:
     """Return why nobody may release a model, '' when its own figures speak for it."""
     return next(_objections(model, configuration), "")
 
 
-def _objections(model: ThermalModel, configuration: Configuration) -> Iterator[str]:
+def _objections(model: AnyThermalModel, configuration: Configuration) -> Iterator[str]:
+    if isinstance(model, LaggedModel) and model.refused is not None:
+        yield f"its training refused it: {model.refused}"
     for channel, widest_um in channels_in_use(configuration).items():
         band_um = float(model.band_um[model.channels.index(channel)])
         if np.isnan(band_um):
@@ -38,7 +41,7 @@ def _objections(model: ThermalModel, configuration: Configuration) -> Iterator[s
             )
 
 
-def policy_obstacle(model: ThermalModel, active: ThermalModel | None, configuration: Configuration) -> str:
+def policy_obstacle(model: AnyThermalModel, active: AnyThermalModel | None, configuration: Configuration) -> str:
     """Return why a model may not be released without a person, '' when the policy lets it."""
     if not configuration.compensation.release.automatic:
         return (

@@ -7,17 +7,17 @@ from typing import Any
 
 from config.release_record import ReleaseRecord
 from config.schema import Configuration
+from daemon.estimation.contract import AnyThermalModel
 from daemon.model_file import read_model
 from daemon.release.reach import Account, how_it_could_change
 from daemon.release.shelf import released, sha256_of
-from models.thermal.model import ThermalModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedModel:
     """The model, or why there is none, and who released it."""
 
-    model: ThermalModel | None
+    model: AnyThermalModel | None
     obstacle: str
     record: ReleaseRecord | None = None
     sha256: str = ""

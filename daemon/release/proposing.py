@@ -4,16 +4,16 @@ import os
 from pathlib import Path
 
 from config.schema import Configuration
+from daemon.estimation.contract import AnyThermalModel
+from daemon.model_file import model_text
 from daemon.release.releasing import proposals_folder
 from daemon.release.shelf import READABLE_FILE, READABLE_FOLDER
-from models.thermal.artifact import model_to_json
-from models.thermal.model import ThermalModel
 
 MOST_PROPOSALS = 20
 """Older proposals are removed."""
 
 
-def propose(configuration: Configuration, model: ThermalModel) -> Path:
+def propose(configuration: Configuration, model: AnyThermalModel) -> Path:
     """Write a proposal in one step and return its file, readable by the account that releases; raises OSError."""
     folder = proposals_folder(configuration)
     folder.mkdir(parents=True, exist_ok=True)
@@ -22,7 +22,7 @@ def propose(configuration: Configuration, model: ThermalModel) -> Path:
     temporary = folder / f".{path.name}.{os.getpid()}.tmp"
     try:
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(model_to_json(model))
+            file.write(model_text(model))
             file.flush()
             os.fsync(file.fileno())
         temporary.chmod(READABLE_FILE)

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from config.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
+from daemon.estimation.contract import AnyThermalModel
 from daemon.model_file import model_from_text
 from daemon.release.gate import channels_in_use, gate_obstacle, policy_obstacle
 from daemon.release.reach import account_of_daemon, how_it_could_change
 from daemon.release.shelf import ReleaseError, Shelf, sha256_of
-from models.thermal.model import ThermalModel
 
 LARGEST_MODEL = 64 * 2**20
 """No thermal model comes near this [byte]."""
@@ -177,7 +177,7 @@ def _content(path: Path) -> bytes:
         os.close(descriptor)
 
 
-def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel, list[str]]:
+def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[AnyThermalModel, list[str]]:
     """Return the model and what was found good; raises ReleaseError."""
     model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
     if model is None:
@@ -193,7 +193,9 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
     ]
 
 
-def _checked_release(configuration: Configuration, shelf: Shelf, record: ReleaseRecord | None) -> ThermalModel | None:
+def _checked_release(
+    configuration: Configuration, shelf: Shelf, record: ReleaseRecord | None
+) -> AnyThermalModel | None:
     if record is None:
         return None
     _, content = shelf.content(record.number)
@@ -224,7 +226,7 @@ def _before(active: ReleaseRecord | None) -> int:
 def _record(
     shelf: Shelf,
     action: str,
-    model: ThermalModel,
+    model: AnyThermalModel,
     content: bytes,
     *,
     person: str,

@@ -71,7 +71,7 @@ class Task:
             clock=self.clock,
             machine=MachineLayout.from_configuration(self.configuration),
         )
-        self.delivered: list[ThermalErrorEstimate | Reference | str] = []
+        self.delivered: list[ThermalErrorEstimate | Reference | ReferenceRefused] = []
         self.numbers = dict.fromkeys(CHAINS, 0)
         self.task = ThermalTask(
             self.configuration,

@@ -154,7 +154,7 @@ class Rig:
             self.telemetry,
             commissioning=record,
             model_id="made-up",
-            model_obstacle=model_obstacle,
+            model_obstacle=lambda: model_obstacle,
             resume=self.resume,
             ask_reference=self.asked.append,
             on_tick=self._tick,

@@ -1,0 +1,1 @@
+"""Families of thermal models on line: with increments since the reference, and with lagged states."""

@@ -1,0 +1,66 @@
+"""The model of increments on line: temperatures now and at the reference, and nothing else."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import structlog
+
+from daemon.estimation.contract import Answer
+from models.records import FloatArray, Reference
+from models.thermal.estimate import linear_estimator
+from models.thermal.model import ThermalModel
+from models.thermal.rebase import rebased_reference_degc
+
+log = structlog.get_logger(__name__)
+
+SHOWN = 20
+"""Sensors named in one line of the log."""
+
+
+class IncrementsOnLine:
+    """A telescoped model; lets sensors that return count on from where they were imputed."""
+
+    def __init__(self, model: ThermalModel, position: Mapping[int, int], components: Sequence[str]) -> None:
+        self.model = model
+        self._order = np.array([position[i] for i in model.sensor_ids], dtype=np.intp)
+        self._estimator = linear_estimator(model, tuple(components[i] for i in self._order))
+        self._absent = np.zeros(len(self._order), dtype=bool)
+
+    def prepare(self, now_s: float) -> None:
+        """There are no states to fill."""
+
+    def take(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
+        """There are no states to advance."""
+
+    def refer(self, reference: Reference, now_s: float) -> None:
+        """Count from this reference; nobody has been away since."""
+        self._absent = np.zeros(len(self._order), dtype=bool)
+
+    def estimate(self, reference: Reference, now_s: float, degc: FloatArray) -> Answer | None:
+        """Return the thermal error since the reference, which is re-based for sensors that have returned."""
+        elapsed_min = max((now_s - reference.time.monotonic_s) / 60.0, 0.0)
+        now = degc[self._order]
+        reference = self._rebased(reference, now, elapsed_min)
+        outcome = self._estimator.renew(now, reference.degc[self._order], elapsed_min)
+        if outcome is None:
+            return None
+        self._absent = ~np.isfinite(now)
+        return outcome, reference
+
+    def obstacle(self) -> str:
+        """Increments can be followed at once."""
+        return ""
+
+    def _rebased(self, reference: Reference, now: FloatArray, elapsed_min: float) -> Reference:
+        """Let a sensor that returns go on from where it was imputed, so that its return moves nothing."""
+        then = reference.degc[self._order]
+        back = np.isfinite(now) & (self._absent | ~np.isfinite(then))
+        counted = rebased_reference_degc(self._estimator, now, then, back, elapsed_min)
+        if counted is then:
+            return reference
+        at_reference = reference.degc.copy()
+        at_reference[self._order] = counted
+        ids = [self.model.sensor_ids[i] for i in np.flatnonzero(back)]
+        log.info("reference.rebased", reference=reference.reference_id, sensors=ids[:SHOWN], count=len(ids))
+        return replace(reference, degc=at_reference)

@@ -1,0 +1,104 @@
+"""A model with lags on line: its states live from sample to sample, and are rebuilt from the history.
+
+The states need no storage of their own: the store holds every temperature, and a rebuild over four
+times the longest lag gives the same states as if the daemon had never been away.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+import structlog
+
+from daemon.estimation.contract import Answer
+from models.records import FloatArray, Reference
+from models.thermal.lagged import LaggedEstimator, LagState
+from models.thermal.lagged_model import LaggedModel
+
+log = structlog.get_logger(__name__)
+
+SETTLED = 0.999
+"""From here on the states count as filled."""
+SPARE_PERIODS = 2.0
+"""A rebuild begins this many samples earlier than the states need."""
+LATE_PERIODS = 1.5
+"""A reference older than this many samples is looked up in the history."""
+
+Samples = Iterable[tuple[float, FloatArray, float]]
+"""Time [s of the monotonic clock], temperatures in the machine's order [degC], spindle speed [1/min]."""
+
+
+class LagsOnLine:
+    """Advances the states once per sample of the training's period; estimates with every cycle."""
+
+    def __init__(
+        self, model: LaggedModel, position: Mapping[int, int], past: Callable[[float, float, float], Samples]
+    ) -> None:
+        self.model = model
+        self._order = np.array([position[i] for i in model.sensor_ids], dtype=np.intp)
+        self._estimator = LaggedEstimator(model)
+        self._past = past
+        self._period_s = model.period_min * 60.0
+        self._state: LagState | None = None
+        self._reference: LagState | None = None
+        self._speed_rpm = float("nan")
+
+    def prepare(self, now_s: float) -> None:
+        """Fill the states from the history of the last hours."""
+        self._state = self._rebuilt(now_s)
+        filled = 0.0 if self._state is None else self._estimator.settled(self._state)
+        log.info("lags.rebuilt", model=self.model.model_id, filled=round(filled, 3))
+
+    def take(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
+        """Advance the states when a sample of the training's period is due."""
+        self._speed_rpm = speed_rpm
+        now = degc[self._order]
+        if self._state is None:
+            if np.isfinite(now).any():
+                self._state = self._estimator.begin(now_s / 60.0, now, speed_rpm)
+        elif now_s / 60.0 - self._state.time_min >= self.model.period_min:
+            self._state = self._estimator.advance(self._state, now_s / 60.0, now, speed_rpm)
+
+    def refer(self, reference: Reference, now_s: float) -> None:
+        """Keep the states at the reference; those of a reference from before a restart come from the history."""
+        then_s = reference.time.monotonic_s
+        if now_s - then_s > LATE_PERIODS * self._period_s:
+            self._reference = self._rebuilt(then_s)
+        else:
+            self._reference = self._now(now_s, reference.degc[self._order])
+        self._readmit()
+
+    def estimate(self, reference: Reference, now_s: float, degc: FloatArray) -> Answer | None:
+        """Return the thermal error between the states now and at the reference."""
+        state = self._now(now_s, degc[self._order])
+        if state is None or self._reference is None:
+            return None
+        outcome = self._estimator.estimate(state, self._reference)
+        return None if outcome is None else (outcome, reference)
+
+    def obstacle(self) -> str:
+        """Return how much history the states still need, or that spindle speed is missing."""
+        filled = 0.0 if self._state is None else self._estimator.settled(self._state)
+        if filled >= SETTLED:
+            return ""
+        needed_h = self._estimator.history_min / 60.0
+        speed = " and spindle speed" if self.model.layout.speed_lags_min else ""
+        return (
+            f"the states of model {self.model.model_id} need {needed_h:.1f} h of temperatures{speed} without a longer "
+            f"gap, and {filled * needed_h:.1f} h are there; wait, and leave the daemon running"
+        )
+
+    def _now(self, now_s: float, degc: FloatArray) -> LagState | None:
+        if self._state is None:
+            return None
+        return self._estimator.advance(self._state, now_s / 60.0, degc, self._speed_rpm, blame=False)
+
+    def _readmit(self) -> None:
+        """Let sensors that were blamed count again from a new reference on."""
+        if self._state is not None and self._state.watch is not None and self._state.watch.excluded:
+            log.info("sensors.readmitted", sensors=[self.model.sensor_ids[i] for i in self._state.watch.excluded])
+            self._state = self._estimator.readmit(self._state, self._state.watch.excluded)
+
+    def _rebuilt(self, until_s: float) -> LagState | None:
+        span_s = self._estimator.history_min * 60.0 + SPARE_PERIODS * self._period_s
+        samples = self._past(until_s - span_s, until_s, self._period_s)
+        return self._estimator.rebuild((s / 60.0, degc[self._order], rpm) for s, degc, rpm in samples)

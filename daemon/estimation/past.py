@@ -1,0 +1,60 @@
+"""Means per period of what the store holds, for states that must be rebuilt."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from daemon.history import HistoryError, HistoryReader
+from drivers.clock import Clock
+from models.records import FloatArray
+
+WINDOW_S = 3600.0
+"""So much is read at once; a whole day of all sensors would fill the memory."""
+LEAD_S = 120.0
+"""Read a little earlier, so that a value that is held at the window's begin is known [s]."""
+
+
+class Past:
+    """Reads one machine's store; times are the monotonic clock's."""
+
+    def __init__(self, store: Path, sensor_ids: Sequence[int], clock: Clock) -> None:
+        self._store = store
+        self._sensor_ids = tuple(sensor_ids)
+        self._clock = clock
+
+    def means(self, from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
+        """Yield time, temperatures [degC] and spindle speed [1/min] as means that end at each period's end."""
+        now = self._clock.now()
+        to_utc_s = now.utc_s - now.monotonic_s
+        try:
+            reader = HistoryReader(self._store)
+        except HistoryError:
+            return
+        with reader:
+            window_s = max(round(WINDOW_S / period_s), 1) * period_s
+            begin_s = from_s
+            while begin_s < to_s - 1e-6:
+                end_s = min(begin_s + window_s, to_s)
+                yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
+                begin_s = end_s
+
+    def _window(
+        self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float, to_utc_s: float
+    ) -> Iterator[tuple[float, FloatArray, float]]:
+        found = reader.temperatures(self._sensor_ids, begin_s + to_utc_s - LEAD_S, end_s + to_utc_s)
+        cnc = reader.cnc(begin_s + to_utc_s, end_s + to_utc_s)
+        degc, at_s, cnc_s = found.cleansed(), found.time_s - to_utc_s, cnc.time_s - to_utc_s
+        for last_s in np.arange(begin_s + period_s, end_s + 1e-6, period_s):
+            inside = (at_s > last_s - period_s) & (at_s <= last_s)
+            speeds = cnc.spindle_speed_rpm[(cnc_s > last_s - period_s) & (cnc_s <= last_s)]
+            yield float(last_s), _mean_of_known(degc[inside]), float(_mean_of_known(speeds[:, None])[0])
+
+
+def _mean_of_known(values: FloatArray) -> FloatArray:
+    """Return the mean of each column over its finite values, NaN where there is none."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    mean: FloatArray = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return mean

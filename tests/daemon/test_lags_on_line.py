@@ -1,0 +1,205 @@
+"""A model with lags in the daemon: states filled from the history, doubted until then, continuous over a restart."""
+
+import asyncio
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
+
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.telemetry import Telemetry
+from daemon.thermal import ReferenceRequest, SpindleSpeed, ThermalTask
+from models.dataset import Recording
+from models.output import OperatorRequest
+from models.quality import Quality, Reason
+from models.records import (
+    CncMode,
+    CncRun,
+    CncSample,
+    Reference,
+    TemperatureCycle,
+    ThermalErrorEstimate,
+    Trace,
+)
+from models.thermal.train_family import train_family
+
+MINUTES = 18 * 60
+STEP_S = 30.0
+CHAINS = {"spindle": slice(0, 3), "column": slice(3, 5)}
+
+
+def day(minutes=MINUTES, seed=3):
+    """Warm-up and cooling of two parts under a spindle that runs and stands: temperatures, speed, displacement."""
+    rng = np.random.default_rng(seed)
+    speeds = rng.permutation([0.0, 6000.0, 1500.0, 5000.0, 3000.0])
+    rpm = np.resize(np.repeat(speeds, 33), minutes)
+    fast, slow = np.zeros(minutes), np.zeros(minutes)
+    for k in range(1, minutes):
+        heat = (rpm[k - 1] / 6000.0) ** 2
+        fast[k] = fast[k - 1] + (heat - fast[k - 1]) / 14.0
+        slow[k] = slow[k - 1] + (heat - slow[k - 1]) / 60.0
+    places = np.random.default_rng(0).uniform(1.0, 8.0, (2, len(SENSOR_IDS)))
+    degc = 22.0 + fast[:, None] * places[0] + slow[:, None] * places[1]
+    um = (-30.0 * fast + 12.0 * slow)[:, None] + rng.normal(0.0, 0.05, (minutes, 1))
+    return degc + rng.normal(0.0, 0.02, degc.shape), rpm, um
+
+
+@pytest.fixture(scope="module")
+def model():
+    degc, rpm, um = day(seed=1)
+    recording = Recording(
+        name="day",
+        time_s=60.0 * np.arange(float(len(rpm))),
+        speed_rpm=rpm,
+        temperature_names=tuple(f"t{i}" for i in SENSOR_IDS),
+        temperatures_degc=degc,
+        displacement_names=("Z1",),
+        displacements_um=um,
+    )
+    made = train_family([recording], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    return replace(made, sensor_ids=SENSOR_IDS)
+
+
+class Shop:
+    """A machine, its store, and one thermal task after the other."""
+
+    def __init__(self, directory, model):
+        self.configuration, self.model = machine(directory), model
+        self.clock = HandClock()
+        self.degc, self.rpm, _ = day(seed=7)
+        self.minute = 0.0
+        self.begin()
+
+    def begin(self):
+        layout = MachineLayout.from_configuration(self.configuration)
+        self.history = HistoryWriter(self.configuration.history.path, clock=self.clock, machine=layout)
+        self.history.start()
+        self.delivered = []
+        self.task = ThermalTask(
+            self.configuration,
+            self.clock,
+            self.history,
+            Telemetry(),
+            self.model,
+            asyncio.Queue(),
+            self.delivered.append,
+        )
+        self.numbers = dict.fromkeys(CHAINS, 0)
+
+    async def prepare(self):
+        await asyncio.to_thread(self.task._online.prepare, self.clock.now().monotonic_s)
+
+    async def run(self, minutes, *, speed=True):
+        for _ in range(round(minutes * 60.0 / STEP_S)):
+            self.clock.monotonic_s += STEP_S
+            self.minute += STEP_S / 60.0
+            row = min(int(self.minute), len(self.rpm) - 1)
+            now = self.clock.now()
+            if speed:
+                self.history.cnc_sample(sample(now, self.rpm[row]))
+                await self.task._take(SpindleSpeed(monotonic_s=now.monotonic_s, rpm=self.rpm[row]))
+            for line, part in CHAINS.items():
+                self.numbers[line] += 1
+                values = self.degc[row, part]
+                await self.task._take(
+                    TemperatureCycle(
+                        line=line,
+                        number=self.numbers[line],
+                        degc=values.copy(),
+                        quality=np.full(len(values), Quality.GOOD, dtype=np.uint8),
+                        reason=np.full(len(values), Reason.NONE, dtype=np.uint8),
+                        complete=True,
+                        trace=Trace(first_byte=now, last_byte=now),
+                    )
+                )
+
+    async def refer(self):
+        await self.task._take(
+            ReferenceRequest(reference_id="r1", source="test", program=1, work_offset=54, power_on_count=1)
+        )
+        return next(item for item in reversed(self.delivered) if isinstance(item, Reference))
+
+    @property
+    def latest(self):
+        return next(item for item in reversed(self.delivered) if isinstance(item, ThermalErrorEstimate))
+
+    async def end(self):
+        await self.history.flushed()
+        await asyncio.to_thread(self.history.close)
+
+
+def sample(now, rpm):
+    return CncSample(
+        time=now,
+        mode=CncMode.MEMORY,
+        run=CncRun.START,
+        alarm=False,
+        program=1,
+        sequence_number=1,
+        spindle_speed_rpm=rpm,
+        motor_temperature_degc=30.0,
+        clock_s=now.monotonic_s,
+        power_on_count=1,
+        work_offset=54,
+        tool_number=1,
+    )
+
+
+async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it_needs(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(180)
+    await shop.refer()
+    await shop.run(2)
+    assert shop.latest.confidence < 0.3
+    assert "16.0 h of temperatures and spindle speed" in shop.latest.doubt
+    assert shop.task.obstacle() == shop.latest.doubt
+    await shop.end()
+
+
+async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    assert shop.task.obstacle() == ""
+    reference = await shop.refer()
+    await shop.run(60)
+    before = shop.latest.thermal_error_um.copy()
+    assert shop.latest.confidence > 0.9 and np.abs(before).max() > 1.0
+    await shop.end()
+
+    shop.begin()
+    await shop.prepare()
+    assert shop.task.obstacle() == "", "the history is long enough"
+    await shop.task._take(reference)
+    await shop.run(1)
+    assert shop.latest.thermal_error_um == pytest.approx(before, abs=0.3)
+    assert shop.latest.confidence > 0.9
+    await shop.end()
+
+
+async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    await shop.refer()
+    await shop.run(2)
+    assert shop.latest.confidence > 0.9
+    await shop.run(30, speed=False)
+    assert shop.latest.confidence == 0.0 and "spindle speed" in shop.latest.doubt
+    await shop.end()
+
+
+async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_filled(tmp_path):
+    why = "the states of model m need 16.0 h of temperatures without a longer gap, and 2.0 h are there"
+    bench = Bench(tmp_path)
+    async with running(bench.rig(model_obstacle=why)) as rig:
+        await rig.turn()
+        assert rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p") == why
