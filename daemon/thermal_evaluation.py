@@ -162,7 +162,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     problem = FAMILIES[model][0](inputs, rows, fold, protocol.probe_min)
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(chosen, sample_s, rows, fold)
-    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min)
+    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter)
     trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
     return _Outcome(
         name=part.name,

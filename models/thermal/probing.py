@@ -37,13 +37,14 @@ class BiasFilter:
 
     wander_um2_per_min: FloatArray
     """Variance that the offset gains per minute [um^2/min], shape (n_channels,)."""
-    noise_um: float
-    """Standard deviation of a measurement [um]; 0 resets the offset fully."""
-    largest_step_um: float
-    """Largest correction by one measurement [um]; may be infinite."""
+    noise_um: FloatArray
+    """Standard deviation of a measurement [um], shape (n_channels,); 0 resets the offset fully."""
+    largest_step_um: FloatArray
+    """Largest correction by one measurement [um], shape (n_channels,); may be infinite."""
 
     def __post_init__(self) -> None:
-        if not (np.all(self.wander_um2_per_min >= 0.0) and self.noise_um >= 0.0 and self.largest_step_um > 0.0):
+        positive = np.all(self.largest_step_um > 0.0)
+        if not (np.all(self.wander_um2_per_min >= 0.0) and np.all(self.noise_um >= 0.0) and positive):
             raise ValueError("wander and noise must not be negative, and the largest step must be positive")
 
     def begin(self, time_min: float) -> BiasState:
@@ -67,8 +68,7 @@ class BiasFilter:
 
         """
         variance = state.variance_um2 + self.wander_um2_per_min * max(time_min - state.time_min, 0.0)
-        noise = self.noise_um**2
-        total = variance + noise
+        total = variance + np.square(self.noise_um)
         gain = np.divide(variance, total, out=np.ones_like(variance), where=total > 0.0)
         known = np.isfinite(residual_um)
         step = np.where(known, gain * (np.where(known, residual_um, 0.0) - state.bias_um), 0.0)
@@ -136,9 +136,11 @@ def probed_residual_um(
         A probe holds from the row in which it is taken.
 
     """
-    bias_filter = bias_filter or BiasFilter(
-        wander_um2_per_min=np.ones(residual_um.shape[1]), noise_um=0.0, largest_step_um=np.inf
-    )
+    if bias_filter is None:
+        channels = residual_um.shape[1]
+        bias_filter = BiasFilter(
+            wander_um2_per_min=np.ones(channels), noise_um=np.zeros(channels), largest_step_um=np.full(channels, np.inf)
+        )
     state = bias_filter.begin(float(time_min[0]))
     corrected = np.empty_like(residual_um)
     due_min = float(time_min[0]) + probe_min

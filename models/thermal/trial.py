@@ -10,7 +10,7 @@ from models.records import FloatArray
 from models.thermal.families import Fit
 from models.thermal.inputs import BoolArray, Inputs, IntArray
 from models.thermal.lags import lag_table
-from models.thermal.probing import probed_residual_um
+from models.thermal.probing import BiasFilter, probed_residual_um
 from models.thermal.watch import Blame, SensorWatch, Watcher, WatchState
 
 OPEN_CIRCUIT_DEGC = 850.0
@@ -77,12 +77,21 @@ class Tester:
     watch
         The watch of its sensors, None to watch nothing.
     probe_min
-        Time between probes [min] that reset the offset, None for none.
+        Time between probes [min] that correct the offset, None for none.
+    bias_filter
+        How a probe corrects it; None resets it fully.
 
     """
 
-    def __init__(self, inputs: Inputs, fit: Fit, watch: SensorWatch | None, probe_min: float | None) -> None:
-        self._inputs, self._watch, self._probe_min = inputs, watch, probe_min
+    def __init__(
+        self,
+        inputs: Inputs,
+        fit: Fit,
+        watch: SensorWatch | None,
+        probe_min: float | None = None,
+        bias_filter: BiasFilter | None = None,
+    ) -> None:
+        self._inputs, self._probe_min, self._bias_filter = inputs, probe_min, bias_filter
         self._watcher = None if watch is None else Watcher(watch)
         self._fits: dict[tuple[int, ...], Fit] = {(): fit}
         self._states: dict[int, list[WatchState]] = {}
@@ -180,7 +189,7 @@ class Tester:
         measured_um = since_first_known(inputs.measured_um[rows])
         residual_um = since_first_known(inputs.measured_um[rows] - estimated_um)
         if self._probe_min is not None:
-            residual_um = probed_residual_um(inputs.time_min[rows], residual_um, self._probe_min)
+            residual_um = probed_residual_um(inputs.time_min[rows], residual_um, self._probe_min, self._bias_filter)
         return Trial(
             name=name,
             rows=rows,

@@ -9,7 +9,7 @@ from models.records import FloatArray
 from models.thermal.families import Fit, Problem, fold_numbers, relative_rmse
 from models.thermal.folds import fold_segments
 from models.thermal.inputs import BoolArray, Inputs, IntArray
-from models.thermal.probing import probed_residual_um
+from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
 from models.thermal.watch_fit import smoothed
 
 BAND_QUANTILE = 0.9
@@ -46,6 +46,8 @@ class Trust:
     """RMSE with / without the model on what was left out, mean over the channels; NaN when nothing was."""
     forward_skill: tuple[float, ...]
     """1 - RMSE with / without of each fold, predicted from the folds before it."""
+    bias_filter: BiasFilter | None = None
+    """How a probe corrects the offset, from what was left out; None without probes."""
 
 
 def judge(
@@ -79,7 +81,9 @@ def judge(
     try:
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         score = relative_rmse(inputs, rows, fold, fits, probe_min)
-        band_um = few_folds_factor(len(numbers)) * _band_um(inputs, rows, fold, fits, probe_min)
+        series_um = left_out_series_um(inputs, rows, fold, fits)
+        bias_filter = None if probe_min is None else fit_bias_filter(inputs, rows, series_um, probe_min)
+        band_um = few_folds_factor(len(numbers)) * _band_um(inputs, rows, fold, series_um, probe_min, bias_filter)
     except DatasetError as error:
         return Trust(
             refused=f"without one of its folds it cannot be fitted ({error})",
@@ -93,6 +97,7 @@ def judge(
         band_um=band_um,
         held_out_relative_rmse=score,
         forward_skill=tuple(skill),
+        bias_filter=bias_filter,
     )
 
 
@@ -168,10 +173,14 @@ def _alternations(values: FloatArray, least: float) -> int:
 
 
 def _band_um(
-    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit], probe_min: float | None
+    inputs: Inputs,
+    rows: BoolArray,
+    fold: IntArray,
+    series_um: FloatArray,
+    probe_min: float | None,
+    bias_filter: BiasFilter | None,
 ) -> FloatArray:
     """Return the half width that held from (nearly) every instant that could have been the reference."""
-    series_um = left_out_series_um(inputs, rows, fold, fits)
     widths: list[FloatArray] = []
     for run in np.unique(inputs.run[rows]):
         chosen = np.flatnonzero(rows & (inputs.run == run) & np.isfinite(series_um).all(axis=1))
@@ -179,7 +188,9 @@ def _band_um(
             continue
         time_min, residual_um = inputs.time_min[chosen], series_um[chosen]
         if probe_min is not None:
-            widths += _probed_widths(fold[chosen], time_min, residual_um, probe_min)
+            probed = np.abs(probed_residual_um(time_min, residual_um - residual_um[0], probe_min, bias_filter))
+            folds = fold[chosen]
+            widths += [np.quantile(probed[folds == number], BAND_QUANTILE, axis=0) for number in np.unique(folds)]
             continue
         shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
         references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
@@ -206,9 +217,37 @@ def few_folds_factor(folds: int) -> float:
     return table.get(folds, NORMAL_90) / NORMAL_90
 
 
-def _probed_widths(fold: IntArray, time_min: FloatArray, residual_um: FloatArray, probe_min: float) -> list[FloatArray]:
-    probed = np.abs(probed_residual_um(time_min, residual_um - residual_um[0], probe_min))
-    return [np.quantile(probed[fold == number], BAND_QUANTILE, axis=0) for number in np.unique(fold)]
+def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, probe_min: float) -> BiasFilter:
+    """Return how a probe corrects the offset of this model.
+
+    Parameters
+    ----------
+    inputs, rows
+        Training rows.
+    series_um : shape (n, n_channels)
+        What the model left of rows it was not fitted on, see `left_out_series_um` [um].
+    probe_min
+        Time between probes [min].
+
+    Returns
+    -------
+    BiasFilter
+        Its noise is the scatter of neighbouring displacements, its wander what the left-out residual
+        gains between two probes beyond that noise; a correction is bounded by the channel's span.
+
+    """
+    segments = [part for part in fold_segments(inputs, rows) if len(part) > 1]
+    steps = np.vstack([np.diff(inputs.measured_um[part], axis=0) for part in segments])
+    noise_um = 1.4826 * np.nanmedian(np.abs(steps - np.nanmedian(steps, axis=0)), axis=0) / np.sqrt(2.0)
+    wander = np.zeros(len(inputs.channels))
+    for part in segments:
+        wander = np.maximum(wander, wander_um2_per_min(inputs.time_min[part], series_um[part], probe_min))
+    span = np.nanmax(inputs.measured_um[rows], axis=0) - np.nanmin(inputs.measured_um[rows], axis=0)
+    return BiasFilter(
+        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / probe_min, 0.0),
+        noise_um=noise_um,
+        largest_step_um=np.maximum(span, 1e-9),
+    )
 
 
 def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:

@@ -1,0 +1,246 @@
+"""`toolpoint thermal evaluate` and `train --model` from recordings on disk to figures and model files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from daemon.cli import main
+from daemon.cli.thermal_evaluate import MODELS, parse_fault
+from models.thermal.lagged_artifact import any_model_from_json
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.lags import lag_table
+from models.thermal.linear_families import FAMILIES
+from models.thermal.model import ThermalModel
+from models.thermal.trial import Fault
+
+MINUTES = 120
+SPLIT = ("--train-hours", "0-8", "--test-hours", "8-12")
+
+
+def table(seed: int = 0, cycles: int = 6) -> dict[str, Any]:
+    """On/off cycles of two hours at several speeds; three parts follow, four sensors and two channels see them."""
+    rng = np.random.default_rng(seed)
+    speeds = np.array([3000.0, 5000.0, 2000.0, 4000.0, 3500.0, 2500.0])[:cycles]
+    rpm = np.concatenate([np.r_[np.full(MINUTES // 2, s), np.zeros(MINUTES // 2)] for s in speeds])
+    time_min = np.arange(float(len(rpm)))
+    quick, slow = lag_table(time_min, ((rpm / 5000.0) ** 2)[:, None], (8.0, 40.0))[:, :, 0]
+    degc = 21.0 + np.column_stack([12.0 * quick, 8.0 * slow, 6.0 * quick + 5.0 * slow, 9.0 * slow + 2.0 * quick])
+    degc += rng.normal(0.0, 0.02, degc.shape)
+    um = np.column_stack([30.0 * slow, 15.0 * quick - 20.0 * slow]) + rng.normal(0.0, 0.05, (len(rpm), 2))
+    names = {f"t{i + 1}": degc[:, i] for i in range(4)} | {"c1": um[:, 0], "c2": um[:, 1]}
+    return {"t": 60.0 * time_min, "rpm": rpm, **names}
+
+
+def write(path: Path, columns: dict[str, Any]) -> Path:
+    rows = zip(*columns.values(), strict=True)
+    text = [",".join("" if np.isnan(value) else f"{value:.6g}" for value in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *text]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return write(tmp_path / "day.csv", table())
+
+
+def invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["thermal", "evaluate", *map(str, arguments)])
+
+
+def figures(*arguments: object) -> dict[str, Any]:
+    result = invoke(*arguments, "--json", "-")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_the_json_holds_what_is_promised_and_nothing_else_is_on_standard_output(recording: Path) -> None:
+    found = figures(recording, *SPLIT)
+    promised = {"rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"}
+    assert set(found["channels"]) == {"c1", "c2"}
+    assert all(promised <= set(channel) for channel in found["channels"].values())
+    assert set(found["mean"]) == promised
+    assert found["mean"]["max_um"] == max(channel["max_um"] for channel in found["channels"].values())
+    for key in promised - {"max_um"}:
+        assert found["mean"][key] == pytest.approx(np.mean([c[key] for c in found["channels"].values()]))
+    assert (found["faults"], found["false_alarms"], found["refused"]) == ([], 0, None)
+    assert found["mean"]["reduction_rmse"] > 0.8
+    assert found["hyper_parameters"]["lags_min"] == [10.0, 30.0, 90.0, 240.0]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_family_says_what_it_chose(recording: Path, model: str) -> None:
+    found = figures(recording, *SPLIT, "--model", model)
+    assert found["model"] == model and found["hyper_parameters"]
+    assert found["mean"]["rmse_um"] > 0.0
+
+
+def test_the_names_are_those_of_the_families() -> None:
+    assert set(MODELS) == set(FAMILIES)
+
+
+def test_cycles_are_left_out_one_by_one(recording: Path) -> None:
+    found = figures(recording, "--leave-out-cycles")
+    assert [test["rows"] for test in found["tests"]] == [MINUTES] * 6
+    assert set(found["hyper_parameters"]) == {f"cycle {number}" for number in range(1, 7)}
+    assert found["mean"]["reduction_rmse"] > 0.7
+
+
+def test_runs_are_left_out_one_by_one_each_with_a_zero_of_its_own(tmp_path: Path) -> None:
+    paths = []
+    for number in range(3):
+        columns = table(number)
+        columns["c1"] = columns["c1"] + 1000.0 * number
+        paths.append(write(tmp_path / f"run{number}.csv", columns))
+    found = figures(*paths, "--leave-out-runs")
+    assert [test["name"] for test in found["tests"]] == ["run0.csv", "run1.csv", "run2.csv"]
+    assert found["mean"]["reduction_rmse"] > 0.9
+    assert found["refused"] is None
+
+
+def test_without_speed_hours_work_and_cycles_are_refused(tmp_path: Path) -> None:
+    columns = table()
+    del columns["rpm"]
+    path = write(tmp_path / "silent.csv", columns)
+    assert figures(path, *SPLIT)["hyper_parameters"]["speed_lags_min"] == []
+    result = invoke(path, "--leave-out-cycles")
+    assert (result.exit_code, "need a speed column" in result.stderr) == (2, True)
+
+
+def test_probing_removes_what_no_temperature_tells(tmp_path: Path) -> None:
+    columns = table()
+    columns["c1"] = columns["c1"] + 6.0 * np.sin(columns["t"] / 60.0 / 90.0)
+    recording = write(tmp_path / "wandering.csv", columns)
+    without, probed = figures(recording, *SPLIT), figures(recording, *SPLIT, "--probe-minutes", 30)
+    assert probed["channels"]["c1"]["rmse_um"] < 0.5 * without["channels"]["c1"]["rmse_um"]
+    assert probed["mean"]["band_width_um"] < without["mean"]["band_width_um"]
+
+
+def test_faults_are_found_and_cost_little(recording: Path) -> None:
+    found = figures(
+        recording, *SPLIT, "--fault", "stuck:t1@9h", "--fault", "step:each:5degC@9h", "--fault", "open:t3@9h",
+        "--fault", "drift:t2:2degC/h@9h",
+    )  # fmt: skip
+    kinds = [(fault["sensor"], fault["kind"]) for fault in found["faults"]]
+    steps = [(f"t{number}", "step") for number in range(1, 5)]
+    assert kinds == [("t1", "stuck"), *steps, ("t3", "open"), ("t2", "drift")]
+    by_kind = {fault["kind"]: fault for fault in found["faults"]}
+    assert by_kind["open"]["found_after_min"] == 0.0
+    assert by_kind["stuck"]["found_after_min"] == pytest.approx(15.0, abs=10.0)
+    assert by_kind["drift"]["found_after_min"] is not None
+    assert all(fault["max_ratio"] < 10.0 for fault in found["faults"])
+    assert found["false_alarms"] == 0
+
+
+def test_a_fault_in_training_hours_or_of_no_sensor_is_refused(recording: Path) -> None:
+    for text, sentence in (
+        ("stuck:t1@2h", "hour 2 does not lie in what is tested"),
+        ("open:t9@9h", "there is no temperature t9; there are t1, t2, t3, t4"),
+    ):
+        result = invoke(recording, *SPLIT, "--fault", text)
+        assert (result.exit_code, sentence in result.stderr) == (2, True)
+
+
+def test_a_machine_that_hardly_moves_is_refused_and_still_judged(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    columns = table()
+    rows = len(columns["t"])
+    for name in ("c1", "c2"):
+        columns[name] = np.cumsum(rng.normal(0.0, 0.05, rows))
+    found = figures(write(tmp_path / "steady.csv", columns), *SPLIT)
+    assert isinstance(found["refused"], str)
+    assert found["mean"]["rmse_um"] is not None
+
+
+def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:
+    columns = table()
+    columns["t1"] = np.full_like(columns["t1"], 25.0)
+    columns["t4"][100:400] = np.nan
+    columns["t2"][600:] = np.nan
+    found = figures(write(tmp_path / "dirty.csv", columns), *SPLIT)
+    (test,) = found["tests"]
+    assert set(test["temperatures_left_out"]) == {"t1", "t4"}
+    assert any("t1: constant" in warning for warning in found["warnings"])
+    assert found["mean"]["reduction_rmse"] > 0.3
+    assert found["false_alarms"] == 0
+
+
+def test_gaps_and_another_sampling_are_taken(tmp_path: Path) -> None:
+    columns = table()
+    kept = np.ones(len(columns["t"]), dtype=bool)
+    kept[200:206] = kept[330:410] = kept[560:563] = False
+    holes = write(tmp_path / "holes.csv", {name: values[kept] for name, values in columns.items()})
+    coarse = write(tmp_path / "coarse.csv", {name: values[::3] for name, values in columns.items()})
+    for path in (holes, coarse):
+        found = figures(path, *SPLIT)
+        assert found["mean"]["reduction_rmse"] > 0.6
+        assert found["false_alarms"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--train-hours", "0-8"), "say --train-hours and --test-hours"),
+        (("--train-hours", "0-8", "--test-hours", "7-12"), "training and test hours overlap"),
+        (("--train-hours", "0-8", "--test-hours", "50-60"), "there is no row in the test hours 50-60"),
+        (("--train-hours", "0-0.05", "--test-hours", "8-12"), "of 3 training rows 3 are complete, for 4 temperatures"),
+        (("--leave-out-runs",), "at least two recordings"),
+        (("--leave-out-runs", "--leave-out-cycles"), "not both"),
+        (("--leave-out-cycles", "--test-hours", "8-12"), "does not go with"),
+        ((*SPLIT, "--model", "magic"), "'magic' is not one of"),
+        ((*SPLIT, "--fault", "step:t1@9h"), "a step needs an amount such as 1degC"),
+        ((*SPLIT, "--fault", "melted:t1@9h"), "is no fault"),
+        ((*SPLIT, "--probe-minutes", "0"), "probe-minutes"),
+        ((*SPLIT, "--map", "/nonexistent/map.yaml"), "map.yaml"),
+    ],
+)
+def test_bad_usage_ends_with_a_sentence_and_status_2(
+    recording: Path, arguments: tuple[str, ...], sentence: str
+) -> None:
+    result = invoke(recording, *arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert sentence in result.stderr
+
+
+def test_mostly_missing_displacements_are_named(tmp_path: Path) -> None:
+    columns = table()
+    columns["c2"][:400] = np.nan
+    result = invoke(write(tmp_path / "bad.csv", columns), *SPLIT)
+    assert (result.exit_code, "column c2 misses 83% of them" in result.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("stuck:t1@36h", Fault(kind="stuck", sensor="t1", at_hours=36.0)),
+        ("open:a:b@1.5h", Fault(kind="open", sensor="a:b", at_hours=1.5)),
+        ("step:each:5degC@36h", Fault(kind="step", sensor="each", at_hours=36.0, amount=5.0)),
+        ("drift:t2:-0.5degC/h@36h", Fault(kind="drift", sensor="t2", at_hours=36.0, amount=-0.5)),
+    ],
+)
+def test_a_fault_is_read_from_its_text(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_family_is_trained_into_a_file(recording: Path, tmp_path: Path, model: str) -> None:
+    output = tmp_path / "m.json"
+    arguments = ["thermal", "train", str(recording), "--model", model, "-o", str(output), "--json", "-"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    made = any_model_from_json(output.read_text("utf-8"), str(output))
+    assert isinstance(made, LaggedModel if model == "default" else ThermalModel)
+    assert (found["model"]["model_id"], found["hyper_parameters"] != {}) == (made.model_id, True)
+    assert made.sensor_ids == (1, 2, 3, 4)
+
+
+def test_a_family_takes_no_options_of_the_increments(recording: Path, tmp_path: Path) -> None:
+    arguments = ["thermal", "train", str(recording), "--model", "pls", "--b0", "-o", str(tmp_path / "m.json")]
+    result = CliRunner().invoke(main, arguments)
+    assert (result.exit_code, "--model chooses by itself" in result.stderr) == (2, True)

@@ -1,0 +1,164 @@
+"""The gate, the band, the folds and the probe's filter."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.dataset import DatasetError, Recording
+from models.records import FloatArray
+from models.thermal.families import default_family
+from models.thermal.folds import cycles, inner_folds, spindle_starts
+from models.thermal.inputs import build_inputs
+from models.thermal.lags import lag_table
+from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
+from models.thermal.trust import excursions, few_folds_factor, judge
+
+
+def recording(um: FloatArray, degc: FloatArray, rpm: FloatArray | None, step_s: float = 60.0) -> Recording:
+    return Recording(
+        name="r",
+        time_s=step_s * np.arange(float(len(um))),
+        speed_rpm=rpm,
+        temperature_names=tuple(f"T{i + 1}" for i in range(degc.shape[1])),
+        temperatures_degc=degc,
+        displacement_names=("c1",),
+        displacements_um=um[:, None],
+    )
+
+
+def warming(hours: int = 10, speed: bool = True) -> Recording:
+    rng = np.random.default_rng(1)
+    time_min = np.arange(60.0 * hours)
+    rpm = np.where((time_min // 60) % 2 == 0, 3000.0 + 500.0 * (time_min // 120), 0.0)
+    slow = lag_table(time_min, (rpm / 4000.0)[:, None], (25.0,))[0, :, 0]
+    degc = 20.0 + np.column_stack([8.0 * slow, 5.0 * slow]) + rng.normal(0.0, 0.02, (len(rpm), 2))
+    return recording(15.0 * slow, degc, rpm if speed else None)
+
+
+def test_spindle_starts_ignore_a_trickle_of_noise() -> None:
+    speed_rpm = np.array([0.4, 0.0, 3000.0, 3000.0, 0.9, 0.2, 1500.0, 0.0])
+    assert spindle_starts(speed_rpm).tolist() == [2, 6]
+    assert spindle_starts(np.array([500.0, 500.0])).tolist() == [0]
+    assert spindle_starts(np.zeros(4)).tolist() == []
+
+
+def test_a_cycle_runs_from_one_start_to_the_next() -> None:
+    inputs = build_inputs([warming()], sample_s=60.0)
+    found = cycles(inputs, np.ones(inputs.rows, dtype=np.bool_))
+    assert [(int(np.argmax(mask)), int(mask.sum())) for mask in found] == [(120 * i, 120) for i in range(5)]
+
+
+def test_what_is_left_out_are_cycles_blocks_or_runs() -> None:
+    with_speed = build_inputs([warming()], sample_s=60.0)
+    rows = np.ones(with_speed.rows, dtype=np.bool_)
+    assert inner_folds(with_speed, rows)[1] == "cycle"
+    silent = build_inputs([warming(speed=False)], sample_s=60.0)
+    fold, kind = inner_folds(silent, rows)
+    assert (kind, np.bincount(fold).tolist()) == ("block", [120] * 5)
+    with pytest.raises(DatasetError, match="speed column"):
+        cycles(silent, rows)
+    three = build_inputs([warming(), warming(), warming()], sample_s=60.0)
+    assert inner_folds(three, np.ones(three.rows, dtype=np.bool_))[1] == "run"
+
+
+def test_a_long_gap_begins_a_run_and_a_short_one_does_not() -> None:
+    whole = warming()
+    kept = np.ones(whole.rows, dtype=np.bool_)
+    kept[100:130] = kept[300:400] = False
+    cut = recording(whole.displacements_um[:, 0], whole.temperatures_degc, whole.speed_rpm)
+    cut = Recording(
+        name="cut",
+        time_s=whole.time_s[kept],
+        speed_rpm=None if whole.speed_rpm is None else whole.speed_rpm[kept],
+        temperature_names=cut.temperature_names,
+        temperatures_degc=whole.temperatures_degc[kept],
+        displacement_names=("c1",),
+        displacements_um=whole.displacements_um[kept],
+    )
+    inputs = build_inputs([cut], sample_s=60.0)
+    assert np.bincount(inputs.run).tolist() == [270, 200]
+
+
+def test_a_useful_recording_passes_the_gate() -> None:
+    inputs = build_inputs([warming()], sample_s=60.0)
+    rows = inputs.trainable()
+    fold, _ = inner_folds(inputs, rows)
+    trust = judge(inputs, rows, fold, default_family(inputs, rows, fold, None))
+    assert trust.refused is None
+    assert min(trust.forward_skill) > 0.0 and trust.held_out_relative_rmse < 0.5
+    assert np.isfinite(trust.band_um).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_machine_that_wanders_on_its_own_is_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows_count = 1200
+    degc = 22.0 + np.cumsum(rng.normal(0.0, 0.01, (rows_count, 4)), axis=0)
+    inputs = build_inputs([recording(np.cumsum(rng.normal(0.0, 0.05, rows_count)), degc, None)], sample_s=60.0)
+    rows = inputs.trainable()
+    fold, _ = inner_folds(inputs, rows)
+    assert judge(inputs, rows, fold, default_family(inputs, rows, fold, None)).refused is not None
+
+
+def test_one_warm_up_alone_is_refused() -> None:
+    time_min = np.arange(300.0)
+    rise = 1.0 - np.exp(-time_min / 80.0)
+    inputs = build_inputs([recording(20.0 * rise, 20.0 + 5.0 * rise[:, None], None)], sample_s=60.0)
+    rows = inputs.trainable()
+    fold, _ = inner_folds(inputs, rows)
+    refused = judge(inputs, rows, fold, default_family(inputs, rows, fold, None)).refused
+    assert refused is not None and "1 excursion(s)" in refused
+
+
+def test_excursions_count_alternating_moves_and_no_noise() -> None:
+    time_min = np.arange(600.0)
+    wave = 10.0 * np.sin(2.0 * np.pi * time_min / 200.0)
+    noise = np.random.default_rng(0).normal(0.0, 1.0, 600)
+    for um, least, most in ((wave, 5, 7), (0.01 * time_min, 1, 1), (noise, 0, 0)):
+        inputs = build_inputs([recording(um, np.zeros((600, 1)), None)], sample_s=60.0)
+        assert least <= excursions(inputs, np.ones(600, dtype=np.bool_)) <= most
+
+
+def test_few_folds_widen_the_band() -> None:
+    factors = [few_folds_factor(folds) for folds in range(2, 12)]
+    assert factors == sorted(factors, reverse=True) and factors[-1] == 1.0
+
+
+def test_a_probe_without_noise_resets_the_offset() -> None:
+    time_min = np.arange(0.0, 200.0)
+    residual_um = np.where(time_min >= 30.0, 5.0, 0.0)[:, None]
+    corrected = probed_residual_um(time_min, residual_um, 60.0)
+    assert np.all(corrected[30:60] == 5.0) and np.all(corrected[60:] == 0.0)
+
+
+def test_a_noisy_probe_is_believed_in_part_and_never_beyond_its_bound() -> None:
+    fresh = BiasFilter(wander_um2_per_min=np.array([0.1]), noise_um=np.array([2.0]), largest_step_um=np.array([3.0]))
+    state = fresh.correct(fresh.begin(0.0), 40.0, np.array([4.0]))
+    assert state.bias_um[0] == pytest.approx(4.0 * 4.0 / (4.0 + 4.0))
+    assert fresh.correct(state, 80.0, np.array([1000.0])).bias_um[0] == pytest.approx(state.bias_um[0] + 3.0)
+    unmeasured = fresh.correct(state, 80.0, np.array([np.nan]))
+    assert unmeasured.bias_um[0] == state.bias_um[0]
+    with pytest.raises(ValueError, match="must not be negative"):
+        BiasFilter(wander_um2_per_min=np.array([-1.0]), noise_um=np.zeros(1), largest_step_um=np.ones(1))
+
+
+def test_against_noisy_probes_the_filter_beats_the_full_reset() -> None:
+    rng = np.random.default_rng(7)
+    time_min = np.arange(0.0, 6000.0)
+    drift_um = np.cumsum(rng.normal(0.0, 0.1, len(time_min)))[:, None]
+    noise_um = rng.normal(0.0, 3.0, drift_um.shape)
+    kalman = BiasFilter(wander_um2_per_min=np.array([0.01]), noise_um=np.array([3.0]), largest_step_um=np.array([50.0]))
+    reset = BiasFilter(wander_um2_per_min=np.array([0.01]), noise_um=np.zeros(1), largest_step_um=np.array([50.0]))
+    rmse = [
+        float(np.sqrt(np.mean(np.square(probed_residual_um(time_min, drift_um, 60.0, f, noise_um)))))
+        for f in (kalman, reset)
+    ]
+    assert rmse[0] < 0.8 * rmse[1]
+
+
+@given(st.floats(0.1, 5.0))
+def test_the_wander_of_a_ramp_is_its_slope(slope: float) -> None:
+    time_min = np.arange(0.0, 300.0)
+    found = wander_um2_per_min(time_min, slope * time_min[:, None], 60.0)[0]
+    assert found == pytest.approx((slope * 60.0) ** 2 / 60.0)

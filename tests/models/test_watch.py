@@ -1,0 +1,153 @@
+"""The watch of the temperature sensors: what is blamed, when, and what is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.dataset import Recording
+from models.records import FloatArray
+from models.thermal.folds import inner_folds
+from models.thermal.inputs import build_inputs
+from models.thermal.lags import lag_table
+from models.thermal.watch import SensorWatch, Watcher, WatchState, departure_maps, without_columns
+from models.thermal.watch_fit import fit_watch, smoothed
+
+SENSORS = 6
+
+
+def recording(hours: int = 16) -> Recording:
+    rng = np.random.default_rng(5)
+    time_min = np.arange(60.0 * hours)
+    rpm = np.where((time_min // 60) % 2 == 0, 2000.0 + 1000.0 * ((time_min // 120) % 3), 0.0)
+    heat = ((rpm / 4000.0) ** 2)[:, None]
+    parts = lag_table(time_min, np.hstack([heat, heat]), (10.0, 40.0))
+    body = np.column_stack([parts[0][:, 0], parts[1][:, 0]])
+    degc = 22.0 + 9.0 * body @ rng.uniform(0.3, 1.0, (2, SENSORS)) + rng.normal(0.0, 0.02, (len(rpm), SENSORS))
+    return Recording(
+        name="watched",
+        time_s=60.0 * time_min,
+        speed_rpm=rpm,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=degc,
+        displacement_names=("c1",),
+        displacements_um=20.0 * body[:, :1],
+    )
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recording:
+    return recording()
+
+
+@pytest.fixture(scope="module")
+def watch(whole: Recording) -> SensorWatch:
+    inputs = build_inputs([whole], sample_s=60.0)
+    rows = inputs.rows_between(0.0, 12.0)
+    return fit_watch([whole], 60.0, rows, inner_folds(inputs, rows)[0])
+
+
+def follow(watch: SensorWatch, whole: Recording, degc: FloatArray, first: int = 600) -> WatchState:
+    assert whole.speed_rpm is not None
+    watcher = Watcher(watch)
+    state = watcher.begin(0.0, degc[0], float(whole.speed_rpm[0]))
+    for row in range(1, whole.rows):
+        speed_rpm = float(whole.speed_rpm[row])
+        state = watcher.step(state, float(row), degc[row], speed_rpm, blame=row >= first)
+    return state
+
+
+def test_a_healthy_machine_blames_nobody(watch: SensorWatch, whole: Recording) -> None:
+    assert follow(watch, whole, whole.temperatures_degc).blamed == ()
+
+
+@pytest.mark.parametrize("sensor", [0, 3])
+@pytest.mark.parametrize(
+    ("fault", "sign", "within_min"),
+    [
+        (lambda t: np.where(t >= 0, 5.0, 0.0), "slew", 0.0),
+        (lambda t: np.where(t >= 0, 800.0, 0.0), "slew", 0.0),
+        (lambda t: np.where(t == 0, 4.0, 0.0), "slew", 0.0),
+        (lambda t: np.where(t >= 0, t / 30.0, 0.0), "departure", 60.0),
+    ],
+    ids=["step", "open", "spike", "drift"],
+)
+def test_a_fault_is_blamed_on_the_sensor_that_has_it(
+    watch: SensorWatch, whole: Recording, sensor: int, fault: object, sign: str, within_min: float
+) -> None:
+    assert callable(fault)
+    degc = whole.temperatures_degc.copy()
+    degc[:, sensor] += fault(np.arange(whole.rows) - 760.0)
+    (blame,) = follow(watch, whole, degc).blamed
+    assert (blame.sensor, blame.sign) == (sensor, sign)
+    assert 0.0 <= blame.time_min - 760.0 <= within_min
+
+
+def test_a_stuck_sensor_is_blamed_after_the_time_that_training_allows(watch: SensorWatch, whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    degc[760:, 2] = degc[760, 2]
+    (blame,) = follow(watch, whole, degc).blamed
+    assert (blame.sensor, blame.sign, blame.time_min) == (2, "flat", 760.0 + watch.flat_min[2])
+
+
+def test_a_missing_sensor_is_excluded_after_what_is_bridged(watch: SensorWatch, whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    degc[700:705, 1] = np.nan
+    degc[760:, 4] = np.nan
+    (blame,) = follow(watch, whole, degc).blamed
+    assert (blame.sensor, blame.sign, blame.time_min) == (4, "missing", 770.0)
+
+
+def test_two_faults_one_after_the_other_are_both_found(watch: SensorWatch, whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    degc[700:, 1] += 6.0
+    degc[:, 5] += np.maximum(np.arange(whole.rows) - 760.0, 0.0) / 30.0
+    assert follow(watch, whole, degc).excluded == (1, 5)
+
+
+def test_without_blame_only_the_memory_is_filled(watch: SensorWatch, whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    degc[300:, 0] += 50.0
+    assert follow(watch, whole, degc, first=10**9).blamed == ()
+
+
+def test_leaving_columns_out_of_a_precision_is_inverting_without_them() -> None:
+    rng = np.random.default_rng(2)
+    samples = rng.normal(size=(50, 6))
+    covariance = samples.T @ samples / 50.0 + 0.1 * np.eye(6)
+    found = without_columns(np.linalg.inv(covariance), [1, 4])
+    kept = [0, 2, 3, 5]
+    np.testing.assert_allclose(found[np.ix_(kept, kept)], np.linalg.inv(covariance[np.ix_(kept, kept)]), rtol=1e-9)
+    assert np.all(found[[1, 4]] == 0.0)
+
+
+def test_a_departure_is_the_residual_of_a_ridge_regression_on_the_other_sensors(
+    watch: SensorWatch, whole: Recording
+) -> None:
+    layout = watch.layout
+    covariance = np.linalg.inv(watch.precision)
+    own = layout.of_sensors([2])
+    others = np.setdiff1d(np.arange(layout.columns), own)
+    weights = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, own[0]])
+    columns = np.random.default_rng(1).normal(size=layout.columns)
+    maps, _ = departure_maps(layout, watch.precision, watch.gain)
+    by_regression = (columns[own[0]] - columns[others] @ weights) / watch.gain[own[0]]
+    assert maps[2] @ columns == pytest.approx(by_regression, rel=1e-6)
+
+
+def test_a_constant_sensor_neither_counts_nor_disturbs(whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    degc[:, 3] = 25.0
+    flat = replace(whole, temperatures_degc=degc)
+    inputs = build_inputs([flat], sample_s=60.0)
+    rows = inputs.trainable()
+    fitted = fit_watch([flat], 60.0, rows, inner_folds(inputs, rows)[0])
+    assert np.isfinite(fitted.precision).all()
+    assert follow(fitted, flat, degc).blamed == ()
+
+
+def test_a_smoothed_step_follows_its_time_constant() -> None:
+    time_min = np.array([0.0, 1.0, 11.0])
+    found = smoothed(time_min, np.array([[0.0], [1.0], [1.0]]), 10.0)[:, 0]
+    assert found[1] == pytest.approx(1.0 - np.exp(-0.1))
+    assert found[2] == pytest.approx(1.0 - np.exp(-1.1))
