@@ -23,6 +23,7 @@ def draw(path: Path, setting: Setting, account: Account, moves: Sequence[Move], 
     upper, lower = figure.subfigures(2, 1, squeeze=False)[:, 0]
     _distributions(upper.subplots(1, 2, width_ratios=(2.0, 1.0)), moves, numbers)
     _series(lower.subplots(1, 2, width_ratios=(2.0, 1.0)), setting, account, numbers)
+    lower.supxlabel(f"* {numbers['published']['note']}.", fontsize="small", color=PUBLISHED)
     if path.suffix != ".html":
         figure.savefig(path, dpi=120)
         return
@@ -52,6 +53,7 @@ def _distributions(axes: Sequence[Axes], moves: Sequence[Move], numbers: dict[st
         linestyle=":",
         label=f"published measurement: more than {published['measurement_s']:g} s*",
     )
+    bars.set_xticks(at)
     bars.set(xlabel="move", ylabel="delay [s]", title=_title(numbers))
     bars.legend(fontsize="small")
     if moves:
@@ -82,7 +84,7 @@ def _series(axes: Sequence[Axes], setting: Setting, account: Account, numbers: d
         )
         other = axis if temperature else axis.twinx()
         other.plot(
-            [event["time_s"] for event in macros],
+            [_set_at_s(account, event) for event in macros],
             [event["value"] for event in macros],
             color=TOTAL,
             drawstyle="steps-post",
@@ -97,6 +99,14 @@ def _series(axes: Sequence[Axes], setting: Setting, account: Account, numbers: d
     first_s = setting.script.moves_s[0]
     close_up.set_xlim(first_s - CLOSE_UP_S / 4, first_s + CLOSE_UP_S)
     close_up.set_title("around the first move")
+
+
+def _set_at_s(account: Account, event: dict[str, Any]) -> float:
+    """Return when a macro was set on the machine's time, the product's share not scaled [s]."""
+    before = [passed for passed in account.passes if passed["real_s"] <= event["real_s"]]
+    if not before:
+        return float(event["time_s"])
+    return float(before[-1]["end_s"] + event["real_s"] - before[-1]["real_s"])
 
 
 def _title(numbers: dict[str, Any]) -> str:
