@@ -126,7 +126,7 @@ class CncSession:
         try:
             await self.cnc.write_macros(groups)
             trace = replace(trace, written=self._clock.now())
-            found = await self.cnc.read_macros(self._block.polled)
+            found = await self.cnc.read_macros(self._block.read_back)
             trace = replace(trace, read_back=self._clock.now())
         except Exception as error:
             refused = isinstance(error, FatalDriverError)

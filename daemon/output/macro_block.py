@@ -41,6 +41,13 @@ class MacroBlock:
             macros.sequence_b,
         )
         self.polled = macros.block
+        self.read_back = (
+            *self.ours,
+            *(macros.echo_applied[axis] for axis in axes),
+            macros.echo_time,
+            macros.echo_status,
+            macros.echo_guard_version,
+        )
 
     def encode(
         self, command: CompensationCommand, *, sequence: int, valid_until_s: float
