@@ -86,7 +86,7 @@ def lobes(
     from config.problems import ConfigurationError
     from config.stability_case import load_stability_case
     from daemon.stability.lobes import LobesRequest, find_lobes, radii_at
-    from drivers.frf_csv import FrfFileError
+    from drivers.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
 
     if method == "zoa" and (at or steps is not None):
@@ -109,7 +109,7 @@ def lobes(
                 from daemon.stability.pictures import lobes_picture
 
                 lobes_picture(picture, [(case_path.stem, found)])
-    except (ConfigurationError, FrfFileError) as error:
+    except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
@@ -250,7 +250,7 @@ def choose(
     from config.problems import ConfigurationError
     from config.stability_case import load_stability_case
     from daemon.stability.lobes import choose_for_case
-    from drivers.frf_csv import FrfFileError
+    from drivers.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
     from models.stability.spindle_speed import SpeedDemand, SpeedLimits
 
@@ -265,7 +265,7 @@ def choose(
     )
     try:
         choice, warnings = choose_for_case(load_stability_case(case_path), demand, limits, method)
-    except (ConfigurationError, FrfFileError) as error:
+    except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")

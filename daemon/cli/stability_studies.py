@@ -38,7 +38,7 @@ def compare(
     from config.problems import ConfigurationError
     from daemon.stability.lobes import LobesRequest
     from daemon.stability.studies import compare_cases
-    from drivers.frf_csv import FrfFileError
+    from drivers.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
     from models.stability.spindle_speed import SpeedDemand
 
@@ -50,7 +50,7 @@ def compare(
     request = LobesRequest(method=method, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
     try:
         found = compare_cases(case_paths, request, demand)
-    except (ConfigurationError, FrfFileError, StabilityError) as error:
+    except (ConfigurationError, MeasurementFileError, StabilityError) as error:
         refuse(str(error))
     content = []
     for path, lobes, choice in found:
@@ -95,12 +95,12 @@ def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
     from config.problems import ConfigurationError
     from config.stability_case import load_stability_case
     from daemon.stability.studies import fitted_modes, modes_content
-    from drivers.frf_csv import FrfFileError
+    from drivers.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
 
     try:
         found = fitted_modes(load_stability_case(case_path))
-    except (ConfigurationError, FrfFileError) as error:
+    except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")

@@ -1,9 +1,12 @@
 """A stability case with its FRF files -> the structure at the tool point."""
 
+from pathlib import Path
+
 import numpy as np
 
 from config.stability_case import DirectionCase, ModeCase, StabilityCase
-from drivers.frf_csv import FrequencyResponse, read_frf_csv
+from drivers.frf_measurement import read_measurements
+from models.dynamics.measurement import Measurement
 from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.lobes_zoa import check_lines
@@ -18,6 +21,9 @@ from models.stability.response import (
     mode_from_stiffness,
 )
 
+LARGEST_RECEPTANCE_M_PER_N = 1e-2
+"""A tool point softer than 100 N/m is one whose unit is not m/N."""
+FEWEST_LINES = 4
 PLACES = {"x": (0, 0), "xy": (0, 1), "yx": (1, 0), "y": (1, 1)}
 """Key of a case -> row and column of the receptance matrix."""
 
@@ -27,14 +33,14 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
 
     Raises
     ------
-    FrfFileError
+    MeasurementFileError
         For a file that is no FRF.
     StabilityError
         When two FRFs have different frequencies.
 
     """
     directions = {name: direction for name in PLACES if isinstance(direction := getattr(case, name), DirectionCase)}
-    files = {name: read_frf_csv(direction.frf) for name, direction in directions.items() if direction.frf is not None}
+    files = {name: read_frf(direction.frf) for name, direction in directions.items() if direction.frf is not None}
     modes = {name: _modes(direction) for name, direction in directions.items() if direction.frf is None}
     if not files:
         return modal_response(modes)
@@ -48,6 +54,32 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
     return SampledResponse(frequency_hz=frequency_hz, receptance=receptance)
 
 
+def read_frf(path: Path) -> Measurement:
+    """Return the one frequency response of a file.
+
+    Raises
+    ------
+    MeasurementFileError
+        For a file that cannot be read.
+    StabilityError
+        When it holds several responses, hardly any frequencies, or another unit.
+
+    """
+    responses = read_measurements(path)
+    if len(responses) != 1:
+        raise StabilityError(f"{path}: holds {len(responses)} responses; export the one of this direction")
+    (found,) = responses
+    if len(found.frequency_hz) < FEWEST_LINES:
+        raise StabilityError(f"{path}: holds {len(found.frequency_hz)} frequencies; at least {FEWEST_LINES} are needed")
+    largest = float(np.abs(found.receptance_m_per_n).max())
+    if largest > LARGEST_RECEPTANCE_M_PER_N:
+        raise StabilityError(
+            f"{path}: a receptance of {largest:g} m/N is softer than any tool; is the unit um/N or is this an "
+            "accelerance? Name the columns after what they hold, in m/N"
+        )
+    return found
+
+
 def modal_response(modes: dict[str, tuple[Mode, ...]]) -> ModalResponse:
     """Return the modes of the keys x, y, xy and yx as a structure."""
     return ModalResponse(xx=modes.get("x", ()), yy=modes.get("y", ()), xy=modes.get("xy", ()), yx=modes.get("yx", ()))
@@ -58,7 +90,7 @@ def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tu
 
     Raises
     ------
-    FrfFileError
+    MeasurementFileError
         For a file that is no FRF.
     StabilityError
         When an FRF does not cover the tooth-passing band of the speeds [1/min], or no modes follow it.
@@ -73,7 +105,7 @@ def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tu
         if direction.frf is None:
             modes[name] = _modes(direction)
             continue
-        samples = read_frf_csv(direction.frf)
+        samples = read_frf(direction.frf)
         warnings += check_lines(samples.frequency_hz, case.teeth, from_rpm, to_rpm)
         fit = fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
         modes[name] = fit.modes
@@ -94,7 +126,7 @@ def _mode(mode: ModeCase) -> Mode:
     return mode_from_residue(mode.frequency_hz, mode.damping_ratio, complex(*mode.residue))
 
 
-def _common_frequencies(case: StabilityCase, files: dict[str, FrequencyResponse]) -> np.ndarray:
+def _common_frequencies(case: StabilityCase, files: dict[str, Measurement]) -> np.ndarray:
     (first, *others) = files
     frequency_hz = files[first].frequency_hz
     for name in others:

@@ -35,7 +35,7 @@ class LobesRequest:
 
 
 def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
-    """Return the lobes of a case; raises FrfFileError and StabilityError."""
+    """Return the lobes of a case; raises MeasurementFileError and StabilityError."""
     cut = case.cut()
     points = request.points or POINTS[request.method]
     from_rpm, to_rpm = request.from_rpm, request.to_rpm
@@ -67,7 +67,7 @@ def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
 
 
 def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps: int | None) -> dict[str, Any]:
-    """Return the spectral radius at pairs of speed [1/min] and depth [mm]; raises FrfFileError, StabilityError."""
+    """Return the spectral radius at speeds [1/min] and depths [mm]; raises MeasurementFileError, StabilityError."""
     if case.feed_deg == ALL_DIRECTIONS:
         raise StabilityError("a spectral radius needs one direction of the feed; give feed_deg a number")
     speeds = [speed for speed, _ in points]
@@ -86,7 +86,7 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
 def choose_for_case(
     case: StabilityCase, demand: SpeedDemand, limits: SpeedLimits, method: str
 ) -> tuple[SpeedChoice, tuple[str, ...]]:
-    """Return the speed for a case and warnings; raises FrfFileError and StabilityError."""
+    """Return the speed for a case and warnings; raises MeasurementFileError and StabilityError."""
     low, high = limits.range_rpm(demand.programmed_rpm)
     reach = 1.0 + demand.tolerance_fraction
     wide = LobesRequest(method=method, from_rpm=low / reach, to_rpm=high * reach, points=CHOICE_POINTS[method])

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from config.stability_case import DirectionCase, StabilityCase, load_stability_case
+from daemon.stability.case_files import read_frf
 from daemon.stability.lobes import LobesRequest, find_lobes
-from drivers.frf_csv import FrequencyResponse, read_frf_csv
+from models.dynamics.measurement import Measurement
 from models.records import FloatArray
 from models.stability.cutting_coefficients import CoefficientFit, fit_mean_forces
 from models.stability.errors import StabilityError
@@ -27,7 +28,7 @@ def compare_cases(
 ) -> list[tuple[Path, StabilityLobes, SpeedChoice | None]]:
     """Return lobes and, with a demand, the chosen speed of each case.
 
-    Raises ConfigurationError, FrfFileError and StabilityError.
+    Raises ConfigurationError, MeasurementFileError and StabilityError.
     """
     found = []
     for path in paths:
@@ -40,16 +41,16 @@ def compare_cases(
     return found
 
 
-def fitted_modes(case: StabilityCase) -> dict[str, tuple[FrequencyResponse, ModalFit]]:
+def fitted_modes(case: StabilityCase) -> dict[str, tuple[Measurement, ModalFit]]:
     """Return the FRF and the modes fitted to it for each direction of a case that names a file.
 
-    Raises FrfFileError and StabilityError.
+    Raises MeasurementFileError and StabilityError.
     """
     found = {}
     for name in ("x", "xy", "yx", "y"):
         direction = getattr(case, name)
         if isinstance(direction, DirectionCase) and direction.frf is not None:
-            samples = read_frf_csv(direction.frf)
+            samples = read_frf(direction.frf)
             try:
                 found[name] = samples, fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
             except StabilityError as error:

@@ -26,7 +26,7 @@ class ChatterSettings:
 
     overlap: float = 0.75
     """Share of a window that the next one repeats."""
-    power_ratio: float = 0.15
+    power_ratio: float = 0.1
     """Power of the line over that of the strongest forced line."""
     prominence: float = 30.0
     """Power density of the line over the median of its surroundings."""

@@ -169,6 +169,20 @@ def test_an_frf_must_cover_the_tooth_passing(case: Path, method: str) -> None:
     assert "no such file" in refusal("lobes", other(case, (f"{{{MODE}}}", "{frf: missing.csv}"))).lower()
 
 
+def test_an_frf_in_another_unit_is_refused(case: Path) -> None:
+    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
+    frf = case.with_name("x.csv")
+    write_frf(frf, LINES_HZ)
+    rows = frf.read_text().splitlines()
+    scaled = [f"{a},{1e6 * float(b)!r},{1e6 * float(c)!r}" for a, b, c in (row.split(",") for row in rows[1:])]
+    frf.write_text("\n".join([rows[0], *scaled]) + "\n")
+    assert "softer than any tool; is the unit um/N" in refusal("lobes", path)
+    frf.write_text("\n".join([*rows[:4], "nonsense,1,2"]) + "\n")
+    assert "x.csv:5: column frequency_hz: 'nonsense' is no finite number" in refusal("lobes", path)
+    frf.write_text("\n".join(rows[:3]) + "\n")
+    assert "holds 2 frequencies" in refusal("lobes", path)
+
+
 def test_bad_usage_is_refused(case: Path) -> None:
     assert "belong to the semi-discretisation" in refusal("lobes", case, "--at", "9000:1")
     assert "is no speed and depth" in refusal("lobes", case, "--method", "sdm", "--at", "9000")
