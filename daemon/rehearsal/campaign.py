@@ -7,7 +7,7 @@ next whenever it is idle, and can be killed at any moment. See docs/how-to/run-a
 import contextlib
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,9 @@ class Campaign:
         seed: int,
         epoch_utc_s: float,
         progress: Callable[[str], None],
+        script: Sequence[Happening] | None = None,
     ) -> None:
+        """Prepare; without a `script` everything happens once in turn, and then by chance."""
         self._configuration = configuration
         self._config_path = config_path
         self._directory = directory
@@ -72,7 +74,7 @@ class Campaign:
         self._writes = WriteWatch(configuration, ledger)
         self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
         lines = configuration.temperatures.lines
-        script = campaign(days, seed, lines)
+        happenings = campaign(days, seed, lines) if script is None else script
         machine = CfrpMachine(
             Day.draw(seed, start="cold"),
             shift_program(),
@@ -80,7 +82,7 @@ class Campaign:
             configuration.cnc.macros,
             configuration.compensation.axes,
         )
-        self._world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=epoch_utc_s, seed=seed)
+        self._world = CampaignWorld(machine, configuration, happenings, self, epoch_utc_s=epoch_utc_s, seed=seed)
         self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
         first_sensors = {line.name: line.sensor_ids[0] for line in lines}
         self._store = StoreCheck(configuration.history.path, first_sensors, ledger)
@@ -182,7 +184,7 @@ class Campaign:
         process.close()
         self._ledger.check("nothing_unexpected", not process.defects, "; ".join(process.defects[:2])[:2000])
         self._store.acknowledged_cycles(self._acknowledged)
-        self._store.audit(self._ends_by_force, None)
+        self._store.audit(self._ends_by_force, None, written=self.result.blocks > 0)
 
     def _finish(self) -> None:
         """Stop the daemon in order, and look at everything once more."""
@@ -201,7 +203,7 @@ class Campaign:
             status = process.wait()
             self._ledger.check("nothing_unexpected", status == 0, f"the daemon ended with status {status}")
             self._bury()
-            self._store.audit(self._ends_by_force, self._blocks)
+            self._store.audit(self._ends_by_force, self._blocks, written=self.result.blocks > 0)
         self._store.acknowledged_cycles(self._acknowledged, all_of_them=True)
         result = self.result
         result.recovery_s = self._recovery.times_s
@@ -214,7 +216,7 @@ class Campaign:
 
     def _answer(self, name: str, time_s: float, raw: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
         world = self._world
-        claims = _claims(raw)
+        claims = Claims(*raw) if raw else None
         if name == "advance":
             self._hear(time_s, claims)
             world.advance(min(arguments[0], self._end_s + STOP_S))
@@ -384,19 +386,3 @@ class Campaign:
 
     def _shares(self) -> list[tuple[str, float]]:
         return sorted(self.result.states_s.items(), key=lambda item: -item[1])
-
-
-def _claims(raw: tuple[Any, ...]) -> Claims | None:
-    if not raw:
-        return None
-    state, wanted, reference, link, confidence, in_domain, estimate_reference, reason = raw
-    return Claims(
-        state=state,
-        wanted=wanted,
-        reference=reference,
-        link=link,
-        confidence=confidence,
-        in_domain=in_domain,
-        estimate_reference=estimate_reference,
-        reason=reason,
-    )

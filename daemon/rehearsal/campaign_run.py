@@ -1,6 +1,6 @@
 """A fault campaign from a machine's description to its result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 from daemon.rehearsal.campaign import Campaign
 from daemon.rehearsal.campaign_result import Result
 from daemon.rehearsal.processes import write_rehearsal_configuration
+from drivers.sim.campaign_script import Happening
 
 EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
 """Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
@@ -16,13 +17,26 @@ POLL_S = TICK_S = 2.0
 
 
 def run_campaign(
-    base: dict[str, Any], directory: Path, *, days: float, seed: int, progress: Callable[[str], None]
+    base: dict[str, Any],
+    directory: Path,
+    *,
+    days: float,
+    seed: int,
+    progress: Callable[[str], None],
+    script: Sequence[Happening] | None = None,
 ) -> Result:
     """Run a campaign on the machine that `base` describes; files go to `directory`."""
     base["cnc"]["poll_period_s"] = POLL_S
     base["compensation"].setdefault("output", {})["tick_s"] = TICK_S
     path, configuration = write_rehearsal_configuration(base, directory, speed=1.0, http=False)
     campaign = Campaign(
-        configuration, path, directory, days=days, seed=seed, epoch_utc_s=EPOCH_UTC_S, progress=progress
+        configuration,
+        path,
+        directory,
+        days=days,
+        seed=seed,
+        epoch_utc_s=EPOCH_UTC_S,
+        progress=progress,
+        script=script,
     )
     return campaign.run()

@@ -51,9 +51,9 @@ class Ledger:
         return sum(count.violated for count in self.counts.values())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Claims:
-    """What the daemon says of itself."""
+    """What the daemon says of itself, in the order of `daemon.rehearsal.campaign_daemon`'s messages."""
 
     state: str
     wanted: tuple[bool, ...]

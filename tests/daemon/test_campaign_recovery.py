@@ -1,0 +1,147 @@
+"""The campaign's judgement of the way back: where the table leads, what counts as good input, and that it can fail."""
+
+from typing import Any
+
+import pytest
+
+from daemon.rehearsal.invariants import Claims, Ledger
+from daemon.rehearsal.recovery import WITHIN_S, GoodInput, RecoveryWatch, Truth, where_it_leads
+from drivers.sim.campaign_script import Happening, Incident
+from drivers.sim.faults import FaultKind
+
+
+def claims(state: str, **changes: Any) -> Claims:
+    content = {
+        "state": state,
+        "wanted": (True,),
+        "reference": "r1",
+        "link": True,
+        "confidence": 1.0,
+        "in_domain": True,
+        "estimate_reference": "r1",
+        "reason": "",
+    }
+    return Claims(**(content | changes))
+
+
+def truth(**changes: bool) -> Truth:
+    content = {"reachable": True, "temperatures": True, "distrust": False, "echo_known": True, "at_zero": False}
+    return Truth(**(content | changes))
+
+
+@pytest.mark.parametrize(
+    ("state", "known", "said", "expected"),
+    [
+        ("HOLD", {}, {}, "ACTIVE"),
+        ("OFF", {}, {}, "ACTIVE"),
+        ("ACTIVE", {"reachable": False}, {}, "HOLD"),
+        ("ACTIVE", {"temperatures": False}, {}, "HOLD"),
+        ("ACTIVE", {"echo_known": False}, {}, "HOLD"),
+        ("ACTIVE", {}, {"reference": None}, "HOLD"),
+        ("ACTIVE", {}, {"confidence": 0.5}, "HOLD"),
+        ("ACTIVE", {}, {"in_domain": False}, "HOLD"),
+        ("ACTIVE", {"distrust": True}, {}, "FAULT"),
+        ("HOLD", {"distrust": True}, {}, "FAULT"),
+        ("FAULT", {}, {}, "FAULT"),
+        ("ACTIVE", {}, {"wanted": (False,)}, "RETREAT"),
+        ("RETREAT", {"at_zero": True}, {"wanted": (False,)}, "OFF"),
+        ("OFF", {}, {"reference": None}, "ARMED"),
+    ],
+)
+def test_where_the_table_leads(state: str, known: dict[str, bool], said: dict[str, Any], expected: str) -> None:
+    assert where_it_leads(state, truth(**known), claims(state, **said), 0.7) == expected
+
+
+def watched(states: list[tuple[float, str]], **known: bool) -> tuple[Ledger, RecoveryWatch]:
+    """A case whose good input came at 100 s in HOLD, and the states that were claimed afterwards."""
+    ledger = Ledger()
+    watch = RecoveryWatch(ledger, 0.7)
+    watch.over({"frozen_cnc"})
+    watch.good_input(100.0, claims("HOLD"))
+    for time_s, state in states:
+        if watch.open:
+            watch.look(time_s, truth(**known), claims(state))
+    return ledger, watch
+
+
+def test_a_way_back_within_the_time_is_right_and_timed() -> None:
+    ledger, watch = watched([(100.0, "HOLD"), (104.0, "HOLD"), (108.0, "ACTIVE"), (116.0, "ACTIVE")])
+    assert (ledger.counts["state_after_fault"].checked, ledger.violations) == (1, 0)
+    assert watch.times_s == {"frozen_cnc": [4.0]}
+
+
+def test_a_state_that_is_never_left_is_wrong() -> None:
+    ledger, _ = watched([(100.0 + n, "HOLD") for n in range(30)])
+    assert ledger.violations == 1
+    assert "the table leads from HOLD to ACTIVE" in ledger.counts["state_after_fault"].examples[0]
+
+
+def test_a_fault_that_is_not_seen_is_wrong() -> None:
+    ledger, _ = watched([(100.0 + n, "ACTIVE") for n in range(30)], distrust=True)
+    assert ledger.violations == 1
+
+
+def test_a_state_that_falls_back_later_is_wrong() -> None:
+    ledger, _ = watched([(101.0, "ACTIVE"), *((105.0 + n, "HOLD") for n in range(30))])
+    assert ledger.violations == 1
+
+
+def test_the_case_waits_until_its_time_is_over() -> None:
+    _, watch = watched([(101.0, "ACTIVE"), (100.0 + WITHIN_S - 0.1, "ACTIVE")])
+    assert watch.open
+
+
+def test_a_new_incident_puts_the_judgement_off() -> None:
+    ledger, watch = watched([(101.0, "HOLD")])
+    watch.begun("noise")
+    assert not watch.open
+    assert watch.disturbed == 1
+    assert ledger.counts == {}
+
+
+LINES = ("spindle", "saddle")
+
+
+def happening(kind: FaultKind | Incident, **more: Any) -> Happening:
+    return Happening(kind=kind, at_s=0.0, **more)
+
+
+def test_after_a_disturbed_line_its_own_cycle_counts() -> None:
+    good = GoodInput(LINES)
+    good.after(happening(FaultKind.NOISE, target="saddle"))
+    good.cycle("spindle")
+    good.cnc()
+    assert not good.there
+    good.cycle("saddle")
+    assert good.there
+
+
+def test_after_nodes_were_counted_anew_the_third_cycle_counts() -> None:
+    good = GoodInput(LINES)
+    good.after(happening(FaultKind.RENUMBERED, target="saddle", amount=3.0))
+    good.cycle("saddle")
+    good.cycle("saddle")
+    assert not good.there
+    good.cycle("saddle")
+    assert good.there
+
+
+def test_after_the_cnc_was_away_its_answer_counts_and_after_a_start_both() -> None:
+    good = GoodInput(LINES)
+    good.after(happening(FaultKind.FROZEN_CNC))
+    assert not good.there
+    good.cnc()
+    assert good.there
+    good.after(happening(Incident.KILLED_DAEMON))
+    good.cnc()
+    assert not good.there
+    good.cycle("spindle")
+    assert good.there
+
+
+def test_after_all_lines_were_dead_the_first_cycle_of_any_counts() -> None:
+    good = GoodInput(LINES)
+    good.after(happening(Incident.BLIND))
+    assert not good.there
+    good.cycle("saddle")
+    assert good.there

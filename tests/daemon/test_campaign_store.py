@@ -1,0 +1,108 @@
+"""What a fault campaign demands of the store, and that it finds what is missing there."""
+
+import sys
+from array import array
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from history_records import EPOCH_S, SMALL, StillClock, command, cycle, macros, receipt, trace
+
+from daemon.history.rows import utc_ms
+from daemon.history.writer import HistoryWriter
+from daemon.rehearsal.campaign_process import Acknowledgements, cycle_key
+from daemon.rehearsal.campaign_store import StoreCheck
+from daemon.rehearsal.invariants import Ledger
+
+NAMES = ("acknowledged_cycles_kept", "audit_complete", "audit_has_every_block")
+SENSORS = {"spindle": 13, "bed": 21}
+STILL_UM = np.zeros(3)
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> tuple[Path, Acknowledgements]:
+    """A store with ten cycles of a line, all acknowledged, and one settled write with sequence number 7."""
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    acknowledgements = Acknowledgements()
+    for number in range(1, 11):
+        record = cycle("bed", number, EPOCH_S + 10.0 * number, np.array([20.0, 21.0]))
+        writer.temperatures(None, record)
+        keys = acknowledgements.keys.setdefault("bed", array("q"))
+        keys.append(cycle_key(number, utc_ms(record.trace.first_byte)))
+    written = macros(7, STILL_UM)
+    intent = writer.write_intent(command(STILL_UM), written, "estimate")
+    writer.write_outcome(intent, receipt(EPOCH_S, written, sequence=7))
+    writer.close()
+    return path, acknowledgements
+
+
+def checked(path: Path) -> tuple[StoreCheck, Ledger]:
+    ledger = Ledger(NAMES)
+    return StoreCheck(path, SENSORS, ledger), ledger
+
+
+def test_what_was_acknowledged_is_found(stored: tuple[Path, Acknowledgements]) -> None:
+    path, acknowledgements = stored
+    check, ledger = checked(path)
+    check.acknowledged_cycles(acknowledgements)
+    check.audit(0, [7.0])
+    assert (ledger.counts["acknowledged_cycles_kept"].checked, check.lost, ledger.violations) == (10, 0, 0)
+    check.acknowledged_cycles(acknowledgements)
+    assert ledger.counts["acknowledged_cycles_kept"].checked == 10, "only what is new is looked for again"
+    check.acknowledged_cycles(acknowledgements, all_of_them=True)
+    assert ledger.counts["acknowledged_cycles_kept"].checked == 20
+
+
+def test_a_cycle_that_is_not_there_is_lost(stored: tuple[Path, Acknowledgements]) -> None:
+    path, acknowledgements = stored
+    acknowledgements.keys["bed"].append(cycle_key(11, round((EPOCH_S + 110.0) * 1e3)))
+    check, ledger = checked(path)
+    check.acknowledged_cycles(acknowledgements)
+    assert (check.lost, ledger.counts["acknowledged_cycles_kept"].violated) == (1, 1)
+
+
+def test_a_store_that_is_gone_has_lost_everything(stored: tuple[Path, Acknowledgements], tmp_path: Path) -> None:
+    _, acknowledgements = stored
+    check, ledger = checked(tmp_path / "none.sqlite")
+    check.acknowledged_cycles(acknowledgements)
+    check.audit(1, None)
+    assert check.lost == 10
+    assert ledger.counts["audit_complete"].violated == 1
+
+
+def test_before_anything_was_written_there_need_be_no_store(tmp_path: Path) -> None:
+    check, ledger = checked(tmp_path / "none.sqlite")
+    check.audit(1, None, written=False)
+    assert ledger.violations == 0
+
+
+def test_a_block_without_an_intent_is_found(stored: tuple[Path, Acknowledgements]) -> None:
+    check, ledger = checked(stored[0])
+    check.audit(0, [7.0, 8.0])
+    assert ledger.counts["audit_has_every_block"].violated == 1
+
+
+def test_more_open_intents_than_kills_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for sequence in (1, 2):
+        writer.write_intent(command(STILL_UM), macros(sequence, STILL_UM), "estimate")
+    writer.close()
+    check, ledger = checked(path)
+    check.audit(2, None)
+    assert ledger.violations == 0
+    check.audit(1, None)
+    assert ledger.counts["audit_complete"].violated == 1
+
+
+def test_the_trace_of_the_records_is_one(stored: tuple[Path, Acknowledgements]) -> None:
+    """The keys hold number and millisecond: two cycles of the same number at other times are two."""
+    first, second = trace(EPOCH_S).first_byte, trace(EPOCH_S + 0.001).first_byte
+    assert cycle_key(1, utc_ms(first)) != cycle_key(1, utc_ms(second))
+    assert cycle_key(1, utc_ms(first)) != cycle_key(2, utc_ms(first))

@@ -1,0 +1,108 @@
+"""Virtual time: it passes when nothing else is to be done, and stands still while threads and sockets work."""
+
+import asyncio
+import socket
+import time
+from collections.abc import Coroutine
+from typing import Any
+
+from drivers.sim.virtual_time import VirtualClock, VirtualLoop
+
+
+class EmptyWorld:
+    """Nothing happens in it but the passing of time."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.held = 0
+
+    def pass_time(self, timeout_s: float | None) -> None:
+        assert timeout_s is not None, "the loop would wait for ever"
+        self.clock.monotonic_s += timeout_s
+
+    def hold(self) -> bool:
+        self.held -= self.held > 0
+        return self.held > 0
+
+
+def run(work: Coroutine[Any, Any, Any], clock: VirtualClock, world: EmptyWorld | None = None) -> Any:
+    loop = VirtualLoop(clock)
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        loop.inhabit(world or EmptyWorld(clock))
+        try:
+            return runner.run(work)
+        finally:
+            loop.inhabit(None)
+
+
+def test_a_month_of_waiting_takes_no_time() -> None:
+    clock = VirtualClock(epoch_utc_s=1000.0)
+
+    async def work() -> list[float]:
+        times = []
+        for _ in range(3):
+            await asyncio.sleep(10 * 86400.0)
+            times.append(clock.now().monotonic_s)
+        return times
+
+    assert run(work(), clock) == [864000.0, 1728000.0, 2592000.0]
+    assert clock.now().utc_s == 1000.0 + 2592000.0
+
+
+def test_time_outs_are_virtual() -> None:
+    clock = VirtualClock(epoch_utc_s=0.0)
+
+    async def work() -> bool:
+        try:
+            async with asyncio.timeout(5.0):
+                await asyncio.Event().wait()
+        except TimeoutError:
+            return True
+        return False
+
+    assert run(work(), clock)
+    assert abs(clock.monotonic_s - 5.0) < 1e-6
+
+
+def test_no_time_passes_while_a_thread_works() -> None:
+    clock = VirtualClock(epoch_utc_s=0.0)
+
+    async def work() -> tuple[str, float]:
+        timer = asyncio.create_task(asyncio.sleep(1000.0))
+        answer = await asyncio.to_thread(lambda: time.sleep(0.1) or "done")
+        passed_s = clock.monotonic_s
+        await timer
+        return answer, passed_s
+
+    assert run(work(), clock) == ("done", 0.0)
+    assert clock.monotonic_s >= 1000.0
+
+
+def test_a_socket_is_served_before_time_passes() -> None:
+    clock = VirtualClock(epoch_utc_s=0.0)
+
+    async def work() -> tuple[bytes, float]:
+        near, far = socket.socketpair()
+        far.send(b"hello\n")
+        reader, writer = await asyncio.open_connection(sock=near)
+        line = await reader.readline()
+        writer.close()
+        far.close()
+        return line, clock.monotonic_s
+
+    assert run(work(), clock) == (b"hello\n", 0.0)
+
+
+def test_time_waits_while_the_world_is_held() -> None:
+    clock = VirtualClock(epoch_utc_s=0.0)
+    world = EmptyWorld(clock)
+    world.held = 5
+    run(asyncio.sleep(1.0), clock, world)
+    assert world.held == 0
+    assert abs(clock.monotonic_s - 1.0) < 1e-6
+
+
+def test_the_calendar_can_be_set_without_touching_the_monotonic_clock() -> None:
+    clock = VirtualClock(epoch_utc_s=100.0, monotonic_s=7.0)
+    clock.utc_step_s = -50.0
+    assert (clock.now().utc_s, clock.now().monotonic_s, clock.now().real_s) == (57.0, 7.0, 7.0)

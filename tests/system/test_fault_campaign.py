@@ -1,0 +1,161 @@
+"""Half an hour of a fault campaign: machine and daemon in virtual time, killed, blinded, lied to."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.cli.demo import demo_machine
+from daemon.history import HistoryReader
+from daemon.rehearsal import campaign
+from daemon.rehearsal.campaign_result import Result, failures, numbers, summary
+from daemon.rehearsal.campaign_run import run_campaign
+from drivers.sim.campaign_script import DAY_S, Happening, Incident
+from drivers.sim.faults import FaultKind
+
+pytestmark = pytest.mark.wires
+
+SCRIPT = (
+    Happening(kind=FaultKind.FROZEN_CNC, at_s=280.0, duration_s=20.0),
+    Happening(kind=Incident.CUT_WRITE, at_s=330.0, amount=2.0, target=0),
+    Happening(kind=Incident.KILLED_IN_WRITE, at_s=370.0, duration_s=15.0, amount=1.0),
+    Happening(kind=Incident.BLIND, at_s=440.0, duration_s=110.0),
+    Happening(kind=Incident.LYING_CNC, at_s=600.0, duration_s=15.0, target=2),
+    Happening(kind=Incident.FOREIGN_WRITE, at_s=740.0, target=2),
+    Happening(kind=Incident.FULL_DISK, at_s=850.0, duration_s=30.0),
+    Happening(kind=Incident.CLOCK_STEP, at_s=900.0, amount=-3600.0),
+    Happening(kind=Incident.KILLED_DAEMON, at_s=960.0, duration_s=10.0),
+    Happening(kind=FaultKind.LOST_BYTES, at_s=1000.0, duration_s=30.0, target="spindle", amount=0.1),
+    Happening(kind=Incident.ZEROED, at_s=1060.0, duration_s=40.0),
+    Happening(kind=Incident.POWER_CYCLE, at_s=1150.0),
+)
+END_S = 1400.0
+
+
+def run(directory: Path, script: tuple[Happening, ...] = SCRIPT, *, end_s: float = END_S, **more: Any) -> Result:
+    more = {"progress": lambda text: None, "seed": 4} | more
+    return run_campaign(demo_machine(), directory, days=end_s / DAY_S, script=script, **more)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    directory = tmp_path_factory.mktemp("campaign")
+    return directory, run(directory)
+
+
+def test_nothing_is_violated_and_nothing_acknowledged_is_lost(played: tuple[Path, Result]) -> None:
+    _, result = played
+    assert failures(result) == []
+    assert result.lost == 0
+    assert result.acknowledged > 300
+    counts = result.ledger.counts
+    never = {name for name, count in counts.items() if not count.checked}
+    assert never == set(), "a part of a day checks every invariant"
+
+
+def test_every_incident_happened_and_was_got_over(played: tuple[Path, Result]) -> None:
+    _, result = played
+    assert set(result.incidents) == {happening.kind.value for happening in SCRIPT}
+    assert set(result.recovery_s) == set(result.incidents)
+    assert max(max(times) for times in result.recovery_s.values()) <= 15.0
+    assert result.lives == 3
+    assert {"ACTIVE", "HOLD", "FAULT", "OFF", "not running"} <= set(result.states_s)
+    assert sum(result.states_s.values()) == pytest.approx(END_S, abs=130.0)
+
+
+def test_the_store_tells_the_same_story(played: tuple[Path, Result]) -> None:
+    directory, _ = played
+    with HistoryReader(directory / "history.sqlite") as reader:
+        texts = [f"{event.kind} {event.text} {event.person}" for event in reader.events(0.0, 1e11)]
+    assert any("-> FAULT: read-back differs" in text for text in texts)
+    assert any("we wrote" in text and "-> FAULT" in text for text in texts)
+    assert any("acknowledge the fault" in text and f"pid {os.getpid()}" in text for text in texts)
+
+
+def test_the_result_is_json_and_words(played: tuple[Path, Result]) -> None:
+    _, result = played
+    content = json.loads(json.dumps(numbers(result), allow_nan=False))
+    assert {"invariants", "states_s", "recovery_s", "acknowledged_cycles_lost", "rss_growth_mib"} <= set(content)
+    assert all(set(count) == {"checked", "violated"} for count in content["invariants"].values())
+    assert all(set(times) == {"p50", "max"} for times in content["recovery_s"].values())
+    assert "0 violations" in summary(result)
+
+
+def test_the_same_seed_gives_the_same_run(tmp_path: Path) -> None:
+    script = (Happening(kind=FaultKind.NOISE, at_s=200.0, duration_s=60.0, target="saddle", amount=0.02),)
+    accounts = []
+    for name in ("first", "second"):
+        folder = tmp_path / name
+        folder.mkdir()
+        result = run(folder, script, end_s=400.0)
+        accounts.append((result.states_s, result.blocks, result.cycles, result.acknowledged))
+        with HistoryReader(folder / "history.sqlite") as reader:
+            accounts[-1] += ([(w.time_s, w.compensation_um) for w in reader.writes(0.0, 1e11)],)
+    assert accounts[0] == accounts[1]
+
+
+def test_a_daemon_that_dies_by_itself_and_a_greedy_one_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody else kills the daemon behind the campaign's back, and the limit of memory is none at all."""
+    monkeypatch.setattr(campaign, "GROWTH_MIB", -1.0)
+    killed: list[int] = []
+    start = campaign.Campaign._start
+
+    def start_and_kill(self: campaign.Campaign) -> Any:
+        process = start(self)
+        if not killed:
+            killed.append(process.pid)
+            os.kill(process.pid, signal.SIGKILL)
+        return process
+
+    monkeypatch.setattr(campaign.Campaign, "_start", start_and_kill)
+    result = run(tmp_path, (), end_s=200.0)
+    assert {name for name, count in result.ledger.counts.items() if count.violated} == {
+        "nothing_unexpected",
+        "memory_growth",
+    }
+    assert any("the daemon ended by itself" in text for text in failures(result))
+
+
+def toolpoint(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-P", "-m", "daemon.cli", "faults", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+
+
+def test_the_command_prints_its_contract() -> None:
+    done = toolpoint("--days", "0.01", "--seed", "2", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    assert content["days"] == pytest.approx(0.01, abs=0.001)
+    assert content["acknowledged_cycles_lost"] == 0
+    assert "day 0.00 of 0.01" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--days", "0"), "0.01<=x<=366"),
+        (("--days", "nan"), "finite"),
+        (("--seed", "-1"), "x>=0"),
+        (("--days", "0.01", "--directory", "/proc/none"), "cannot be used"),
+    ],
+)
+def test_bad_usage_is_refused_in_a_sentence(arguments: tuple[str, ...], sentence: str) -> None:
+    done = toolpoint(*arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    with contextlib.suppress(ValueError):
+        sentence = sentence.replace("x>=0", "0<=x<=2147483647")
+    assert sentence in done.stderr
