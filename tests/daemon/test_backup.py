@@ -5,37 +5,51 @@ import json
 import os
 import shutil
 import sqlite3
-import subprocess
 import sys
 import tarfile
 import time
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner, Result
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from control_rig import machine, record_for
+from control_rig import SENSOR_IDS, machine, record_for
 from other_user import OTHER, as_root
 from small_model import model
 
 from config.loader import load_configuration
 from config.schema.service import BackupConfig
+from daemon.app import Daemon
 from daemon.backup.making import existing_backups, make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.restoring import read_manifest, restore
 from daemon.backup.scheduling import BackupJob
+from daemon.cli import main
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.output.last_block import LastBlock
+from daemon.output.resume import reference_to_state
 from daemon.release.releasing import release, rollback
 from drivers.clock import SystemClock
+from models.records import Reference
 from models.thermal.artifact import model_to_json
 
 EVER = (0.0, 1e11)
+REFERENCE = Reference(
+    reference_id="r",
+    time=SystemClock().now(),
+    source="O1000 N100",
+    degc=np.full(len(SENSOR_IDS), 20.0),
+    program=1000,
+    work_offset=54,
+    power_on_count=7,
+)
 
 
 class Installation:
@@ -71,7 +85,7 @@ class Installation:
         writer = self.writer()
         writer.start()
         writer.put_state("wanted", {"y": True, "z": True})
-        writer.put_state("reference", {"reference_id": "r"})
+        writer.put_state("reference", reference_to_state(REFERENCE))
         writer.put_state("alive_utc_s", time.time())
         writer.event("note", "before the back-up", "anna")
         writer.close()
@@ -360,20 +374,37 @@ async def test_a_backup_that_fails_is_said_once(installation):
     assert kind == "backup" and "failed" in text
 
 
+async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):
+    text = installation.config_path.read_text(encoding="utf-8")
+    path_line = "history:\n"
+    assert path_line in text
+    more = f"{path_line}  backup:\n    directory: {installation.folder / 'backups'}\n"
+    installation.config_path.write_text(text.replace(path_line, more), encoding="utf-8")
+    daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
+    daemon._history.start()
+    assert daemon._backups is not None
+    await daemon._backups.run_if_due()
+    await daemon._history.flushed()
+    daemon._history.close()
+    (made,) = existing_backups(installation.folder / "backups", "Mill 7 (hall)")
+    with HistoryReader(installation.configuration.history.path) as reader:
+        said = reader.events(*EVER)[-1]
+    assert (said.kind, said.person) == ("backup", "daemon") and str(made) in said.text
+
+
 def test_the_commands(installation):
-    def toolpoint(*words: str) -> "subprocess.CompletedProcess[str]":
-        return subprocess.run(
-            [sys.executable, "-P", "-m", "daemon.cli", *words], capture_output=True, text=True, timeout=120, check=False
-        )
+    def toolpoint(*words: str) -> Result:
+        return CliRunner().invoke(main, words)
 
     config = ("--config", str(installation.config_path))
     nowhere = toolpoint("backup", *config)
-    assert nowhere.returncode == 2 and "history.backup.directory" in nowhere.stderr
-    made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", "-")
-    assert made.returncode == 0 and json.loads(made.stdout)["manifest"]["machine"] == "Mill 7 (hall)"
+    assert nowhere.exit_code == 2 and "history.backup.directory" in nowhere.output
+    made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", str(installation.folder / "j"))
+    said = json.loads((installation.folder / "j").read_text(encoding="utf-8"))
+    assert made.exit_code == 0 and said["manifest"]["machine"] == "Mill 7 (hall)"
     proved = toolpoint("restore", str(installation.folder / "b.tar"), "--verify", *config)
-    assert proved.returncode == 0 and "whole" in proved.stderr
+    assert proved.exit_code == 0 and "whole" in proved.output
     refused = toolpoint("restore", str(installation.folder / "b.tar"), *config)
-    assert refused.returncode == 1 and "--replace" in refused.stderr and "Traceback" not in refused.stderr
+    assert refused.exit_code == 1 and "--replace" in refused.output
     done = toolpoint("restore", str(installation.folder / "b.tar"), "--replace", *config)
-    assert done.returncode == 0 and "acknowledge" in done.stderr
+    assert done.exit_code == 0 and "acknowledge" in done.output

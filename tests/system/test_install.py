@@ -68,10 +68,16 @@ def current(prefix: Path) -> str:
 @pytest.mark.wires
 def test_install_upgrade_and_back(tmp_path: Path) -> None:
     prefix, root = tmp_path / "opt", tmp_path / "root"
-    first, second = bundle(tmp_path, "0.0.1"), bundle(tmp_path, "0.0.2")
-    done = install(first, prefix, "--root", str(root))
+    earlier = prefix / "0.0.1/bin/toolpoint"
+    earlier.parent.mkdir(parents=True)
+    earlier.write_text("#!/bin/sh\necho toolpoint, version 0.0.1\n", encoding="utf-8")
+    earlier.chmod(0o755)
+    (prefix / "current").symlink_to("0.0.1")
+
+    made = bundle(tmp_path, "0.0.2")
+    done = install(made, prefix, "--root", str(root))
     assert done.returncode == 0, done.stderr
-    assert current(prefix) == "0.0.1" and "systemctl restart toolpoint" in done.stdout
+    assert current(prefix) == "0.0.2" and "systemctl restart toolpoint" in done.stdout
     placed = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
     assert placed == {
         "etc/systemd/system/toolpoint.service",
@@ -82,17 +88,12 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
         "etc/udev/rules.d/60-toolpoint.rules",
     }
 
-    again = install(first, prefix, "--program-only")
-    assert again.returncode == 1 and "installed" in again.stderr and current(prefix) == "0.0.1"
-
-    done = install(second, prefix, "--program-only")
-    assert done.returncode == 0, done.stderr
-    assert current(prefix) == "0.0.2" and (prefix / "0.0.1/bin/toolpoint").exists()
-
-    back = install(second, prefix, "--switch", "0.0.1")
+    back = install(made, prefix, "--switch", "0.0.1")
     assert back.returncode == 0 and current(prefix) == "0.0.1"
-    nowhere = install(second, prefix, "--switch", "0.0.9")
+    nowhere = install(made, prefix, "--switch", "0.0.9")
     assert nowhere.returncode == 1 and "0.0.2" in nowhere.stderr and current(prefix) == "0.0.1"
+    again = install(made, prefix, "--program-only")
+    assert again.returncode == 1 and "installed" in again.stderr and current(prefix) == "0.0.1"
     assert sorted(path.name for path in prefix.iterdir()) == ["0.0.1", "0.0.2", "current"]
 
 
