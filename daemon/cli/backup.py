@@ -14,7 +14,11 @@ FAILED = 1
 
 @click.command()
 @click.argument("destination", required=False, type=click.Path(path_type=Path))
-@click.option("--keep", type=click.IntRange(min=1), help="Afterwards remove all but the newest N back-ups there.")
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    help="DESTINATION is a folder; afterwards remove all but its newest N back-ups.",
+)
 @config_option
 @json_option
 def backup(destination: Path | None, keep: int | None, config_path: Path, json_path: str | None) -> None:
@@ -27,14 +31,18 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
     from daemon.backup.manifest import BackupError
 
     configuration = read_configuration(config_path)
+    folder_wanted = destination is None or keep is not None
     if destination is None:
         if configuration.history.backup is None:
             refuse("name a DESTINATION, or set history.backup.directory in the configuration")
         destination = configuration.history.backup.directory
-        destination.mkdir(parents=True, exist_ok=True)
+    try:
+        if folder_wanted:
+            destination.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        click.echo(f"{destination}: this folder for back-ups cannot be made ({error.strerror})", err=True)
+        sys.exit(FAILED)
     into_folder = destination.is_dir()
-    if keep is not None and not into_folder:
-        raise click.UsageError("--keep removes old back-ups from a folder; name a folder as DESTINATION")
     name = backup_name(configuration.machine, datetime.now(UTC))
     path = destination / name if into_folder else destination
     try:
