@@ -113,9 +113,14 @@ def load_commissioning(path: Path) -> CommissioningRecord:
         raise CommissioningError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
+def commissioning_text(record: CommissioningRecord) -> str:
+    """Return a record as the text of its file."""
+    return json.dumps(record.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+
+
 def save_commissioning(record: CommissioningRecord, path: Path) -> None:
     """Write a record whole or not at all; raises CommissioningError, and the old file then stands."""
-    text = json.dumps(record.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+    text = commissioning_text(record)
     temporary = ""
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)

@@ -1,11 +1,10 @@
 """The report that a person signs: one HTML file, nothing loaded, nothing that runs, fit for paper."""
 
 import hashlib
-import json
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from config.commissioning import PROOF_TOLERANCE, CommissioningRecord, macro_map_digest
+from config.commissioning import PROOF_TOLERANCE, CommissioningRecord, commissioning_text, macro_map_digest
 from config.schema import Configuration
 
 STYLE = """
@@ -68,9 +67,8 @@ def report_html(record: CommissioningRecord, configuration: Configuration) -> st
 
 
 def record_digest(record: CommissioningRecord) -> str:
-    """Return the digest of a record's content, by which report and file can be held together."""
-    content = json.dumps(record.model_dump(mode="json"), sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    """Return the digest of a record's file as it is written, by which paper and file can be held together."""
+    return hashlib.sha256(commissioning_text(record).encode()).hexdigest()
 
 
 def _void(record: CommissioningRecord, configuration: Configuration) -> Iterable[str]:
@@ -92,7 +90,7 @@ def _facts(record: CommissioningRecord) -> Iterable[str]:
         ("Guard program, SHA-256", record.guard_program_sha256 or "not given"),
         ("Software", record.software or "not named"),
         ("Macro map, SHA-256", record.macro_map_sha256),
-        ("Record, format and SHA-256", f"{record.format_version}, {record_digest(record)}"),
+        ("Record, format and SHA-256 of its file", f"{record.format_version}, {record_digest(record)}"),
     )
     yield _table((), [(f"<b>{name}</b>", f"<code>{escape(value)}</code>") for name, value in rows])
 

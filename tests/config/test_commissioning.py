@@ -1,5 +1,6 @@
 """The commissioning record: what it must prove, how it is kept, and what it permits."""
 
+import hashlib
 import json
 import stat
 
@@ -18,6 +19,7 @@ from config.commissioning import (
 )
 from config.loader import load_configuration
 from config.machines import shipped_file
+from daemon.commissioning.report import record_digest
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.safe_point import GUARD_VERSION
 
@@ -61,6 +63,12 @@ def test_a_record_survives_the_way_over_the_disk(tmp_path):
     assert load_commissioning(path) == record()
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_the_digest_on_paper_is_that_of_the_file(tmp_path):
+    path = tmp_path / "record.json"
+    save_commissioning(record(), path)
+    assert record_digest(record()) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_a_record_that_cannot_be_written_leaves_the_old_one(tmp_path):
