@@ -37,6 +37,7 @@ layers: $(VENV)/.installed-dev
 # The reference pages that are made from the code.
 docs: $(VENV)/.installed
 	$(BIN)/python -P -m config.reference > docs/reference/configuration.md
+	$(BIN)/python -P -m config.spindle_reference > docs/reference/spindle-file.md
 	$(BIN)/python -P -m daemon.cli.reference > docs/reference/commands.md
 
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.

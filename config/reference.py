@@ -36,6 +36,13 @@ def configuration_reference() -> str:
     return "\n".join(lines) + "\n"
 
 
+def section_tables(section: type[BaseModel]) -> list[str]:
+    """Return the lines of the tables of a section and of those below it, for a file of its own."""
+    lines: list[str] = []
+    _append(lines, section, "")
+    return lines
+
+
 def _append(lines: list[str], section: type[BaseModel], path: str) -> None:
     """Append the table of a section, then those of the sections below it."""
     summary = (section.__doc__ or "").strip().splitlines()[0]

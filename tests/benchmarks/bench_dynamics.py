@@ -1,0 +1,154 @@
+"""What spindle dynamics cost: condensing, a nose response, identification, the tool point; beside ROSS and 4-35.
+
+    python tests/benchmarks/bench_dynamics.py [--repeat 200] [--without-ross]
+
+One thread. All are computed for the same spindle: the shaft of the source with rotor and sleeve on five bearings of
+twelve parameters, at 2817 frequencies. `literal` is 4-35 as printed: the receptance matrix of shaft and bearings,
+inverted twice. ROSS solves finite elements of 5 mm at a few frequencies; its time is scaled to 2817.
+"""
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from config.spindle import SpindleDescription, load_spindle, spindle_folder
+from config.spindle_chain import build_spindle
+from daemon.dynamics.responses import frequencies, properties
+from models.dynamics.assembly import CondensedAssembly
+from models.dynamics.bearings import CondensedShaft, properties_from_parameters
+from models.dynamics.chain import Chain
+from models.dynamics.coupling import ground_stiffness
+from models.dynamics.identification import FIXED, identify_bearings
+from models.dynamics.modes import dense_stiffness, natural_frequencies
+from models.records import FloatArray
+
+TRUE = {"ct_12": 2.5e3, "kr_12": 4e6, "kt_34": 1.2e8, "kt_5": 5e7, "ct_5": 3e3}
+ROSS_FREQUENCIES = 20
+
+
+def told(name: str) -> SpindleDescription:
+    return load_spindle(spindle_folder() / f"{name}.yaml")
+
+
+def timed(what: str, call: Callable[[], object], repeat: int, target: str = "") -> float:
+    """Print percentiles of the time by the clock, and the median of the processor's; return the latter [ms]."""
+    call()
+    wall, busy = [], []
+    for _ in range(repeat):
+        start, used = time.perf_counter(), time.thread_time()
+        call()
+        wall.append(time.perf_counter() - start)
+        busy.append(time.thread_time() - used)
+    p10, p50, p90 = np.percentile(wall, [10, 50, 90]) * 1e3
+    processor = float(np.median(busy)) * 1e3
+    print(
+        f"{what:44} p10 {p10:9.3f} p50 {p50:9.3f} p90 {p90:9.3f} processor {processor:9.3f} ms   {target}", flush=True
+    )
+    return processor
+
+
+def literal(chain: Chain, frequency_hz: FloatArray) -> Callable[[], np.ndarray]:
+    """Return 4-35 with both inverses over all points of the shaft, the receptance made beforehand."""
+    free = Chain(parts=chain.parts)
+    at_bearings = Chain(parts=chain.parts, supports=chain.supports)
+    stiffness, places = dense_stiffness(at_bearings, 500.0, 0.0, damped=True)
+    springs = [None] * len(places)
+    for support in chain.supports:
+        springs[int(np.argmin(np.abs(places - support.position_m)))] = support.properties
+    ground = ground_stiffness(springs, frequency_hz)
+    receptance = np.empty((len(frequency_hz), *stiffness.shape), dtype=complex)
+    for index, at in enumerate(frequency_hz):
+        dense, _ = dense_stiffness(Chain(parts=free.parts, supports=chain.supports), float(at), 0.0, damped=True)
+        receptance[index] = np.linalg.inv(dense - ground[index])
+
+    def double_inverse() -> np.ndarray:
+        return np.linalg.inv(np.linalg.inv(receptance) + ground)[:, 0, 0]
+
+    return double_inverse
+
+
+def ross_response(spindle: SpindleDescription) -> Callable[[], np.ndarray]:
+    """Return the nose response of the steel unit by ROSS at a few frequencies."""
+    import ross
+
+    material = ross.Material(name="steel", rho=7850, E=200e9, G_s=76.9e9)
+    elements, borders, node = [], [0.0], 0
+    for segment in spindle.segments:
+        count = int(np.ceil(segment.length_mm / 5.0 - 1e-9))
+        for _ in range(count):
+            tubes = [(segment.inner_mm, segment.outer_mm)]
+            if segment.ring:
+                tubes.append((segment.outer_mm, segment.ring.outer_mm))
+            for inner, outer in tubes:
+                elements.append(
+                    ross.ShaftElement(
+                        segment.length_mm / count / 1e3, inner / 1e3, outer / 1e3, material=material, n=node,
+                        gyroscopic=False,
+                    )
+                )  # fmt: skip
+            node += 1
+            borders.append(borders[-1] + segment.length_mm / count)
+    bearings = [
+        ross.BearingElement(int(np.argmin(np.abs(np.array(borders) - b.position_mm))), b.kt_n_per_m, b.ct_ns_per_m)
+        for b in spindle.bearings or ()
+    ]
+    rotor = ross.Rotor(elements, bearing_elements=bearings)
+    at = 2 * np.pi * np.linspace(300.0, 2500.0, ROSS_FREQUENCIES)
+    matrices = rotor.K(0), rotor.C(0), rotor.M(0)
+
+    def solve() -> np.ndarray:
+        force = np.zeros(len(matrices[0]))
+        force[0] = 1.0
+        each = [np.linalg.solve(matrices[0] + 1j * w * matrices[1] - w**2 * matrices[2], force)[0] for w in at]
+        return np.array(each)
+
+    return solve
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--repeat", type=int, default=200)
+    arguments.add_argument("--without-ross", action="store_true")
+    told_options = arguments.parse_args()
+    repeat = told_options.repeat
+    band = frequencies(300.0, 2500.0, None, None)
+    spindle = build_spindle(told("unit_model_5_y"), spindle_folder() / "unit_model_5_y.yaml", "correct")
+    stated = properties(spindle)
+    shaft = CondensedShaft(spindle.shaft, band)
+    true = {**FIXED[5], **TRUE}
+    measured = shaft.nose_receptance(properties_from_parameters(true))
+    print(f"{len(band)} frequencies, one thread")
+    timed(
+        "condense the shaft to nose and bearings", lambda: CondensedShaft(spindle.shaft, band), repeat // 10, "100 ms"
+    )
+    condensed = timed("nose response, 12 parameters", lambda: shaft.nose_receptance(stated), repeat, "1 ms")
+    timed("the same with all derivatives", lambda: shaft.nose_receptance_and_derivatives(stated), repeat)
+    tool = build_spindle(told("tool_cold_y"), spindle_folder() / "tool_cold_y.yaml")
+    assembly = CondensedAssembly(tool.assembly(), band)
+    timed("tool point from new bearing properties", lambda: assembly.receptance(stated), repeat, "5 ms")
+    timed("six natural frequencies", lambda: natural_frequencies(spindle.shaft, 6), repeat // 10)
+    for method, target in (("lm", "200 ms"), ("nelder-mead", "2000 ms")):
+        found = identify_bearings(shaft, measured, method=method)  # type: ignore[arg-type]
+        worst = max(abs(found.values[name] / true[name] - 1.0) for name in found.free)
+        timed(
+            f"five parameters by {method}",
+            lambda method=method: identify_bearings(shaft, measured, method=method),
+            max(repeat // 40, 2),
+            f"{target}; {found.evaluations} evaluations, worst error {worst:.1e}",
+        )
+    slow = timed("4-35 as printed, receptance given", literal(spindle.shaft, band), 2)
+    print(f"4-35 as printed costs {slow / condensed:.0f} times the condensed response")
+    if not told_options.without_ross:
+        few = timed(f"ROSS, 5 mm elements, {ROSS_FREQUENCIES} frequencies", ross_response(told("unit_model_6_y")), 3)
+        ratio = few * len(band) / ROSS_FREQUENCIES / condensed
+        print(f"ROSS at {len(band)} frequencies would cost {ratio:.0f} times the condensed response")
+
+
+if __name__ == "__main__":
+    main()
