@@ -59,6 +59,10 @@ class Telemetry:
         self.latest: tuple[str, Trace] | None = None
         """Line and trace of the latest cycle that went all the way to the read-back."""
         self._report_at_real_s: float | None = None
+        self._register_delays(registry)
+        self._register_output(registry)
+
+    def _register_delays(self, registry: CollectorRegistry) -> None:
         self._cycles = Counter("toolpoint_cycles", "Line cycles received", ["line", "complete"], registry=registry)
         self._stage = Histogram(
             "toolpoint_stage_seconds",
@@ -110,6 +114,8 @@ class Telemetry:
             buckets=DELAY_BUCKETS_S,
             registry=registry,
         )
+
+    def _register_output(self, registry: CollectorRegistry) -> None:
         self._writes = Counter("toolpoint_writes", "Macro block writes", ["outcome"], registry=registry)
         self._state = Gauge("toolpoint_output_state", "1 for the present output state", ["state"], registry=registry)
         self._axis = Gauge(
