@@ -8,6 +8,7 @@ import click
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.thermal_evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal_options import ProgressBar, hours_option
+from daemon.cli.thermal_sensors import sensors
 
 if TYPE_CHECKING:
     from daemon.training import Selection
@@ -30,10 +31,11 @@ def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 
 @click.group()
 def thermal() -> None:
-    """Thermal models: train them from recordings, and evaluate them."""
+    """Thermal models: train them from recordings, evaluate them, and compare sensors."""
 
 
 thermal.add_command(evaluate)
+thermal.add_command(sensors)
 
 
 @thermal.command()

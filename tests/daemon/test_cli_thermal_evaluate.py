@@ -244,3 +244,14 @@ def test_a_family_takes_no_options_of_the_increments(recording: Path, tmp_path: 
     arguments = ["thermal", "train", str(recording), "--model", "pls", "--b0", "-o", str(tmp_path / "m.json")]
     result = CliRunner().invoke(main, arguments)
     assert (result.exit_code, "--model chooses by itself" in result.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("method", ["forward", "lasso", "clusters"])
+def test_sensors_are_compared_on_what_is_left_out(recording: Path, method: str) -> None:
+    arguments = ["thermal", "sensors", str(recording), "--method", method, "--most", "3", "--json", "-"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert [step["count"] for step in found["selected"]] == [1, 2, 3]
+    assert {price["sensor"] for price in found["prices"]} == {"t1", "t2", "t3", "t4"}
+    assert found["folds"] == "cycle"
