@@ -241,6 +241,23 @@ async def test_offset_larger_than_the_guards_step_goes_in_legs(bench):
     assert bench.at_rest()
 
 
+async def test_the_block_stays_valid_while_a_person_takes_his_time(bench):
+    person = Person(bench)
+    validity_s = bench.configuration().compensation.output.validity_s
+    seen = []
+
+    async def slowly(question: str) -> float | None:
+        if bench.machine.guard.applied_um["z"] > 4.9 and not seen:
+            await bench.clock.sleep(1.3 * validity_s)
+            valid_until_s, status = bench.macro(120), bench.macro(515)
+            seen.append((valid_until_s is not None and valid_until_s > bench.machine.nc.clock_s, status))
+        return await Person.number(person, question)
+
+    person.number = slowly
+    assert await bench.commission(person, axes=("z",)) is not None
+    assert seen == [(True, 0.0)]
+
+
 # --- links, signals, strangers ---------------------------------------------------------
 
 
