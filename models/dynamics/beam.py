@@ -5,7 +5,7 @@ and ``B = E I theta'``, obeys ``x' = A x`` with a constant matrix. Its exponenti
 as ``C0 + C1 A + C2 A^2 + C3 A^3``; the four coefficients are entire functions of the two characteristic
 values and are summed as power series in the two coefficients of the characteristic polynomial. No root
 is taken, so nothing changes at the shear cut-off and nothing cancels on a segment of any shortness.
-Segments longer than `longest_element_m` are divided into equal elements and joined again, which is exact.
+Segments longer than `longest_element_m` are halved until they are not and joined again, which is exact.
 
 Rigid rotary inertia: the source normalises the rigid rotation mode of a segment (4-12) without its rotary
 inertia rho I L. `published` reproduces that: the receptance of a free segment gets a rank-one term, the
@@ -156,13 +156,14 @@ def segment_span(
 
     """
     highest = float(frequency_hz.max()) if highest_hz is None else highest_hz
-    pieces = int(np.ceil(segment.length_m / longest_element_m(segment, 2.0 * np.pi * highest)))
+    pieces = segment.length_m / longest_element_m(segment, 2.0 * np.pi * highest)
+    doublings = max(0, int(np.ceil(np.log2(pieces))))
     damping = segment.structural_damping if damped else 0.0
-    element = _element(segment.cut(segment.length_m / pieces), frequency_hz, damping)
-    span, clamped = element, np.zeros(len(frequency_hz), dtype=np.int64)
-    for _ in range(pieces - 1):
-        span, negative = join(span, element)
-        clamped += negative
+    span = _element(segment.cut(segment.length_m / 2**doublings), frequency_hz, damping)
+    clamped = np.zeros(len(frequency_hz), dtype=np.int64)
+    for _ in range(doublings):
+        span, negative = join(span, span)
+        clamped = 2 * clamped + negative
     if segment.rigid_rotary_inertia == "published":
         changed = _with_published_rotation(span, segment, frequency_hz)
         # Free natural frequencies stay where they are, so what one count loses the other gains.

@@ -5,6 +5,8 @@ below the shear cut-off one pair of exponentials that decay from either end (4-7
 replaced by what does not overflow), above it a second pair of circular functions, where 4-7 does not hold.
 """
 
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -77,13 +79,19 @@ def _elastic(segment: Segment, natural_hz: float, places_m: FloatArray) -> tuple
         ]
     )
     coefficients = np.linalg.svd(boundary / np.abs(boundary).max(axis=1, keepdims=True))[2][-1]
-    points, weights = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
+    points, weights = _quadrature()
     inside, weights = (points + 1.0) * length / 2.0, weights * length / 2.0
     phi, psi = wave.at(inside, 0) @ coefficients, wave.rotation(inside, 0) @ coefficients
     mass = weights @ (segment.mass_kg_per_m * phi**2 + segment.rotary_inertia_kgm * psi**2)
     found = np.column_stack([wave.at(places_m, 0) @ coefficients, wave.rotation(places_m, 0) @ coefficients])
     found /= np.sqrt(mass)
     return found[0], found[1]
+
+
+@cache
+def _quadrature() -> tuple[FloatArray, FloatArray]:
+    points, weights = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
+    return np.asarray(points), np.asarray(weights)
 
 
 class _Waves:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from models.dynamics.beam import Segment, Span, Values, published_excess, segment_span
 from models.dynamics.chain import Chain, SpringDamper, divide, natural_frequencies_below
@@ -111,6 +112,34 @@ def _mode(chain: Chain, frequency_hz: float, step_m: float) -> Mode:
         displacement=displacement / scale,
         rotation_per_m=rotation / scale,
     )
+
+
+def deflection_shape(
+    chain: Chain, frequency_hz: float, step_m: float = SHAPE_STEP_M
+) -> tuple[FloatArray, npt.NDArray[np.complex128]]:
+    """Return how a damped chain moves when its front is hit at one frequency: H_i1 of all points.
+
+    The source's mode shapes are this at the peak of the response (Figs. 4-10, 4-13, 5-15).
+
+    Parameters
+    ----------
+    chain
+        The chain with its supports and its damping.
+    frequency_hz
+        One frequency [Hz].
+    step_m
+        Largest distance between two points [m].
+
+    Returns
+    -------
+    tuple[ndarray, ndarray]
+        Positions from the front [m] and receptances to them from the front [m/N], shape (m,) each.
+
+    """
+    stiffness, position_m = dense_stiffness(chain, frequency_hz, step_m, damped=True)
+    force = np.zeros(len(stiffness))
+    force[0] = 1.0
+    return position_m, np.asarray(np.linalg.solve(stiffness, force)[::2], dtype=np.complex128)
 
 
 def _null_vector(matrix: Values) -> FloatArray:

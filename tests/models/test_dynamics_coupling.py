@@ -24,7 +24,7 @@ from models.dynamics.coupling import (
     segment_receptance,
 )
 from models.dynamics.mac import at_points, modal_assurance
-from models.dynamics.modes import dense_stiffness, modes, natural_frequencies
+from models.dynamics.modes import deflection_shape, dense_stiffness, modes, natural_frequencies
 from models.dynamics.section import Elasticity, Tube, beam_segment
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -211,13 +211,39 @@ def test_derivatives_by_every_parameter() -> None:
         assert derivatives[name] == pytest.approx(slope, rel=2e-2, abs=1e-3 * abs(slope).max()), name
 
 
-def test_natural_frequencies_on_supports_are_where_the_undamped_response_is_singular() -> None:
-    chain = shaft()
+@pytest.mark.parametrize("inertia", ["correct", "published"])
+def test_natural_frequencies_on_supports_are_where_the_undamped_response_is_singular(inertia: str) -> None:
+    parts = tuple(replace(part, rigid_rotary_inertia=inertia) for part in shaft().segments)
+    chain = replace(shaft(), parts=parts)
     lever = np.tile([1.0, 50.0], len(dense_stiffness(chain, 500.0, 0.01, damped=False)[1]))
     for frequency in natural_frequencies(chain, 4):
         stiffness, _ = dense_stiffness(chain, float(frequency), 0.01, damped=False)
         values = np.linalg.eigvalsh(stiffness * lever[:, None] * lever)
         assert np.min(np.abs(values)) < 1e-9 * np.max(np.abs(values))
+
+
+@pytest.mark.parametrize("inertia", ["correct", "published"])
+def test_no_natural_frequency_is_missed_and_none_is_spurious(inertia: str) -> None:
+    """Sign changes of the dense determinant on a fine grid, counted without the condensed chain."""
+    parts = tuple(replace(part, rigid_rotary_inertia=inertia) for part in shaft().segments)
+    chain = replace(shaft(), parts=parts)
+    found = natural_frequencies(chain, 6)
+    lever = np.tile([1.0, 50.0], len(dense_stiffness(chain, 500.0, 0.01, damped=False)[1]))
+    negative = []
+    for at in (0.999 * found[0], *(0.5 * (found[1:] + found[:-1]))):
+        stiffness, _ = dense_stiffness(chain, float(at), 0.01, damped=False)
+        negative.append(int(np.sum(np.linalg.eigvalsh(stiffness * lever[:, None] * lever) < 0.0)))
+    # Points 10 mm apart: no part clamped at both its points has a natural frequency here, so the count is complete.
+    assert negative == list(range(6))
+
+
+def test_a_shape_at_the_peak_is_nearly_the_mode() -> None:
+    chain = replace(shaft(), supports=())
+    (mode,) = modes(chain, 1)
+    position_m, deflection = deflection_shape(chain, mode.frequency_hz)
+    assert position_m == pytest.approx(mode.position_m)
+    assert modal_assurance(deflection, mode.displacement) > 0.9999
+    assert deflection[0] == pytest.approx(CondensedShaft(chain, np.array([mode.frequency_hz])).nose_receptance({})[0])
 
 
 def test_an_elastic_joint_lowers_frequencies_and_a_stiff_one_does_not() -> None:

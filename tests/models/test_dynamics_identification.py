@@ -158,9 +158,10 @@ def test_averaging_reduces_noise_and_shows_it_as_coherence() -> None:
         (measurement(size=0.1), "is the unit um/N"),
         (measurement(low=1200.0, high=1260.0), "from 1200 to 1260 Hz is too narrow"),
         (measurement(low=1200.0, high=2000.0), "holds no resonance"),
+        (measurement(size=-1e-7), "the imaginary part is positive"),
         (measurement(points=12), "12 frequencies cannot determine 5"),
     ],
-    ids=["unit", "narrow", "no peak", "few"],
+    ids=["unit", "narrow", "no peak", "sign", "few"],
 )
 def test_unfit_measurements_are_refused(bad: Measurement, words: str) -> None:
     with pytest.raises(MeasurementError, match=words):
