@@ -43,7 +43,7 @@ async def test_metrics_carry_the_stages_and_the_published_figures():
     port = free_port()
 
     def work(telemetry):
-        telemetry.feedback.add(0.002)
+        telemetry.delays["feedback"].add(0.002)
         assert get(f"http://127.0.0.1:{port}/healthz")[0] == 200
         status, kind, text = get(f"http://127.0.0.1:{port}/metrics")
         assert status == 200 and kind.startswith("text/plain")
