@@ -54,8 +54,9 @@ def _distributions(axes: Sequence[Axes], moves: Sequence[Move], numbers: dict[st
         label=f"published measurement: more than {published['measurement_s']:g} s*",
     )
     bars.set_xticks(at)
+    bars.set_ylim(0.0, 1.45 * max([published["total_s"], *total]))
     bars.set(xlabel="move", ylabel="delay [s]", title=_title(numbers))
-    bars.legend(fontsize="small")
+    bars.legend(fontsize="small", loc="upper left")
     if moves:
         box.boxplot([measurement, total], widths=0.6)
     box.set_xticks([1, 2], ["measurement", "and feedback"])

@@ -90,7 +90,7 @@ def _delay(
     first = _first_changed(setting, account, (time_s, next_s), rises)
     change = _changed_macro(setting, account, first, next_s, rises)
     record = _write_of(setting, audit, change, epoch_utc_s)
-    cause = [event for event in account.passes if event["real_s"] <= change["real_s"]][-1]
+    cause = _cause_of(setting, account, change, record)
     product_s = record.delay_s["read_back"]
     held_back_s = cause["end_s"] - first["end_s"]
     if record.cause == "tick":  # written between two cycles: held back until then, on the machine's clock
@@ -139,6 +139,21 @@ def _changed_macro(
         if direction * (event["value"] - before[-1]) >= least:
             return event
     raise LookupError("the macro did not change before the next one")
+
+
+def _cause_of(setting: Setting, account: Account, change: dict[str, Any], record: WriteRecord) -> dict[str, Any]:
+    """Return the pass whose cycle changed the macro: by the daemon's trace it ended this long before.
+
+    At a high speed the passes of other lines end within the product's share, so the latest one need not be it.
+    """
+    ended_real_s = change["real_s"] - record.delay_s["written"]
+    own_line_only = setting.experiment.mode == "temperature"
+    passes = [
+        event
+        for event in account.passes
+        if event["real_s"] <= change["real_s"] and not (own_line_only and event["line"] != setting.line)
+    ]
+    return min(passes, key=lambda event: abs(event["real_s"] - ended_real_s))
 
 
 def _write_of(

@@ -47,7 +47,7 @@ def write(value, macro, at_s, *, cause="temperature", product_s=PRODUCT_S, outco
         applied_um={},
         outcome_time_s=None,
         cycle_time_s=None,
-        delay_s={"read_back": product_s},
+        delay_s={"written": product_s / 2, "read_back": product_s},
     )
 
 
@@ -114,6 +114,23 @@ def test_the_product_counts_wall_seconds_whatever_the_speed(speed):
     assert all(move.feedback_s == PRODUCT_S for move in moves)
 
 
+@pytest.mark.parametrize("mode", ["temperature", "compensation"])
+def test_a_pass_of_another_line_within_the_products_share_is_not_the_cause(mode):
+    """At 600 times the speed the lines' passes end milliseconds apart."""
+    machine = Machine(setting(mode, speed=600.0))
+    if mode == "compensation":
+        answer(machine)
+    others = [
+        event | {"line": "another", "degc": None, "end_s": event["end_s"] + 0.6, "real_s": event["real_s"] + 0.001}
+        for event in machine.passes
+    ]
+    machine.passes = sorted([*machine.passes, *others], key=lambda event: event["real_s"])
+    moves, problems = machine.delays()
+    assert problems == []
+    assert all(move.held_back_s == 0.0 for move in moves)
+    assert all(move.seen_by_machine_s == pytest.approx(PRODUCT_S / 2) for move in moves)
+
+
 def test_cycles_that_hold_a_step_back_are_feedback_on_the_machines_clock():
     moves, problems = Machine(setting(cleansing=True), held=4).delays()
     assert problems == []
@@ -131,12 +148,17 @@ def test_a_sensor_that_answers_after_its_next_reading_takes_two_samples():
         assert move.measurement_s > 12.0
 
 
-def test_compensation_moves_against_the_temperature():
-    machine = Machine(setting("compensation"))
+def answer(machine):
+    """Let the macro answer as compensation does: against the temperature, in millimetres."""
     for event, record in zip(machine.macros, list(machine.audit), strict=True):
         value = -0.0001 * event["value"]
         event["value"] = value
         machine.audit.append(write(value, machine.setting.script.macro, record.time_s - EPOCH_UTC_S, cause="estimate"))
+
+
+def test_compensation_moves_against_the_temperature():
+    machine = Machine(setting("compensation"))
+    answer(machine)
     moves, problems = machine.delays()
     assert problems == [] and len(moves) == 3
     for event in machine.macros:
