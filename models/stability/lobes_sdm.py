@@ -153,7 +153,7 @@ def semi_discretised_over_feed_directions(
     points: int,
     max_depth_mm: float | None = None,
     steps: int | None = None,
-    step_deg: float = 15.0,
+    step_deg: float = 22.5,
 ) -> StabilityLobes:
     """Return, at each speed, the lowest lobes over feed directions `step_deg` [deg] apart; else as above."""
     return lowest_of(

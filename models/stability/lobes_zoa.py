@@ -105,7 +105,7 @@ def zeroth_order_lobes(
 
 
 def lowest_over_feed_directions(
-    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int, step_deg: float = 15.0
+    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int, step_deg: float = 22.5
 ) -> StabilityLobes:
     """Return, at each speed, the lowest lobes over all feed directions.
 

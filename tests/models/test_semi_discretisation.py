@@ -16,7 +16,12 @@ from models.stability.response import (
     mode_from_residue,
     mode_from_stiffness,
 )
-from models.stability.semi_discretisation import chatter_frequency_hz, semi_discretisation, spectral_radius
+from models.stability.semi_discretisation import (
+    chatter_frequency_hz,
+    default_steps,
+    semi_discretisation,
+    spectral_radius,
+)
 from models.stability.state_space import state_space
 
 BENCHMARK = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
@@ -107,6 +112,14 @@ def test_a_chart_is_the_radius_at_every_point() -> None:
     for i, speed in enumerate(speeds):
         for j, depth in enumerate(depths):
             assert chart[i, j] == pytest.approx(radius(BENCHMARK, cut("up", 5.0), speed, depth, 40))
+
+
+def test_a_faint_mode_far_above_takes_no_steps() -> None:
+    faint = mode_from_stiffness(6000.0, 0.05, 1e9)
+    with_it = ModalResponse(xx=(*BENCHMARK.xx, faint))
+    case = cut("slot", 10.0)
+    assert default_steps(state_space(with_it), case, 3000.0) == default_steps(state_space(BENCHMARK), case, 3000.0)
+    assert radius(with_it, case, 9000.0, 0.6, 40) == pytest.approx(radius(with_it, case, 9000.0, 0.6, 320), abs=2e-3)
 
 
 def test_opposite_feed_and_equal_structures_change_nothing() -> None:
