@@ -12,8 +12,10 @@ from drivers.sim.campaign_script import Happening
 
 EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
 """Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
-POLL_S = TICK_S = 2.0
-"""The CNC is polled, and the output renewed, this often; a safe point lasts 5 s [s]."""
+POLL_S = 2.0
+"""The CNC is polled this often; a safe point lasts 5 s [s]."""
+TICK_S = 3.0
+"""The output is renewed this often without a new estimate, so that it is not always just after a poll [s]."""
 
 
 def run_campaign(
