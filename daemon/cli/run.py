@@ -1,6 +1,7 @@
 """`toolpoint run`: the daemon in the foreground, as systemd starts it."""
 
 import asyncio
+import sys
 from pathlib import Path
 
 import click
@@ -10,6 +11,10 @@ from daemon.cli.common import config_option, read_configuration, refuse
 from daemon.history.database import HistoryError
 from daemon.operation.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
+
+THREAD_TURN_S = 0.0005
+"""A thread that computes (store, serial lines) gives way to the loop after this; Python's own 5 ms are a whole
+feedback [s]."""
 
 
 def parse_simulated_clock(text: str) -> ScaledClock:
@@ -34,6 +39,7 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     configuration = read_configuration(config_path)
     configure_logging(configuration.service.log_level)
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
+    sys.setswitchinterval(THREAD_TURN_S)
     try:
         asyncio.run(Daemon(configuration, clock, config_path=config_path).run())
     except HistoryError as error:
