@@ -33,7 +33,10 @@ class OpcUaSecurityConfig(Section):
     certificate: Path = Field(
         description="the daemon's certificate (DER or PEM)", examples=["/etc/toolpoint/pki/toolpoint.der"]
     )
-    private_key: Path = Field(description="its private key (PEM)", examples=["/etc/toolpoint/pki/toolpoint.pem"])
+    private_key: Path = Field(
+        description="its private key (PEM), readable by the daemon only",
+        examples=["/run/credentials/toolpoint.service/toolpoint-key.pem"],
+    )
     server_certificate: Path = Field(
         description="the CNC's certificate; no other server is accepted", examples=["/etc/toolpoint/pki/cnc.der"]
     )

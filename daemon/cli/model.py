@@ -38,7 +38,7 @@ def release_command(
 
     Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands.
     """
-    from daemon.release.releasing import person_now, proposals_folder, release, release_by_policy
+    from daemon.release.releasing import person_now, proposal_named, release, release_by_policy
     from daemon.release.shelf import ReleaseError
 
     if (proposal is None) != by_policy:
@@ -48,10 +48,9 @@ def release_command(
         if proposal is None:
             record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
         else:
-            waiting = proposals_folder(configuration) / proposal
-            path = waiting if not proposal.exists() and waiting.exists() else proposal
+            path = proposal_named(configuration, proposal)
             record = release(configuration, path, person=person_now(), note=note)
-    except ReleaseError as error:
+    except (ReleaseError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(REFUSED)
     if record is None:
@@ -74,7 +73,7 @@ def rollback(number: int | None, note: str, config_path: Path, json_path: str | 
     configuration = read_configuration(config_path)
     try:
         record = releasing.rollback(configuration, person=releasing.person_now(), to=number, note=note)
-    except ReleaseError as error:
+    except (ReleaseError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(REFUSED)
     _done(record, json_path)
@@ -94,14 +93,14 @@ def _done(record: "ReleaseRecord", json_path: str | None) -> None:
 @json_option
 def list_command(config_path: Path, json_path: str | None) -> None:
     """Show every release, which one is active, and the proposals that wait."""
-    from daemon.release.releasing import proposals, shelf_of
+    from daemon.release.releasing import proposals, shelf_of, why_proposals_are_hidden
     from daemon.release.shelf import ReleaseError
 
     configuration = read_configuration(config_path)
     try:
         shelf = shelf_of(configuration)
         active = shelf.active()
-    except ReleaseError as error:
+    except (ReleaseError, OSError) as error:
         refuse(str(error))
     records, waiting = shelf.records(), proposals(configuration)
     number = active.number if active is not None else None
@@ -126,6 +125,8 @@ def list_command(config_path: Path, json_path: str | None) -> None:
         )
     if not records:
         click.echo("no model has been released")
+    if hidden := why_proposals_are_hidden(configuration):
+        click.echo(hidden, err=True)
     for proposal in waiting:
         click.echo(
             f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.obstacle}".rstrip()

@@ -100,7 +100,13 @@ def connect_writer(path: Path) -> sqlite3.Connection:
 
 def connect_reader(path: Path) -> sqlite3.Connection:
     """Open a connection that cannot write. Raises HistoryError with what to do."""
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:
+        raise HistoryError(
+            f"{path}: cannot be read ({error.strerror}); the state of the installed service is for root alone: use sudo"
+        ) from error
+    if not there:
         raise HistoryError(f"{path}: there is no history store; give the path that the daemon writes to")
     connection = _open_read_only(path)
     try:

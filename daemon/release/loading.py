@@ -51,10 +51,17 @@ class LoadedModel:
 
 def load_released(configuration: Configuration, account: Account) -> LoadedModel:
     """Return the configured model as this account may use it; deny by default."""
-    compensation = configuration.compensation
-    path = compensation.model_file
+    path = configuration.compensation.model_file
     if path is None:
         return LoadedModel(model=None, obstacle="no thermal model is configured (compensation.model_file)")
+    try:
+        return _load(configuration, path, account)
+    except OSError as error:
+        return LoadedModel(model=None, obstacle=f"{path}: the thermal model cannot be read ({error.strerror})")
+
+
+def _load(configuration: Configuration, path: Path, account: Account) -> LoadedModel:
+    compensation = configuration.compensation
     real = Path(os.path.realpath(path))
     if not real.exists():
         return LoadedModel(

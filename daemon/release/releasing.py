@@ -133,6 +133,27 @@ def rollback(configuration: Configuration, *, person: str, to: int | None = None
     return record
 
 
+def proposal_named(configuration: Configuration, given: Path) -> Path:
+    """Return the file that a person means: a path, or a name among the proposals."""
+    waiting = proposals_folder(configuration) / given
+    try:
+        return waiting if not given.exists() and waiting.exists() else given
+    except OSError:
+        return given
+
+
+def why_proposals_are_hidden(configuration: Configuration) -> str:
+    """Return why this account cannot see the proposals, '' when it can or there are none."""
+    folder = proposals_folder(configuration)
+    try:
+        os.scandir(folder).close()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return f"{folder}: the proposals cannot be read ({error.strerror}); the state is for root alone: use sudo"
+    return ""
+
+
 def proposals(configuration: Configuration) -> Sequence[Proposal]:
     """Return the proposals that wait, the oldest first, each with what stands against it."""
     folder = proposals_folder(configuration)

@@ -22,10 +22,18 @@ from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.compensation import ReleaseConfig
 from daemon.cli import main
+from daemon.history import HistoryReader
 from daemon.release.loading import load_released
 from daemon.release.proposing import propose
 from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
-from daemon.release.releasing import proposals, release, release_by_policy, rollback, shelf_of
+from daemon.release.releasing import (
+    proposals,
+    release,
+    release_by_policy,
+    rollback,
+    shelf_of,
+    why_proposals_are_hidden,
+)
 from daemon.release.shelf import ReleaseError
 from models.thermal.artifact import model_to_json
 from models.thermal.model import ThermalModel
@@ -136,6 +144,18 @@ def test_the_daemons_account_is_known_by_its_store(folder):
     os.chown(folder / "state", OTHER, OTHER)
     account = account_of_daemon(configuration.history.path)
     assert (account.user_id, account.group_ids) == (OTHER, frozenset({OTHER}))
+
+
+@as_root
+def test_a_folder_that_is_closed_is_named_and_breaks_nothing(folder):
+    configuration = configured(folder)
+    release(configuration, proposal(folder, model()), person="anna")
+    for name in ("models", "state"):
+        (folder / name).chmod(0o700)
+    obstacle = as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+    assert "cannot be read (Permission denied)" in obstacle
+    assert "use sudo" in as_user(OTHER, lambda: why_proposals_are_hidden(configuration))
+    assert "use sudo" in as_user(OTHER, lambda: str(HistoryReader(configuration.history.path)))
 
 
 # --- releasing -------------------------------------------------------------------------------
