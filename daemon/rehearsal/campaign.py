@@ -31,6 +31,7 @@ NAMES = (
     "acknowledged_cycles_kept",
     "audit_complete",
     "audit_has_every_block",
+    "displacements_once",
     "nothing_unexpected",
     "memory_growth",
 )
@@ -205,6 +206,7 @@ class Campaign:
             self._bury()
             self._store.audit(self._ends_by_force, self._blocks, written=self.result.blocks > 0)
         self._store.acknowledged_cycles(self._acknowledged, all_of_them=True)
+        self._store.displacements()
         result = self.result
         result.recovery_s = self._recovery.times_s
         result.not_judged = self._recovery.disturbed

@@ -84,3 +84,18 @@ class StoreCheck:
             self._ledger.check(
                 "audit_has_every_block", sequence in audited, f"block {sequence:g} reached the CNC and is not audited"
             )
+
+    def displacements(self) -> None:
+        """Check that no row of the logger's file was stored twice, whatever became of the file."""
+        try:
+            with HistoryReader(self._path) as reader:
+                times_s = reader.displacements(*EVER).time_s
+        except HistoryError as error:
+            self._ledger.check("displacements_once", False, str(error))
+            return
+        twice = int(times_s.size - np.unique(times_s).size)
+        count = self._ledger.counts["displacements_once"]
+        count.checked += int(times_s.size)
+        count.violated += twice
+        if twice:
+            count.examples.append(f"{twice} of {times_s.size} rows of the displacement file are stored twice")

@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from history_records import EPOCH_S, SMALL, StillClock, command, cycle, macros, receipt, trace
+from history_records import EPOCH_S, SMALL, StillClock, command, cycle, displacement, macros, receipt, trace
 
 from daemon.history.rows import utc_ms
 from daemon.history.writer import HistoryWriter
@@ -17,7 +17,7 @@ from daemon.rehearsal.campaign_process import Acknowledgements, cycle_key
 from daemon.rehearsal.campaign_store import StoreCheck
 from daemon.rehearsal.invariants import Ledger
 
-NAMES = ("acknowledged_cycles_kept", "audit_complete", "audit_has_every_block")
+NAMES = ("acknowledged_cycles_kept", "audit_complete", "audit_has_every_block", "displacements_once")
 SENSORS = {"spindle": 13, "bed": 21}
 STILL_UM = np.zeros(3)
 
@@ -99,6 +99,19 @@ def test_more_open_intents_than_kills_are_found(tmp_path: Path) -> None:
     assert ledger.violations == 0
     check.audit(1, None)
     assert ledger.counts["audit_complete"].violated == 1
+
+
+def test_a_row_that_is_stored_twice_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for minute in (1, 2, 2, 3):
+        writer.displacement(displacement(EPOCH_S + 60.0 * minute, STILL_UM))
+    writer.close()
+    check, ledger = checked(path)
+    check.displacements()
+    count = ledger.counts["displacements_once"]
+    assert (count.checked, count.violated) == (4, 1)
 
 
 def test_the_trace_of_the_records_is_one(stored: tuple[Path, Acknowledgements]) -> None:
