@@ -166,6 +166,22 @@ def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
 def descend(
     model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], iterations: int
 ) -> Found:
+    """Return where Levenberg and Marquardt's method ends from one start (see `levenberg_marquardt`).
+
+    Parameters
+    ----------
+    model
+        Response and derivatives.
+    measured
+        Measured response, shape (n,).
+    free
+        Names of the parameters to vary.
+    start
+        Where to begin, by name.
+    iterations
+        At most so many.
+
+    """
     low, high = _limits(free)
     at = np.clip(np.log([max(start[name], 1e-300) for name in free]), low, high)
     residual, jacobian = _residual(model, measured, free, at)
