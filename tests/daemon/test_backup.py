@@ -7,102 +7,24 @@ import shutil
 import sqlite3
 import sys
 import tarfile
-import time
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
-import yaml
-from click.testing import CliRunner, Result
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from control_rig import SENSOR_IDS, machine, record_for
+from installation import Installation
 from other_user import OTHER, as_root
-from small_model import model
 
 from config.loader import load_configuration
-from config.schema.service import BackupConfig
-from daemon.app import Daemon
-from daemon.backup.making import existing_backups, make_backup, remove_old
+from daemon.backup.making import existing_backups, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.restoring import read_manifest, restore
-from daemon.backup.scheduling import BackupJob
-from daemon.cli import main
 from daemon.history import HistoryReader
-from daemon.history.layout import MachineLayout
-from daemon.history.writer import HistoryWriter
-from daemon.output.last_block import LastBlock
-from daemon.output.resume import reference_to_state
-from daemon.release.releasing import release, rollback
-from drivers.clock import SystemClock
-from models.records import Reference
-from models.thermal.artifact import model_to_json
+from daemon.release.releasing import rollback
 
 EVER = (0.0, 1e11)
-REFERENCE = Reference(
-    reference_id="r",
-    time=SystemClock().now(),
-    source="O1000 N100",
-    degc=np.full(len(SENSOR_IDS), 20.0),
-    program=1000,
-    work_offset=54,
-    power_on_count=7,
-)
-
-
-class Installation:
-    """Configuration, store, models and record of one machine in a folder, as files name them."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.config_path = folder / "etc/toolpoint.yaml"
-        for name in ("etc", "state", "models"):
-            (folder / name).mkdir(parents=True)
-        rig = machine(folder / "state")
-        content = json.loads(rig.model_dump_json(exclude_defaults=True))
-        content["machine"] = "Mill 7 (hall)"
-        content["history"] = {"path": "../state/history.sqlite"}
-        content["compensation"] |= {
-            "model_file": "../models/model.json",
-            "commissioning_file": "commissioning.json",
-            "allow_writable_model_directory": True,
-        }
-        self.config_path.write_text("# written by hand\n" + yaml.safe_dump(content), encoding="utf-8")
-        self.configuration = load_configuration(self.config_path)
-        (folder / "etc/commissioning.json").write_text(record_for(rig).model_dump_json(), encoding="utf-8")
-
-    def writer(self) -> HistoryWriter:
-        return HistoryWriter(
-            self.configuration.history.path,
-            clock=SystemClock(),
-            machine=MachineLayout.from_configuration(self.configuration),
-        )
-
-    def fill(self) -> None:
-        """Leave what a daemon that was killed at work leaves."""
-        writer = self.writer()
-        writer.start()
-        writer.put_state("wanted", {"y": True, "z": True})
-        writer.put_state("reference", reference_to_state(REFERENCE))
-        writer.put_state("alive_utc_s", time.time())
-        writer.event("note", "before the back-up", "anna")
-        writer.close()
-        kept = LastBlock.beside(self.configuration.history.path)
-        kept.keep({500: (7.0,), 503: (0.01,)})
-        kept.close()
-
-    def release(self, *names: str) -> None:
-        for name in names:
-            path = self.folder / f"{name}.json"
-            path.write_text(model_to_json(model(name)), encoding="utf-8")
-            release(self.configuration, path, person="anna")
-
-    def backup(self, name: str = "backup.tar") -> Path:
-        path = self.folder / name
-        make_backup(self.configuration, self.config_path, path)
-        return path
 
 
 @pytest.fixture
@@ -341,70 +263,3 @@ def test_half_a_restoration_is_undone(installation, monkeypatch):
     after = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
     lock = Path(f"{installation.configuration.history.path}.lock")
     assert {k: v for k, v in after.items() if k != lock} == {k: v for k, v in before.items() if k != lock}
-
-
-# --- the daemon's own ------------------------------------------------------------------------
-
-
-async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):
-    folder, said = installation.folder / "backups", []
-    config = BackupConfig(directory=folder, every_hours=1.0, keep=2)
-    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
-    assert job.due(time.time())
-    folder.mkdir()
-    await job.run_if_due()
-    (made,) = existing_backups(folder, "Mill 7 (hall)")
-    read_manifest(made)
-    assert said[0][0] == "backup" and str(made) in said[0][1] and "MiB" in said[0][1]
-    await job.run_if_due()
-    assert len(said) == 1, "the newest is young"
-    now_s = made.stat().st_mtime
-    (folder / "toolpoint-mill-7-hall-20990101T000000Z.tar").touch()
-    os.utime(folder / "toolpoint-mill-7-hall-20990101T000000Z.tar", (4e9, 4e9))
-    assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
-
-
-async def test_a_backup_that_fails_is_said_once(installation):
-    said: list[tuple[str, str]] = []
-    config = BackupConfig(directory=installation.folder / "etc/toolpoint.yaml/no", every_hours=1.0)
-    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
-    for _ in range(2):
-        await job.run_if_due()
-    ((kind, text),) = said
-    assert kind == "backup" and "failed" in text
-
-
-async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):
-    text = installation.config_path.read_text(encoding="utf-8")
-    path_line = "history:\n"
-    assert path_line in text
-    more = f"{path_line}  backup:\n    directory: {installation.folder / 'backups'}\n"
-    installation.config_path.write_text(text.replace(path_line, more), encoding="utf-8")
-    daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
-    daemon._history.start()
-    assert daemon._backups is not None
-    await daemon._backups.run_if_due()
-    await daemon._history.flushed()
-    daemon._history.close()
-    (made,) = existing_backups(installation.folder / "backups", "Mill 7 (hall)")
-    with HistoryReader(installation.configuration.history.path) as reader:
-        said = reader.events(*EVER)[-1]
-    assert (said.kind, said.person) == ("backup", "daemon") and str(made) in said.text
-
-
-def test_the_commands(installation):
-    def toolpoint(*words: str) -> Result:
-        return CliRunner().invoke(main, words)
-
-    config = ("--config", str(installation.config_path))
-    nowhere = toolpoint("backup", *config)
-    assert nowhere.exit_code == 2 and "history.backup.directory" in nowhere.output
-    made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", str(installation.folder / "j"))
-    said = json.loads((installation.folder / "j").read_text(encoding="utf-8"))
-    assert made.exit_code == 0 and said["manifest"]["machine"] == "Mill 7 (hall)"
-    proved = toolpoint("restore", str(installation.folder / "b.tar"), "--verify", *config)
-    assert proved.exit_code == 0 and "whole" in proved.output
-    refused = toolpoint("restore", str(installation.folder / "b.tar"), *config)
-    assert refused.exit_code == 1 and "--replace" in refused.output
-    done = toolpoint("restore", str(installation.folder / "b.tar"), "--replace", *config)
-    assert done.exit_code == 0 and "acknowledge" in done.output

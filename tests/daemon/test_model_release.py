@@ -3,25 +3,20 @@
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from control_rig import machine
+from model_shelf import configured, open_folder, proposal
 from other_user import OTHER, as_root, as_user, in_child
 from small_model import model
 
-from config.sample import sample_configuration
-from config.schema import Configuration
 from config.schema.compensation import ReleaseConfig
-from daemon.cli import main
 from daemon.history import HistoryReader
 from daemon.release.loading import load_released
 from daemon.release.proposing import propose
@@ -29,7 +24,6 @@ from daemon.release.reach import Account, account_of_daemon, how_it_could_change
 from daemon.release.releasing import (
     proposals,
     release,
-    release_by_policy,
     rollback,
     shelf_of,
     why_proposals_are_hidden,
@@ -43,27 +37,8 @@ STRANGER = Account(user_id=OTHER)
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """A folder that every user may look into, below the sticky folder for temporary files."""
-    with tempfile.TemporaryDirectory() as name:
-        Path(name).chmod(0o755)
-        yield Path(name)
-
-
-def configured(folder: Path, **changes: object) -> Configuration:
-    """A machine whose models lie in `folder`/models and whose store in `folder`/state."""
-    for name in ("models", "state", "state/proposals"):
-        (folder / name).mkdir(exist_ok=True)
-    configuration = machine(folder / "state")
-    own = {"allow_writable_model_directory": os.geteuid() != 0}  # everything here belongs to whoever tests
-    section = {"model_file": folder / "models/model.json"} | own | changes
-    compensation = configuration.compensation.model_copy(update=section)
-    return configuration.model_copy(update={"compensation": compensation})
-
-
-def proposal(folder: Path, the_model: ThermalModel, name: str = "p.json") -> Path:
-    path = folder / "state/proposals" / name
-    path.write_text(model_to_json(the_model), encoding="utf-8")
-    return path
+    with open_folder() as made:
+        yield made
 
 
 # --- who could change a file ---------------------------------------------------------------
@@ -350,55 +325,3 @@ def test_people_of_one_group_release_one_after_the_other(folder):
     for number, name in enumerate(paths, start=1):
         assert in_child(lambda number=number, name=name: by(OTHER + number, name)) == str(OTHER + number)
     assert "release 2 by 54323" in as_user(OTHER + 9, lambda: load_released(configuration, own_account()).in_words())
-
-
-# --- policy ----------------------------------------------------------------------------------
-
-
-def test_the_policy_is_off_by_default(folder):
-    configuration = configured(folder)
-    proposal(folder, model())
-    with pytest.raises(ReleaseError, match="only a person releases"):
-        release_by_policy(configuration, person="policy")
-
-
-def test_the_policy_takes_the_newest_that_is_not_worse(folder):
-    configuration = configured(folder, release=ReleaseConfig(automatic=True))
-    proposal(folder, model("ridge-2", 1.5), "2.json")
-    assert release_by_policy(configuration, person="policy") is None, "the first one is a person's"
-    release(configuration, proposal(folder, model("ridge-1"), "1.json"), person="anna")
-    for age_s, name in enumerate(("4.json", "3.json", "2.json", "1.json")):
-        path = folder / "state/proposals" / name
-        if name == "4.json":
-            path.write_text("{}", encoding="utf-8")
-        elif name == "3.json":
-            proposal(folder, model("ridge-3", 2.5), name)
-        os.utime(path, (1e9 - age_s, 1e9 - age_s))
-    assert [p.obstacle != "" for p in proposals(configuration)] == [False, False, False, True]
-    record = release_by_policy(configuration, person="policy")
-    assert record is not None and record.model_id == "ridge-2" and record.note == "by policy"
-    assert "its bands are not wider than the active model's" in record.checks
-    assert release_by_policy(configuration, person="policy") is None, "what was released once is not proposed again"
-
-
-# --- the commands ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "said"),
-    [
-        (["release"], 2, "name one PROPOSAL"),
-        (["release", "p.json", "--by-policy"], 2, "name one PROPOSAL"),
-        (["release", "p.json"], 1, "model_file is not set"),
-        (["release", "--by-policy"], 1, "only a person releases"),
-        (["rollback"], 1, "model_file is not set"),
-        (["rollback", "--to", "0"], 2, "--to"),
-        (["list"], 2, "model_file is not set"),
-    ],
-)
-def test_what_the_commands_cannot_do_they_say(tmp_path, words, status, said):
-    path = tmp_path / "toolpoint.yaml"
-    path.write_text(sample_configuration(), encoding="utf-8")
-    finished = CliRunner().invoke(main, ["model", *words, "--config", str(path)])
-    assert finished.exit_code == status, finished.output
-    assert said in finished.output
