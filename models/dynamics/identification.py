@@ -66,7 +66,7 @@ def identify_bearings(
     parameters
         5, 7 or 12 (section 5.2.3).
     start
-        Where to begin, by name; what is missing is taken from Table 4-5.
+        Where to begin, by name; what is missing or zero is taken from Table 4-5.
     fixed
         Values of the parameters that are not varied, by name; None: those of section 5.2.3.
     method
@@ -81,7 +81,8 @@ def identify_bearings(
     kept = dict(FIXED[parameters] if fixed is None else {name: fixed[name] for name in FIXED[parameters]})
     present = [name for name in PARAMETERS if name.partition("_")[2] in shaft.groups]
     free = tuple(name for name in present if name not in kept)
-    begin = {**INITIAL, **(start or {}), **kept}
+    told = {name: value for name, value in (start or {}).items() if value > 0.0}
+    begin = {**INITIAL, **told, **kept}
 
     def model(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
         return shaft.nose_receptance_and_derivatives(properties_from_parameters({**begin, **values}))
