@@ -1,0 +1,58 @@
+"""What falls due when, and what goes first."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import HandClock, Rig, machine, record_for, running
+from memory_cnc import MemoryNc
+
+from daemon.output.cadence import Cadence, woken
+
+
+def test_it_is_due_every_period():
+    cadence = Cadence(1.0, start_s=10.0)
+    assert [time_s for time_s in (9.9, 10.0, 10.5, 11.0, 11.9, 12.0) if cadence.due(time_s)] == [10.0, 11.0, 12.0]
+
+
+def test_what_was_late_is_not_made_up_for():
+    cadence = Cadence(1.0, start_s=10.0)
+    assert cadence.due(17.3)
+    assert not cadence.due(17.4)
+    assert cadence.next_s == pytest.approx(17.55), "not at once, and not a whole period later either"
+    assert cadence.due(17.6)
+
+
+async def test_waiting_ends_with_the_event_or_with_the_time():
+    event = asyncio.Event()
+    await woken(event, 0.001)
+    await woken(event, -1.0)
+    assert not event.is_set()
+    asyncio.get_running_loop().call_soon(event.set)
+    async with asyncio.timeout(30.0):
+        await woken(event, 1e6)
+    assert event.is_set()
+
+
+async def test_an_estimate_goes_before_the_poll_and_counts_as_the_ticks_work(tmp_path):
+    configuration, clock = machine(tmp_path), HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    async with running(rig):
+        await rig.active()
+        control, order = rig.control, []
+
+        async def act(estimate):
+            order.append("act" if estimate is not None else "tick")
+
+        async def poll():
+            order.append("poll")
+            control.stop()
+
+        control._act, control._poll = act, poll
+        control.deliver(rig.estimate(1.0, 2.0))
+        await control.run()
+    assert order == ["act", "poll"]
