@@ -99,9 +99,12 @@ class Wires:
         assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:3000]
 
     def writes(self) -> list[WriteRecord]:
-        """Return the audit; the latest write may be on its way, and is left out then."""
+        """Return the blocks in the audit, without answers to the NC program.
+
+        The latest one may be on its way, and is left out then.
+        """
         with HistoryReader(self.configuration.history.path) as reader:
-            records = reader.writes(*EVER)
+            records = [record for record in reader.writes(*EVER) if record.compensation_um]
         return records[:-1] if records and records[-1].outcome is WriteOutcome.INTENDED else records
 
 

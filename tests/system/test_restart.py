@@ -33,13 +33,15 @@ def test_killed_at_any_moment_it_loses_nothing_and_goes_on(tmp_path):
             wires.kill_daemon()
             with HistoryReader(wires.configuration.history.path) as reader:
                 stored = reader.acknowledged()
-                before = reader.writes(0.0, 1e11)[-1]
+                before = [record for record in reader.writes(0.0, 1e11) if record.compensation_um][-1]
             for line, number in acknowledged.items():
                 assert stored[line] >= number, line
             wires.start_daemon()
             status = wires.wait_for_state("ACTIVE")
             assert status["reference"]["id"] == reference
-            after = next(record for record in wires.writes() if record.write_id > before.write_id)
+            last = before.write_id
+            wires.wait("a block", lambda _, last=last: any(record.write_id > last for record in wires.writes()))
+            after = next(record for record in wires.writes() if record.write_id > last)
             for axis, limits in wires.configuration.compensation.axes.items():
                 moved = abs(after.compensation_um[axis] - before.compensation_um[axis])
                 assert moved <= limits.step_um, (axis, before, after)
