@@ -18,6 +18,8 @@ from models.stability.errors import StabilityError
 WINDOW_S = 0.64
 """4096 samples at 6400 Hz, as in the source."""
 HARMONICS_FOR_SPEED = 6
+ALWAYS_RUNOUT = 2.5
+"""Harmonics below this multiple of the spindle's turn are unbalance, however strong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +42,7 @@ class ChatterSettings:
     speed_tolerance: float = 0.005
     """The true speed is searched within this share of the given one."""
     runout_ratio: float = 4.0
-    """A line on a harmonic of the spindle's turn counts only with this power over the strongest tooth-passing line."""
+    """A line on a harmonic of the spindle's turn needs this power over the strongest tooth-passing line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,11 +184,12 @@ def judge_frame(
     passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0, rules)
     width_hz = np.maximum(rules.half_width_lines * spacing_hz, rules.half_width_share * frame.frequency_hz)
     forced = _on_multiples(frame.frequency_hz, passing_hz, width_hz)
-    turning = _on_multiples(frame.frequency_hz, passing_hz / teeth, width_hz) & ~forced
+    turn_hz = passing_hz / teeth
+    turning = _on_multiples(frame.frequency_hz, turn_hz, width_hz) & ~forced
     heard = frame.frequency_hz >= rules.lowest_hz
     power = np.convolve(frame.power_density, np.ones(5), mode="same") * spacing_hz
     forced_power = float(power[forced & heard].max(initial=0.0))
-    runout = frame.frequency_hz < passing_hz - width_hz
+    runout = frame.frequency_hz < ALWAYS_RUNOUT * turn_hz
     counted = heard & ~forced & ~(turning & (runout | (power < rules.runout_ratio * forced_power)))
     density = frame.power_density
     own = np.convolve(np.where(counted, density, 0.0), np.ones(5), mode="same") * spacing_hz
@@ -255,11 +258,7 @@ def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None =
     settings
         What counts as chatter; None: the defaults.
 
-    Raises
-    ------
-    StabilityError
-        Without a frame.
-
+    Raises StabilityError without a frame.
     """
     if not frames:
         raise StabilityError("no window lies wholly in this part; choose a longer part of the recording")

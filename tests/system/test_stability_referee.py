@@ -5,6 +5,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ def test_stable_and_unstable_agree_off_the_boundary() -> None:
     agreed, disagreed, stable = 0, [], 0
     for teeth in (2, 3):
         cases = random_cases(teeth, 50, seed=11)
-        same = cases.agree(passings=100, steps_per_passing=200)
+        same = cases.agree(passings=90, steps_per_passing=160)
         agreed += int(same.sum())
         stable += int((cases.radius < 1.0).sum())
         disagreed += [cases.described[i] for i in np.flatnonzero(~same)]
@@ -59,18 +60,22 @@ def down(radial_mm: float) -> Cut:
     return Cut(teeth=2, start_rad=start, exit_rad=math.pi, tangential_n_per_m2=6e8, radial_ratio=1.0 / 3.0)
 
 
-@pytest.mark.parametrize(("speed_rpm", "depth_mm"), [(18128.0, 0.6), (18500.0, 0.65)])
-def test_a_stable_cut_fades_with_the_spectral_radius(speed_rpm: float, depth_mm: float) -> None:
+def test_a_stable_cut_fades_with_the_spectral_radius() -> None:
+    points = [(18128.0, 0.6), (18500.0, 0.65)]
+    single = [benchmark_cut(depth_mm, speed_rpm, "down", 1.0) for speed_rpm, depth_mm in points]
+    names = [name for name in MillingCuts.__slots__ if isinstance(getattr(single[0], name), np.ndarray)]
+    both = replace(single[0], **{name: np.concatenate([getattr(cut, name) for cut in single]) for name in names})
+    changes, before = [], np.zeros((2, 2))
+    for number, sample in enumerate(mill(both, 100, 400), start=1):
+        if number % 400 == 0:
+            changes.append(np.linalg.norm(sample.displacement_m - before, axis=1))
+            before = sample.displacement_m
+    faded = np.linalg.norm(changes[80:100], axis=0) / np.linalg.norm(changes[40:60], axis=0)
     method = semi_discretisation(state_space(BENCHMARK), down(1.0), 200)
-    radius = spectral_radius(method, speed_rpm, np.array([depth_mm]))[0]
-    changes, before = [], np.zeros(2)
-    for number, sample in enumerate(mill(benchmark_cut(depth_mm, speed_rpm, "down", 1.0), 100, 480), start=1):
-        if number % 480 == 0:
-            changes.append(float(np.linalg.norm(sample.displacement_m[0] - before)))
-            before = sample.displacement_m[0]
-    rate = (np.linalg.norm(changes[80:100]) / np.linalg.norm(changes[40:60])) ** (1.0 / 40.0)
-    assert radius < 0.99
-    assert rate == pytest.approx(radius, abs=0.003)
+    for (speed_rpm, depth_mm), rate in zip(points, faded ** (1.0 / 40.0), strict=True):
+        radius = spectral_radius(method, speed_rpm, np.array([depth_mm]))[0]
+        assert radius < 0.99
+        assert rate == pytest.approx(radius, abs=0.003)
 
 
 def test_a_flip_lobe_vibrates_at_half_the_tooth_passing_frequency() -> None:
