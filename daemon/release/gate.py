@@ -19,14 +19,21 @@ def channels_in_use(configuration: Configuration) -> dict[str, float]:
     return widest
 
 
+def training_obstacle(model: AnyThermalModel) -> str:
+    """Return why a model's own training refused it, '' when it did not, or could not tell."""
+    if isinstance(model, LaggedModel) and model.refused is not None:
+        return f"its training refused it: {model.refused}"
+    return ""
+
+
 def gate_obstacle(model: AnyThermalModel, configuration: Configuration) -> str:
     """Return why nobody may release a model, '' when its own figures speak for it."""
     return next(_objections(model, configuration), "")
 
 
 def _objections(model: AnyThermalModel, configuration: Configuration) -> Iterator[str]:
-    if isinstance(model, LaggedModel) and model.refused is not None:
-        yield f"its training refused it: {model.refused}"
+    if refused := training_obstacle(model):
+        yield refused
     for channel, widest_um in channels_in_use(configuration).items():
         band_um = float(model.band_um[model.channels.index(channel)])
         if np.isnan(band_um):

@@ -9,6 +9,7 @@ from config.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.estimation.contract import AnyThermalModel
 from daemon.model_file import read_model
+from daemon.release.gate import training_obstacle
 from daemon.release.reach import Account, how_it_could_change
 from daemon.release.shelf import released, sha256_of
 
@@ -75,6 +76,10 @@ def _load(configuration: Configuration, path: Path, account: Account) -> LoadedM
     model, obstacle = read_model(real, configuration.temperatures.sensor_ids, wanted)
     if model is None:
         return LoadedModel(model=None, obstacle=obstacle, record=record)
+    if refused := training_obstacle(model):
+        doubt = f"{doubt}; {refused}" if doubt else f"{path}: {refused}"
+        if not compensation.allow_writable_model_directory:
+            return LoadedModel(model=None, obstacle=doubt, record=record)
     warning = f"allow_writable_model_directory lets it pass: {doubt}" if doubt else ""
     return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(real.read_bytes()), warning=warning)
 

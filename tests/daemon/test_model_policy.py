@@ -3,31 +3,90 @@
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
+from control_rig import SENSOR_IDS
 from model_shelf import configured, open_folder, proposal
 from small_model import model
 
+from config.release_record import ReleaseRecord
 from config.sample import sample_configuration
 from config.schema.compensation import ReleaseConfig
 from daemon.cli import main
+from daemon.release.loading import load_released
+from daemon.release.proposing import propose
+from daemon.release.reach import Account
 from daemon.release.releasing import (
     proposals,
     release,
     release_by_policy,
+    shelf_of,
 )
-from daemon.release.shelf import ReleaseError
+from daemon.release.shelf import ReleaseError, sha256_of
+from models.dataset import Recording
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.train_family import train_family
+
+STRANGER = Account(user_id=54321)
 
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
     with open_folder() as made:
         yield made
+
+
+@pytest.fixture(scope="module")
+def refused_model() -> LaggedModel:
+    """A model that really was trained, and that its training refused: there is nothing to be learned here."""
+    rng = np.random.default_rng(5)
+    minutes = 600
+    warmth = np.cumsum(rng.normal(0.0, 0.1, minutes))[:, None] * np.linspace(0.5, 1.5, len(SENSOR_IDS))
+    recording = Recording(
+        name="noise",
+        time_s=60.0 * np.arange(float(minutes)),
+        speed_rpm=np.resize(np.repeat([0.0, 6000.0], 40), minutes),
+        temperature_names=tuple(f"t{i}" for i in SENSOR_IDS),
+        temperatures_degc=22.0 + warmth,
+        displacement_names=("Y1", "Z1"),
+        displacements_um=rng.normal(0.0, 5.0, (minutes, 2)),
+    )
+    trained = train_family([recording], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    assert isinstance(trained, LaggedModel) and trained.refused is not None
+    return replace(trained, sensor_ids=SENSOR_IDS)
+
+
+def test_a_model_that_its_training_refused_is_neither_released_nor_loaded(folder, refused_model):
+    configuration = configured(folder, release=ReleaseConfig(automatic=True))
+    release(configuration, proposal(folder, model(), "1.json"), person="anna")
+    waiting = propose(configuration, refused_model)
+    with pytest.raises(ReleaseError, match="its training refused it: "):
+        release(configuration, waiting, person="anna")
+    assert release_by_policy(configuration, person="policy") is None
+    content = waiting.read_bytes()
+    strict = configured(folder, allow_writable_model_directory=False)
+    smuggled = ReleaseRecord(
+        number=2,
+        action="release",
+        model_id=refused_model.model_id,
+        sha256=sha256_of(content),
+        person="somebody",
+        released="2026-01-01T00:00:00+00:00",
+        source="by hand",
+        checks=[],
+    )
+    shelf_of(strict).add(smuggled, content)
+    found = load_released(strict, STRANGER)
+    assert found.model is None and "its training refused it: " in found.obstacle
+    bench = load_released(configured(folder, allow_writable_model_directory=True), STRANGER)
+    assert bench.model is not None and "its training refused it: " in bench.warning
 
 
 def test_the_policy_is_off_by_default(folder):
