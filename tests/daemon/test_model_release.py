@@ -22,6 +22,7 @@ from daemon.release.loading import load_released
 from daemon.release.proposing import propose
 from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
 from daemon.release.releasing import (
+    person_now,
     proposals,
     release,
     rollback,
@@ -277,6 +278,17 @@ def test_a_place_that_the_daemon_could_write_is_refused(folder):
     (folder / "models").chmod(0o777)
     with pytest.raises(ReleaseError, match="the daemon could change a model there"):
         release(configuration, proposal(folder, model()), person="anna")
+
+
+@as_root
+def test_the_person_is_who_logged_in_not_root(monkeypatch):
+    assert f"(uid {OTHER})" in as_user(OTHER, person_now)
+    monkeypatch.setenv("SUDO_UID", str(OTHER))
+    assert f"(uid {OTHER + 1})" in as_user(OTHER + 1, person_now), "only root's word counts for somebody else"
+    monkeypatch.setattr("daemon.release.releasing._login_uid", lambda: str(2**32 - 1))
+    assert person_now() == f"unknown (uid {OTHER}) as root"
+    monkeypatch.delenv("SUDO_UID")
+    assert person_now() == "root (uid 0)"
 
 
 @as_root

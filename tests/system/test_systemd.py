@@ -67,6 +67,7 @@ def test_the_daemon_has_a_user_of_its_own_and_the_release_another() -> None:
     assert "toolpoint-release" not in settings("SupplementaryGroups")[0].split(), "or it could release its own model"
     assert settings("PrivateUsers") == [], "or every person at the socket would be nobody"
     assert settings("ExecReload") == ["/bin/kill -HUP $MAINPID"]
+    assert settings("SystemCallFilter")[-1] == "setpriority", "packing and back-ups lower their priority"
     users = (SYSTEMD / "toolpoint.sysusers").read_text("utf-8").splitlines()
     assert not [line for line in users if line.split()[:2] in (["u", "toolpoint"], ["g", "toolpoint"])]
 
