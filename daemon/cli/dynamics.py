@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.dynamics_bearings import bearings
 from daemon.cli.dynamics_identify import contact, identify
 from daemon.cli.dynamics_options import POSITIVE, picture_option, rotary_option, show_warnings, spindle_argument
 from daemon.cli.dynamics_studies import compare, sensitivity
@@ -99,5 +100,5 @@ def frf(
     write_json(json_path, found)
 
 
-for command in (identify, contact, sensitivity, compare):
+for command in (identify, contact, sensitivity, compare, bearings):
     dynamics.add_command(command)

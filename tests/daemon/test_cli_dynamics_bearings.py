@@ -1,0 +1,74 @@
+"""`toolpoint dynamics bearings`: the contract, the bounds as configuration, bad input."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from config.thermomechanics import data_folder
+from daemon.cli import main
+
+AT_20 = ["--t-ir", "20", "--t-a", "20", "--t-f", "20", "--t-room", "20"]
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["dynamics", "bearings", *map(str, arguments)])
+
+
+def answer(*arguments: object) -> dict[str, dict[str, object]]:
+    result = call(*arguments, "--json", "-")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_raw_value_and_flag_per_property() -> None:
+    found = answer("--axis", "y", *AT_20)
+    assert set(found) == {"ct_12", "kr_12", "kt_34", "kt_5", "ct_5"}
+    assert all(set(each) == {"raw", "value", "flagged"} for each in found.values())
+    assert found["ct_5"]["flagged"] is True
+    assert found["ct_5"]["value"] == 0.0
+    assert found["kt_34"]["flagged"] is False
+
+
+def test_changes_have_an_interval_of_4_min_of_their_own_in_x() -> None:
+    still, both = answer("--axis", "x", *AT_20), answer("--axis", "x", *AT_20, "--d-ir", 1)
+    apart = answer("--axis", "x", *AT_20, "--d-ir", 1, "--d4-ir", 0)
+    assert both["kt_34"]["raw"] != still["kt_34"]["raw"]
+    assert apart["kt_34"]["raw"] == still["kt_34"]["raw"]
+    assert apart["ct_12"]["raw"] == both["ct_12"]["raw"] != still["ct_12"]["raw"]
+
+
+def test_bounds_are_configuration(tmp_path: Path) -> None:
+    own = tmp_path / "bounds.yaml"
+    own.write_text((data_folder() / "bounds.yaml").read_text() + "  kt_5: {lowest: 5.0e7, highest: 2.0e8, origin: "
+                   "measured, note: this machine}\n")  # fmt: skip
+    found = answer("--axis", "x", *AT_20, "--bounds", own)
+    assert found["kt_5"] == {"raw": pytest.approx(3.66e7), "value": 5.0e7, "flagged": True}
+    assert found["kt_34"]["flagged"] is False
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("bounds:\n  kt: {lowest: 2.0, highest: 1.0, origin: assumed, note: n}\n", "highest: must lie above"),
+        ("bounds:\n  kx: {lowest: 0.0, highest: 1.0, origin: assumed, note: n}\n", "no bearing property"),
+        ("bounds: {}\n", "kt is missing"),
+    ],
+)
+def test_bounds_that_are_none_are_refused_with_line_and_key(tmp_path: Path, text: str, complaint: str) -> None:
+    own = tmp_path / "bounds.yaml"
+    own.write_text(text)
+    result = call("--axis", "x", *AT_20, "--bounds", own)
+    assert result.exit_code == 2
+    assert complaint in result.stderr
+    assert str(own) in result.stderr
+
+
+@pytest.mark.parametrize("wrong", ["nan", "inf", "400", "warm"])
+def test_temperatures_that_are_none_are_refused(wrong: str) -> None:
+    result = call("--axis", "x", "--t-ir", wrong, *AT_20[2:])
+    assert result.exit_code == 2
+    assert "--t-ir" in result.stderr
