@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
@@ -181,6 +181,7 @@ WISHES = st.one_of(
 )
 
 
+@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(st.floats(0.0, 30.0), WISHES, st.sampled_from(list(Phase)), st.booleans(), st.floats(0.0, 100.0)),
