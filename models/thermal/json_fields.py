@@ -1,5 +1,7 @@
 """Reads and writes the JSON of model files, with sentences that name the key."""
 
+import base64
+import binascii
 import hashlib
 import json
 import math
@@ -123,3 +125,22 @@ def read_matrix(key: str, value: Any) -> FloatArray:
     if not rows or len({len(row) for row in rows}) != 1:
         raise ModelError(key, "must be a list of rows of the same length, one per channel")
     return np.vstack(rows)
+
+
+def packed(matrix: FloatArray) -> dict[str, Any]:
+    """Return a matrix as its shape and the base64 text of its values in single precision, little-endian."""
+    data = np.ascontiguousarray(matrix, dtype="<f4").tobytes()
+    return {"shape": list(matrix.shape), "float32": base64.b64encode(data).decode("ascii")}
+
+
+def read_packed(key: str, value: Any) -> FloatArray:
+    """Return a matrix that `packed` wrote, shape (n, m); raises ModelError."""
+    item = read_object(key, value, {"shape", "float32"})
+    shape = [read_integer(f"{key}.shape", size) for size in read_list(f"{key}.shape", item["shape"])]
+    try:
+        data = base64.b64decode(read_text(f"{key}.float32", item["float32"]), validate=True)
+    except binascii.Error as error:
+        raise ModelError(f"{key}.float32", f"is not base64 ({error})") from error
+    if len(shape) != 2 or min(shape) < 0 or len(data) != 4 * shape[0] * shape[1]:
+        raise ModelError(key, f"holds {len(data)} bytes, which is no matrix of shape {shape}")
+    return np.frombuffer(data, dtype="<f4").astype(np.float64).reshape(shape)

@@ -12,12 +12,14 @@ from models.thermal.json_fields import (
     compact,
     content_sha256,
     null_for_nan,
+    packed,
     parse,
     read_integer,
     read_list,
     read_matrix,
     read_number,
     read_object,
+    read_packed,
     read_text,
     read_vector,
     require_keys,
@@ -44,8 +46,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return null_for_nan(value.tolist())
     if isinstance(value, RidgeSolution):
-        keys = ("gain", "weights", "directions", "remaining")
-        return {"design": _plain(value.design), **{key: _plain(getattr(value, key)) for key in keys}}
+        plain = {key: _plain(getattr(value, key)) for key in ("gain", "weights", "remaining")}
+        return {"design": _plain(value.design), **plain, "directions": packed(value.directions)}
     if isinstance(value, RECORDS):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
@@ -150,7 +152,7 @@ def _ridge(index: int, content: Any, layout: Layout) -> RidgeSolution:
         ),
         gain=read_vector(f"{path}.gain", item["gain"]),
         weights=read_matrix(f"{path}.weights", item["weights"]),
-        directions=read_matrix(f"{path}.directions", item["directions"]),
+        directions=read_packed(f"{path}.directions", item["directions"]),
         remaining=read_vector(f"{path}.remaining", item["remaining"]),
     )
 

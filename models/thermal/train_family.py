@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from models.thermal.lagged import leverage
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
 from models.thermal.linear_families import FAMILIES
 from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
+from models.thermal.ridge import RidgeSolution
 from models.thermal.train import increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.trust import REFERENCES, Trust, judge
 from models.thermal.watch import SensorWatch
@@ -186,7 +187,7 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
         layout=inputs.layout,
         speed_scale_rpm=inputs.speed_scale_rpm,
         period_min=inputs.period_min,
-        ridges=fit.solutions,
+        ridges=tuple(_in_single_precision(solution) for solution in fit.solutions),
         centre=centre,
         leverage_limit=_largest_leverage(inputs, rows, fit),
         lowest_degc=inputs.degc[rows].min(axis=0),
@@ -207,6 +208,11 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
             for row in others
         ),
     )
+
+
+def _in_single_precision(solution: RidgeSolution) -> RidgeSolution:
+    """Return the ridge with the directions that its file holds; they only serve to leave sensors out."""
+    return replace(solution, directions=solution.directions.astype(np.float32).astype(np.float64))
 
 
 def _largest_leverage(inputs: Inputs, rows: BoolArray, fit: Fit) -> float:

@@ -279,6 +279,8 @@ def rewritten(model: LaggedModel, change: Callable[[dict[str, Any]], None]) -> s
         (lambda c: c.update(layout={"sensors": 5, "lags_min": [-1], "speed_lags_min": []}), "layout"),
         (lambda c: c.update(leverage_limit=0.0), "leverage_limit: 0.0 must be positive"),
         (lambda c: c.pop("watch"), "watch: is missing"),
+        (lambda c: c["ridges"][0]["directions"].update(float32="AAAA"), "holds 3 bytes, which is no matrix"),
+        (lambda c: c["ridges"][0]["directions"].update(float32="?"), "directions.float32: is not base64"),
         (lambda c: c.update(extra=1), "extra: is not a key of this format"),
     ],
 )
