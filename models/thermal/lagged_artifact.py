@@ -49,7 +49,8 @@ def _plain(value: Any) -> Any:
         plain = {key: _plain(getattr(value, key)) for key in ("gain", "weights", "remaining")}
         return {"design": _plain(value.design), **plain, "directions": packed(value.directions)}
     if isinstance(value, RECORDS):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        plain = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {**plain, "precision": packed(value.precision)} if isinstance(value, SensorWatch) else plain
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     return value
@@ -167,7 +168,7 @@ def _watch(content: Any) -> SensorWatch:
         layout=_layout("watch.layout", item["layout"]),
         centre=vector("centre"),
         gain=vector("gain"),
-        precision=read_matrix("watch.precision", item["precision"]),
+        precision=read_packed("watch.precision", item["precision"]),
         threshold_k=vector("threshold_k"),
         slew_k_per_min=vector("slew_k_per_min"),
         flat_min=vector("flat_min"),

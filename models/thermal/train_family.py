@@ -21,8 +21,8 @@ from models.thermal.trust import REFERENCES, Trust, judge
 from models.thermal.watch import SensorWatch
 from models.thermal.watch_fit import fit_watch
 
-MOST_WATCHED = 64
-"""A model of more sensors than this does not carry the watch: its file would grow with their square."""
+MOST_WATCHED = 400
+"""A model of more sensors than this does not carry the watch: its file grows with their square."""
 
 LARGEST_INCOMPLETE_SHARE = 0.5
 """When fewer training rows than this are complete, that is said instead of fitting the rest."""
@@ -194,7 +194,7 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
         highest_degc=inputs.degc[rows].max(axis=0),
         highest_speed_rpm=float(np.abs(speed_rpm[rows]).max()),
         band_um=fitted.trust.band_um.copy(),
-        watch=watch,
+        watch=None if watch is None else replace(watch, precision=_single(watch.precision)),
         hyper_parameters=hyper_parameters,
         refused=fitted.trust.refused,
         training=fitted.training,
@@ -212,7 +212,12 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
 
 def _in_single_precision(solution: RidgeSolution) -> RidgeSolution:
     """Return the ridge with the directions that its file holds; they only serve to leave sensors out."""
-    return replace(solution, directions=solution.directions.astype(np.float32).astype(np.float64))
+    return replace(solution, directions=_single(solution.directions))
+
+
+def _single(matrix: FloatArray) -> FloatArray:
+    """Return a matrix rounded to single precision, as the file holds it."""
+    return matrix.astype(np.float32).astype(np.float64)
 
 
 def _largest_leverage(inputs: Inputs, rows: BoolArray, fit: Fit) -> float:

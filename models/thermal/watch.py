@@ -34,6 +34,8 @@ FLAT_FACTOR = 1.5
 """... and then this many times the longest that training saw."""
 SAME_K = 1e-6
 """Values closer than this are identical [K]."""
+MOST_MAP_VALUES = 500_000
+"""Predictions without excluded sensors are kept at hand up to about so many numbers."""
 MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
 
@@ -154,12 +156,13 @@ class Watcher:
     def __init__(self, watch: SensorWatch) -> None:
         self.watch = watch
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
+        self._most_maps = max(8, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
 
     def _map(self, excluded: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         if excluded not in self._maps:
             watch = self.watch
-            if len(self._maps) > 512:
+            if len(self._maps) >= self._most_maps:
                 self._maps.clear()
             remaining = without_columns(watch.precision, watch.layout.of_sensors(excluded).tolist() if excluded else [])
             self._maps[excluded] = departure_maps(watch.layout, remaining, watch.gain, excluded)
