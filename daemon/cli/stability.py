@@ -14,7 +14,7 @@ from daemon.cli.stability_recordings import chatter, roughness
 from daemon.cli.stability_studies import coefficients, compare, modes
 
 if TYPE_CHECKING:
-    from models.stability.lobes_zoa import StabilityLobes
+    from models.stability.lobes import StabilityLobes
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
 

@@ -9,7 +9,7 @@ from drivers.frf_measurement import read_measurements
 from models.dynamics.measurement import Measurement
 from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
-from models.stability.lobes_zoa import check_lines
+from models.stability.lobes import check_lines
 from models.stability.response import (
     ModalResponse,
     Mode,

@@ -8,8 +8,9 @@ import numpy as np
 from config.stability_case import ALL_DIRECTIONS, StabilityCase
 from daemon.stability.case_files import modal_response_of, response_of
 from models.stability.errors import StabilityError
+from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
-from models.stability.lobes_zoa import StabilityLobes, lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
 from models.stability.spindle_speed import SpeedChoice, SpeedDemand, SpeedLimits, choose_speed
 from models.stability.state_space import state_space

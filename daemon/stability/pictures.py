@@ -10,7 +10,7 @@ from daemon.dynamics.pictures import COLOURS, DPI, PIXELS, Line, Panel, save
 from models.records import FloatArray
 from models.stability.chatter import SpectrumFrame
 from models.stability.frf_modal_fit import ModalFit
-from models.stability.lobes_zoa import StabilityLobes
+from models.stability.lobes import StabilityLobes
 from models.stability.response import ComplexArray, modal_receptance
 
 SHOWN_OVER_MINIMUM = 8.0

@@ -17,7 +17,7 @@ from models.records import FloatArray
 from models.stability.cutting_coefficients import CoefficientFit, fit_mean_forces
 from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import ModalFit, fit_modes
-from models.stability.lobes_zoa import StabilityLobes
+from models.stability.lobes import StabilityLobes
 from models.stability.spindle_speed import SpeedChoice, SpeedDemand, choose_speed
 
 FORCE_COLUMNS = ("feed_per_tooth_mm", "mean_force_x_n", "mean_force_y_n")

@@ -4,7 +4,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.stability.errors import StabilityError
-from models.stability.lobes_zoa import LobeMinimum, StabilityLobes, check_range, lowest_of
+from models.stability.lobes import LobeMinimum, StabilityLobes, check_range, lowest_of
 from models.stability.milling import Cut, directional_matrix, tooth_passing_hz
 from models.stability.response import ModalResponse
 from models.stability.semi_discretisation import (

@@ -7,55 +7,26 @@ With lambda an eigenvalue of [a][H(j w_c)], Lambda = -1/lambda, and 5-6 to 5-8 b
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from models.records import FloatArray
 from models.stability.errors import StabilityError
+from models.stability.lobes import LobeMinimum, StabilityLobes, check_lines, check_range
 from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
 from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, feed_rotation
 from models.units import mm_from_m
 
 ZOOM_POINTS = 33
 ZOOM_ROUNDS = 4
+NEXT_TO_ZERO = 1e-9
 MOST_REFINED = 8
 """So many of the highest peaks are looked at between the samples; noise has more."""
 NEAR_RANGE = 1.02
 """A peak between samples may belong to a speed this much beyond that of its highest sample."""
 RISE_BETWEEN_SAMPLES = 1.1
 """A peak between samples is at most this much higher than its highest sample."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LobeMinimum:
-    """The lowest point of the lobes within a range of speeds."""
-
-    speed_rpm: float
-    depth_mm: float
-    chatter_hz: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StabilityLobes:
-    """The lower envelope of all lobes over spindle speed."""
-
-    speed_rpm: FloatArray
-    """Ascending and evenly spaced [1/min], shape (n,)."""
-    limiting_depth_mm: FloatArray
-    """Axial depth up to which the cut is stable [mm], shape (n,); inf where no lobe limits it."""
-    chatter_hz: FloatArray
-    """Frequency of the chatter at that depth [Hz], shape (n,); NaN where no lobe limits it."""
-    minimum: LobeMinimum | None
-    """Of the lobes themselves within the range of speeds, not of the sampled speeds; None: no limit found."""
-    feed_deg: float
-    warnings: tuple[str, ...] = ()
-    max_depth_mm: float = math.inf
-    """The depth up to which limits were looked for [mm]."""
-
-    def with_warnings(self, warnings: tuple[str, ...]) -> "StabilityLobes":
-        """Return the same lobes with warnings put first."""
-        return replace(self, warnings=(*warnings, *self.warnings))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +111,7 @@ def _lobes(
     directions = []
     for feed_deg in feeds_deg:
         followed = _followed(_eigenvalues(receptance, cut, feed_deg))
-        first, second = (_Branch(frequency_hz=frequency_hz, eigenvalue=column) for column in followed.T)
+        first, second = (_branch(frequency_hz, column) for column in followed.T)
         depth_m, chatter_hz = _envelope((first, second), cut, speed_rpm)
         directions.append(
             _Direction(feed_deg=feed_deg, branches=(first, second), depth_m=depth_m, chatter_hz=chatter_hz)
@@ -161,68 +132,6 @@ def _lobes(
         feed_deg=feed_deg,
         warnings=warnings,
     )
-
-
-def lowest_of(each: Sequence[StabilityLobes]) -> StabilityLobes:
-    """Return the lowest of several lobes at each of their common speeds.
-
-    `feed_deg` of the result belongs to the lowest minimum.
-    """
-    depths = np.array([lobes.limiting_depth_mm for lobes in each])
-    chosen = np.argmin(depths, axis=0)
-    columns = np.arange(depths.shape[1])
-    lowest = min(each, key=lambda lobes: lobes.minimum.depth_mm if lobes.minimum else np.inf)
-    return StabilityLobes(
-        speed_rpm=lowest.speed_rpm,
-        limiting_depth_mm=depths[chosen, columns],
-        chatter_hz=np.array([lobes.chatter_hz for lobes in each])[chosen, columns],
-        minimum=lowest.minimum,
-        feed_deg=lowest.feed_deg,
-        warnings=tuple(dict.fromkeys(text for lobes in each for text in lobes.warnings)),
-        max_depth_mm=lowest.max_depth_mm,
-    )
-
-
-def check_range(from_rpm: float, to_rpm: float, points: int) -> None:
-    """Refuse speeds that are no range. Raises StabilityError."""
-    if not 0.0 < from_rpm < to_rpm or points < 2:
-        raise StabilityError(
-            f"{points} points from {from_rpm:g} to {to_rpm:g} 1/min are no range; "
-            "give at least 2 points and a first speed above 0 and below the last"
-        )
-
-
-def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
-    """Return warnings about the band of a sampled FRF.
-
-    Parameters
-    ----------
-    frequency_hz
-        Its ascending frequencies [Hz], shape (n,).
-    teeth
-        Number of teeth.
-    from_rpm, to_rpm
-        Range of speeds [1/min].
-
-    Raises
-    ------
-    StabilityError
-        When the FRF ends below the highest tooth-passing frequency or begins above it.
-
-    """
-    low, high = float(frequency_hz[0]), float(frequency_hz[-1])
-    first, last = tooth_passing_hz(from_rpm, teeth), tooth_passing_hz(to_rpm, teeth)
-    if high < last or low > last:
-        raise StabilityError(
-            f"the FRF covers {low:g} to {high:g} Hz, but {teeth} teeth at {from_rpm:g} to {to_rpm:g} 1/min pass at "
-            f"{first:g} to {last:g} Hz; measure or model the FRF over that band, or narrow the range of speeds"
-        )
-    if low > first:
-        return (
-            f"the FRF begins at {low:g} Hz, above the lowest tooth-passing frequency of {first:g} Hz: "
-            "a resonance below it would not be seen",
-        )
-    return ()
 
 
 def _eigenvalues(receptance: ComplexArray, cut: Cut, feed_deg: float) -> ComplexArray:
@@ -251,6 +160,20 @@ def _followed(eigenvalues: ComplexArray) -> ComplexArray:
     return np.where(swapped[:, None], eigenvalues[:, ::-1], eigenvalues)
 
 
+def _branch(frequency_hz: FloatArray, eigenvalue: ComplexArray) -> _Branch:
+    """Return a branch with a sample where its real part changes sign: there its lobes end, infinitely deep."""
+    real = eigenvalue.real
+    before = np.flatnonzero((real[:-1] > 0.0) != (real[1:] > 0.0))
+    share = real[before] / (real[before] - real[before + 1])
+    tiny = NEXT_TO_ZERO * float(np.abs(real).max())
+    between_hz = frequency_hz[before] + share * np.diff(frequency_hz)[before]
+    imaginary = eigenvalue.imag[before] + share * np.diff(eigenvalue.imag)[before]
+    return _Branch(
+        frequency_hz=np.insert(frequency_hz, before + 1, between_hz),
+        eigenvalue=np.insert(eigenvalue, before + 1, tiny + 1j * imaginary),
+    )
+
+
 def _cycles(eigenvalue: ComplexArray) -> FloatArray:
     """Return eps / 2 pi of 5-7, in 0 to 1."""
     cycles: FloatArray = np.arctan2(eigenvalue.real, -eigenvalue.imag) / math.pi
@@ -275,7 +198,10 @@ def _envelope(branches: tuple[_Branch, ...], cut: Cut, speed_rpm: FloatArray) ->
 
 
 def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.ndarray, FloatArray, FloatArray]:
-    """Return where the lobes of one branch cross the speeds: index of the speed, depth [m], frequency [Hz]."""
+    """Return where the lobes of one branch cross the speeds: index of the speed, depth [m], frequency [Hz].
+
+    Between two samples the eigenvalue's real part and eps are taken as linear in frequency.
+    """
     positive = np.flatnonzero(branch.eigenvalue.real > 0.0)
     eigenvalue, frequency_hz = branch.eigenvalue[positive], branch.frequency_hz[positive]
     apart = np.diff(positive) != 1
@@ -283,7 +209,8 @@ def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.nda
     numbers = np.arange(highest_lobe + 1.0)[:, None]
     spacing = speed_rpm[1] - speed_rpm[0]
     turning = 60.0 / (cut.teeth * spacing) * frequency_hz
-    place = turning / (numbers + _cycles(eigenvalue)) - speed_rpm[0] / spacing
+    cycles = _cycles(eigenvalue)
+    place = turning / (numbers + cycles) - speed_rpm[0] / spacing
     start, end = place[:, :-1], place[:, 1:]
     first = np.maximum(np.ceil(np.minimum(start, end)), 0.0)
     last = np.minimum(np.floor(np.maximum(start, end)), len(speed_rpm) - 1.0)
@@ -292,15 +219,15 @@ def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.nda
     begins = first[lobe, left].astype(np.intp)
     count = last[lobe, left].astype(np.intp) - begins + 1
     column = np.repeat(begins - np.cumsum(count) + count, count) + np.arange(count.sum())
-    begin, width = np.repeat(start[lobe, left], count), np.repeat((end - start)[lobe, left], count)
-    fraction = np.divide(column - begin, width, out=np.zeros(len(column)), where=width != 0.0)
-    left = np.repeat(left, count)
-    depth = 1.0 / (cut.tangential_n_per_m2 * eigenvalue.real)
-    return (
-        column,
-        depth[left] + fraction * (depth[left + 1] - depth[left]),
-        frequency_hz[left] + fraction * (frequency_hz[left + 1] - frequency_hz[left]),
-    )
+    left, number = np.repeat(left, count), np.repeat(lobe, count)
+    passing_hz = (speed_rpm[0] + spacing * column) * cut.teeth / 60.0
+    turned = np.diff(cycles)[left]
+    climbed = np.diff(frequency_hz)[left]
+    slope = climbed - passing_hz * turned
+    ahead = passing_hz * (number + cycles[left]) - frequency_hz[left]
+    fraction = np.clip(np.divide(ahead, slope, out=np.zeros(len(column)), where=slope != 0.0), 0.0, 1.0)
+    real = eigenvalue.real[left] + fraction * np.diff(eigenvalue.real)[left]
+    return column, 1.0 / (cut.tangential_n_per_m2 * real), frequency_hz[left] + fraction * climbed
 
 
 def _minimum(

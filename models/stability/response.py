@@ -17,7 +17,7 @@ from models.stability.errors import StabilityError
 
 ComplexArray = npt.NDArray[np.complex128]
 
-FINEST_STEPS = 160
+FINEST_STEPS = 800
 """Frequencies laid around each mode by `ModalResponse.frequencies_hz`."""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.stability.errors import StabilityError
-from models.stability.lobes_zoa import StabilityLobes
+from models.stability.lobes import StabilityLobes
 
 
 def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe: int) -> float:

@@ -60,6 +60,15 @@ def test_every_limit_solves_the_characteristic_equation(cut: Cut, feed_deg: floa
         assert value < 0.02, (speed, depth, chatter)
 
 
+@pytest.mark.parametrize("cut", [SLOT, down()])
+def test_an_frf_gives_the_lobes_of_its_modes(cut: Cut) -> None:
+    lines = np.arange(384, 3201) * 12800 / 16384
+    sampled = SampledResponse(frequency_hz=lines, receptance=TWO.receptance_m_per_n(lines))
+    measured = zeroth_order_lobes(sampled, cut, from_rpm=5000.0, to_rpm=14000.0, points=301)
+    modelled = zeroth_order_lobes(TWO, cut, from_rpm=5000.0, to_rpm=14000.0, points=301)
+    assert measured.limiting_depth_mm == pytest.approx(modelled.limiting_depth_mm, rel=0.01)
+
+
 def encirclements(cut: Cut, speed_rpm: float, depth_m: float) -> int:
     """Nyquist: unstable poles of the averaged loop, from the turns of the determinant along the axis."""
     frequency_hz = np.linspace(0.5, 6000.0, 120_000)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from models.stability.errors import StabilityError
-from models.stability.lobes_zoa import StabilityLobes, zeroth_order_lobes
+from models.stability.lobes import StabilityLobes
+from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, mode_from_stiffness
 from models.stability.spindle_speed import (
