@@ -20,9 +20,9 @@ TEMPERATURE_LAGS_MIN = (10.0, 30.0, 90.0, 240.0)
 SPEED_LAGS_MIN = (3.0, 10.0, 30.0, 90.0, 240.0)
 """Time constants of the lags of spindle speed and of its square [min]."""
 BRIDGE_MIN = 10.0
-"""A gap is bridged by a straight line up to this length [min]; thermal errors move by up to 12 um in it."""
+"""A gap is bridged by a straight line up to this length [min], or two rows; thermal errors move by 12 um in it."""
 NEW_RUN_MIN = 60.0
-"""After a longer gap [min] a run of its own begins."""
+"""After a longer gap [min], and at least three rows, a run of its own begins."""
 LARGEST_MISSING_SHARE = 0.2
 """A temperature that misses more of the training rows than this is left out of the model."""
 SMALLEST_SPAN_K = 1e-6
@@ -191,7 +191,8 @@ class _Part:
 
 def _one(recording: Recording, layout: Layout, with_speed: bool, scale_rpm: float) -> _Part:
     time_min = recording.time_s / 60.0
-    run = np.concatenate([[0], np.cumsum(np.diff(time_min) > NEW_RUN_MIN)]).astype(np.intp)
+    period_min = float(np.median(np.diff(time_min))) if len(time_min) > 1 else 0.0
+    run = np.concatenate([[0], np.cumsum(np.diff(time_min) > max(NEW_RUN_MIN, 3.0 * period_min))]).astype(np.intp)
     degc, long_missing = _bridged(time_min, recording.temperatures_degc)
     speed_rpm, speed_missing = np.zeros(recording.rows), np.zeros((recording.rows, 1), dtype=np.bool_)
     if with_speed and recording.speed_rpm is not None:
@@ -238,6 +239,7 @@ def feature_table(
 def _bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the table with straight lines over what is missing, and where that is missing for long."""
     filled = values.copy()
+    longest_min = max(BRIDGE_MIN, 2.5 * float(np.median(np.diff(time_min)))) if len(time_min) > 1 else BRIDGE_MIN
     long_missing = np.zeros(values.shape, dtype=np.bool_)
     for column in range(values.shape[1]):
         known = np.flatnonzero(np.isfinite(values[:, column]))
@@ -251,7 +253,7 @@ def _bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, Bool
         edges = np.searchsorted(known, np.arange(len(values)))
         after = np.where(edges < len(known), time_min[known[np.minimum(edges, len(known) - 1)]], np.inf)
         before = np.where(edges > 0, time_min[known[np.maximum(edges - 1, 0)]], -np.inf)
-        long_missing[:, column] = ~np.isfinite(values[:, column]) & (after - before > BRIDGE_MIN)
+        long_missing[:, column] = ~np.isfinite(values[:, column]) & (after - before > longest_min)
     return filled, long_missing
 
 

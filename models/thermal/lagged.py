@@ -73,6 +73,7 @@ class LaggedEstimator:
         widening_k = np.maximum(DOMAIN_WIDENING * (model.highest_degc - model.lowest_degc), DOMAIN_MARGIN_K)
         self._lowest_degc = model.lowest_degc - widening_k
         self._highest_degc = model.highest_degc + widening_k
+        self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         constants = (*model.layout.lags_min, *model.layout.speed_lags_min)
         self.history_min = SETTLED_LAGS * max(constants, default=0.0)
         """So much history the states need [min]."""
@@ -148,10 +149,10 @@ class LaggedEstimator:
             return state
         known = np.isfinite(degc)
         filled = np.where(known, degc, state.degc)
-        since = np.where(known & (time_min - state.known_min > BRIDGE_MIN), time_min, state.since_min)
+        since = np.where(known & (time_min - state.known_min > self._bridge_min), time_min, state.since_min)
         speed_known = bool(np.isfinite(speed_rpm))
         speed = float(speed_rpm) if speed_known else state.speed_rpm
-        anew = speed_known and time_min - state.speed_known_min > BRIDGE_MIN
+        anew = speed_known and time_min - state.speed_known_min > self._bridge_min
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
         return LagState(
             time_min=time_min,
@@ -211,7 +212,7 @@ class LaggedEstimator:
         since = state.since_min[usable]
         oldest_min = float(np.max(since)) if len(since) else state.time_min
         if self.model.layout.speed_lags_min:
-            if state.time_min - state.speed_known_min > BRIDGE_MIN:
+            if state.time_min - state.speed_known_min > self._bridge_min:
                 return 0.0
             oldest_min = max(oldest_min, state.speed_since_min)
         return float(np.clip((state.time_min - oldest_min) / self.history_min, 0.0, 1.0))

@@ -263,7 +263,7 @@ class Watcher:
         watch, excluded = self.watch, set(now.excluded)
         slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
-            "missing": now.time_min - now.known_min > BRIDGE_MIN,
+            "missing": now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & (slew > watch.slew_k_per_min),
             "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min),
         }
