@@ -143,7 +143,7 @@ class Campaign:
             return
         world = self._world
         with contextlib.suppress(OSError):  # it has just died: the next question will not come
-            process.channel.send((world.time_s, world.quiet_until_s, world.utc_step_s, world.deliveries(), content))
+            process.channel.send((world.time_s, world.quiet_until_s, world.utc_step_s, world.arrivals(), content))
 
     def _start(self) -> DaemonProcess:
         self.result.lives += 1
@@ -171,7 +171,7 @@ class Campaign:
         until_s = max(killed.end_s, self._world.time_s)
         while self._world.time_s < until_s:
             self._world.advance(until_s)
-            self._world.deliveries()
+            self._world.arrivals()
             self._kill = self._kill_after_groups = None
         self._hear(self._world.time_s, None)
 
@@ -199,7 +199,7 @@ class Campaign:
                 world = self._world
                 with contextlib.suppress(OSError):
                     process.channel.send(
-                        (world.time_s, world.quiet_until_s, world.utc_step_s, world.deliveries(), content)
+                        (world.time_s, world.quiet_until_s, world.utc_step_s, world.arrivals(), content)
                     )
             status = process.wait()
             self._ledger.check("nothing_unexpected", status == 0, f"the daemon ended with status {status}")
@@ -219,11 +219,12 @@ class Campaign:
     def _answer(self, name: str, time_s: float, raw: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
         world = self._world
         claims = Claims(*raw) if raw else None
+        world.settle(time_s)
         if name == "advance":
             self._hear(time_s, claims)
             world.advance(min(arguments[0], self._end_s + STOP_S))
             return None
-        world.catch_up(time_s)
+        world.move_machine()
         self._hear(world.time_s, claims)
         match name:
             case "connect":
@@ -256,8 +257,8 @@ class Campaign:
             if verdict != "ok":
                 return verdict, delay_s, content
             if delay_s > 0:
-                return verdict, delay_s, number
-        return "ok", 0.0, len(groups)
+                return verdict, delay_s, (number, {})
+        return "ok", 0.0, (len(groups), self._world.cnc.read_back())
 
     def _killed_before(self, group: tuple[tuple[int, float], ...]) -> bool:
         """Tell whether the daemon is to die before this group."""

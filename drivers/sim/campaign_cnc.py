@@ -71,6 +71,14 @@ class CncFace:
         """Answer a read-back."""
         return self._shown(numbers, lambda values: values)
 
+    def read_back(self) -> dict[int, float | None]:
+        """Return our macros and the echo, for a daemon that reads them back at once; nothing when it must ask."""
+        if self._modes or self._dropped:
+            return {}
+        shown = {number: self._machine.nc.macros.get(number) for number in self._map.block}
+        self._note_what_is_shown(shown)
+        return shown
+
     def write(self, group: Sequence[tuple[int, float]]) -> Answer:
         """Take one group of a block, or do not; the content says whether it was taken, whatever the daemon hears."""
         if group[0][0] == self._map.sequence_a:

@@ -19,6 +19,8 @@ from drivers.sim.latsis_encoding import LineTransmitter
 from drivers.sim.latsis_wire import PHASE_STEP
 from drivers.sim.machine import CfrpMachine
 
+Arrival = tuple[float, str, bytes | None]
+"""When, on which line, which bytes; None: the port is gone."""
 ROW_S = 60.0
 SAFE_LOOK_S = 0.5
 """At a safe point the tool is looked at this often: more often than the guard runs [s]."""
@@ -59,7 +61,6 @@ class _Line:
     def __init__(self, transmitter: LineTransmitter) -> None:
         self.transmitter = transmitter
         self.listening_since_s = math.inf
-        self.pass_start_s = 0.0
         self.disturbed = 0
 
 
@@ -85,7 +86,7 @@ class CampaignWorld:
         self._order = itertools.count()
         self._events: list[_Event] = []
         self._outward: list[float] = []
-        self._deliveries: list[tuple[str, bytes | None]] = []
+        self._arrivals: list[Arrival] = []
         self._random = random.Random(f"wires {seed}")
         lines = configuration.temperatures.lines
         faults = wire_faults(happenings, lines)
@@ -119,16 +120,15 @@ class CampaignWorld:
                 return
         self.time_s = max(self.time_s, until_s)
 
-    def catch_up(self, time_s: float) -> None:
-        """Move the machine itself on to a time at which the daemon asks for something."""
+    def settle(self, time_s: float) -> None:
+        """Let happen what the daemon could not notice before a time at which it asks for something."""
         while self._events and self._events[0].time_s <= time_s and not self._events[0].outward:
             self._run_next()
         self.time_s = max(self.time_s, time_s)
-        self.move_machine()
 
-    def deliveries(self) -> list[tuple[str, bytes | None]]:
-        """Return what has arrived on the lines since the last call; None: the port is gone."""
-        found, self._deliveries = self._deliveries, []
+    def arrivals(self) -> list[Arrival]:
+        """Return what arrives on the lines, as far as it is known and has not been returned yet."""
+        found, self._arrivals = self._arrivals, []
         return found
 
     def move_machine(self) -> None:
@@ -170,24 +170,24 @@ class CampaignWorld:
 
     def _plan_pass(self, line: LineConfig, state: _Line, start_s: float) -> None:
         """Plan a pass: its bytes are read in two pieces, cut anywhere."""
-        pass_s = state.transmitter.pass_s
-        middle_s = start_s + self._random.uniform(0.02, 0.98) * pass_s
+        end_s = start_s + state.transmitter.pass_s + 1e-4
+        middle_s = start_s + self._random.uniform(0.02, 0.98) * state.transmitter.pass_s
         self._at(start_s, lambda: self._begin_pass(state, start_s))
-        self._at(middle_s, lambda: self._send(line.name, state), outward=True)
-        self._at(start_s + pass_s + 1e-4, lambda: self._end_pass(line, state, start_s), outward=True)
+        self._at(middle_s, lambda: self._send(line.name, state, (middle_s, end_s)), outward=True)
+        self._at(end_s, lambda: self._end_pass(line, state, start_s))
 
     def _begin_pass(self, state: _Line, start_s: float) -> None:
         self.move_machine()
-        state.pass_start_s = start_s
         state.transmitter.advance(start_s)
 
-    def _send(self, name: str, state: _Line) -> None:
-        data = state.transmitter.advance(self.time_s)
-        if data and state.listening_since_s <= self.time_s and state.transmitter.plugged(self.time_s):
-            self._deliveries.append((name, data))
+    def _send(self, name: str, state: _Line, times_s: tuple[float, ...]) -> None:
+        """Send what has left the line by these times, the later ones ahead: nothing that is done here changes it."""
+        for at_s in times_s:
+            data = state.transmitter.advance(at_s)
+            if data and state.listening_since_s <= self.time_s and state.transmitter.plugged(at_s):
+                self._arrivals.append((at_s, name, data))
 
     def _end_pass(self, line: LineConfig, state: _Line, start_s: float) -> None:
-        self._send(line.name, state)
         undisturbed = state.transmitter.cycles_disturbed == state.disturbed
         state.disturbed = state.transmitter.cycles_disturbed
         heard = state.listening_since_s <= start_s
@@ -214,7 +214,7 @@ class CampaignWorld:
 
     def _unplug(self, name: str) -> None:
         if self._lines[name].listening_since_s < math.inf:
-            self._deliveries.append((name, None))
+            self._arrivals.append((self.time_s, name, None))
         self.leave(name)
 
     def _write_row(self) -> None:

@@ -38,6 +38,8 @@ class VirtualCnc:
         self._world = world
         self._clock = clock
         self._open = False
+        self._read_back: tuple[float, dict[int, float | None]] = (-math.inf, {})
+        """What the CNC has shown along with its answer to a write, and when: good for that moment only."""
         self._nc_clock_s = math.nan
         self._nc_clock_moved_s = 0.0
 
@@ -70,6 +72,9 @@ class VirtualCnc:
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
+        at_s, shown = self._read_back
+        if at_s == self._clock.monotonic_s and shown.keys() >= set(macros):
+            return {number: shown[number] for number in macros}
         values = await self._ask("read_macros", tuple(macros))
         return dict(zip(macros, values, strict=True))
 
@@ -80,8 +85,9 @@ class VirtualCnc:
                 raise FatalDriverError(f"macro variable #{number} = {value} must not be written; nothing was sent")
         left = [tuple((number, float(value)) for number, value in group) for group in groups if group]
         while left:
-            taken = await self._ask("write", tuple(left))
+            taken, shown = await self._ask("write", tuple(left))
             left = left[taken:]
+            self._read_back = self._clock.monotonic_s, shown
 
     async def close(self) -> None:
         """Close; never raises."""

@@ -5,6 +5,7 @@ daemon's side asks, the machine's side answers. Every answer says until when not
 itself, so that the daemon's side need not ask before.
 """
 
+import asyncio
 import marshal
 import math
 import socket
@@ -122,12 +123,18 @@ class VirtualWorld:
         answer = self._channel.receive()
         if answer is None:
             raise SystemExit("the simulated machine is gone")
-        self._clock.monotonic_s, self._quiet_until_s, self._clock.utc_step_s, events, content = answer
-        for line, data in events:
-            reader = self._readers.get(line)
-            if reader is not None:
-                reader.deliver(data)
+        self._clock.monotonic_s, self._quiet_until_s, self._clock.utc_step_s, arrivals, content = answer
+        for at_s, line, data in arrivals:
+            if at_s <= self._clock.monotonic_s:
+                self._deliver(line, data)
+            else:
+                asyncio.get_running_loop().call_at(at_s, self._deliver, line, data)
         return content
+
+    def _deliver(self, line: str, data: bytes | None) -> None:
+        reader = self._readers.get(line)
+        if reader is not None:
+            reader.deliver(data)
 
 
 class VirtualReader:
