@@ -144,15 +144,15 @@ def _changed_macro(
 def _cause_of(setting: Setting, account: Account, change: dict[str, Any], record: WriteRecord) -> dict[str, Any]:
     """Return the pass whose cycle changed the macro: by the daemon's trace it ended this long before.
 
-    At a high speed the passes of other lines end within the product's share, so the latest one need not be it.
+    At a high speed several passes end within the product's share, so the latest one need not be it. A temperature
+    in the macro must be what the pass carried.
     """
     ended_real_s = change["real_s"] - record.delay_s["written"]
-    own_line_only = setting.experiment.mode == "temperature"
-    passes = [
-        event
-        for event in account.passes
-        if event["real_s"] <= change["real_s"] and not (own_line_only and event["line"] != setting.line)
-    ]
+    passes = [event for event in account.passes if event["real_s"] <= change["real_s"]]
+    if setting.experiment.mode == "temperature":
+        passes = [event for event in passes if event["line"] == setting.line and event["degc"] == change["value"]]
+    if not passes:
+        raise LookupError(f"no pass carried the {change['value']} that the macro holds")
     return min(passes, key=lambda event: abs(event["real_s"] - ended_real_s))
 
 
