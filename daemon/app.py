@@ -25,7 +25,7 @@ from daemon.output.cnc_link import CncLink
 from daemon.output.cnc_session import CncSession
 from daemon.output.control import ControlTask
 from daemon.output.last_block import LastBlock
-from daemon.output.limits import commissioned_factors
+from daemon.output.limits import commissioned_factors, echo_slack_um
 from daemon.output.macro_block import MacroBlock
 from daemon.output.resume import load_resume_point
 from daemon.registry import PARTS, Parts
@@ -90,7 +90,9 @@ class Daemon:
             log.warning("model.unprotected", problem=self._loaded.warning)
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
-        self._block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
+        self._block = MacroBlock(
+            configuration.cnc.macros, axes, commissioned_factors(record, axes), echo_slack_um(configuration)
+        )
         self._alive_real_s = float("-inf")
         self._last_block = LastBlock.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)

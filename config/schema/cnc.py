@@ -1,5 +1,7 @@
 """The CNC: how it is reached, and which of its macro variables are ours."""
 
+import hashlib
+import json
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
@@ -177,6 +179,12 @@ class MacroMapConfig(Section):
             *((("request", name), number) for name, number in self.request_macros.items()),
             *([(("safe_flag",), self.safe_flag)] if self.safe_flag is not None else []),
         ]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything that decides what a written value does."""
+        content = self.model_dump(mode="json", exclude={"writable", "tolerance", "request", "safe_flag"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     @property
     def request_macros(self) -> dict[str, int]:

@@ -20,6 +20,7 @@ from daemon.history.packer import packed_hours
 from daemon.history.packing import PackedHour
 from daemon.history.reader import HistoryReader
 from daemon.history.retention import HousekeepingReport, store_hour, tidy
+from daemon.history.series import WriteRecord
 from drivers.clock import Clock
 from models.records import (
     CncSample,
@@ -235,6 +236,10 @@ class HistoryWriter:
     def last_written_macros(self) -> dict[int, tuple[float, ...]] | None:
         """Return what our macros may hold by the audit; None when nothing was ever written."""
         return self._look_up(lambda reader: reader.last_written_macros())
+
+    def unsettled_writes(self) -> list[WriteRecord]:
+        """Return the intents of earlier runs whose outcome is not known."""
+        return self._look_up(lambda reader: reader.unsettled_writes()) or []
 
     def last_displacement_utc_s(self) -> float | None:
         """Return the time of the newest displacement, so that a file is not read twice."""

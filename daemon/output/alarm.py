@@ -1,12 +1,13 @@
 """What a person at the machine must be told about the output."""
 
 from config.schema.compensation import OutputConfig
+from daemon.output.guard_watch import GuardWatch
 from daemon.output.macro_block import Echo
 from models.output import OutputMemory
 from models.records import OutputState
 
-GUARD_CONTENT = (0, 1)
-"""Echo status while the guard has nothing against the block: applied, or nothing enabled."""
+REFUSALS = 2
+"""A single torn read is no alarm: the block was being written."""
 
 
 def alarm_of(
@@ -14,19 +15,18 @@ def alarm_of(
     echo: Echo | None,
     *,
     now_s: float,
-    guard_silent_s: float,
+    guard: GuardWatch,
     config: OutputConfig,
     obstacle: str,
 ) -> str:
     """Return the alarm that the output's state calls for, '' when there is none."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
-    status = None if echo is None else echo.status
-    if memory.state is OutputState.ACTIVE and status not in (None, *GUARD_CONTENT):
-        return f"the guard does not apply the block (status {status}, see docs/reference/macros.md)"
-    if memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard_silent_s > config.guard_alarm_after_s:
+    if memory.state is OutputState.ACTIVE and guard.refusals >= REFUSALS and echo is not None:
+        return f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
+    if memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
         return (
-            f"the guard has not run for {guard_silent_s / 60:.0f} min while the program ran, so nothing that is "
+            f"the guard has not run for {guard.silent_s / 60:.0f} min while the program ran, so nothing that is "
             "written reaches the tool: check that the program calls it at its safe points"
         )
     held_s = now_s - memory.since_s

@@ -22,13 +22,14 @@ from daemon.output.echo_watch import EchoWatch
 from daemon.output.guard_watch import GuardWatch
 from daemon.output.handshake import Handshake
 from daemon.output.journal import Journal
-from daemon.output.limits import axis_sources, output_limits
+from daemon.output.limits import axis_sources, echo_slack_um, output_limits
 from daemon.output.permission import Permission, in_words
 from daemon.output.probing import judged_probe
 from daemon.output.references import References
 from daemon.output.request_desk import RequestDesk
 from daemon.output.requests import Requests
 from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
+from daemon.output.settling import settle_unsettled
 from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
@@ -78,7 +79,7 @@ class ControlTask:
         self._link = link
         self._history = history
         self._telemetry = telemetry
-        self._echo_watch = EchoWatch(telemetry)
+        self._echo_watch = EchoWatch(telemetry, echo_slack_um(configuration))
         self._permission = Permission(configuration, clock, commissioning, model_obstacle)
         self._resume = resume
         self._model_id = model_id
@@ -248,6 +249,7 @@ class ControlTask:
         self._tool.follow(sample.tool_number, self._estimate)
         await self._desk.look(session)
         if self.memory is None:
+            settle_unsettled(self._history, sample, session.echo, self._clock.now())
             self._start_from(session)
 
     def _adopt_reference(self, reference: Reference) -> None:
@@ -330,9 +332,8 @@ class ControlTask:
         self.command = command
         obstacle = why_not_ready(self.memory, inputs, self.limits)
         echo = session.echo if session is not None else None
-        silent_s = self.guard_silent_s
         alarm = alarm_of(
-            self.memory, echo, now_s=inputs.now_s, guard_silent_s=silent_s, config=self._output, obstacle=obstacle
+            self.memory, echo, now_s=inputs.now_s, guard=self._guard_watch, config=self._output, obstacle=obstacle
         )
         self.journal.watch(before, self.memory, alarm)
         if session is not None and command.write:

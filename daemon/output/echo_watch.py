@@ -35,8 +35,9 @@ class _Awaited:
 class EchoWatch:
     """Waits for the echo of the newest estimate's write."""
 
-    def __init__(self, telemetry: Telemetry) -> None:
+    def __init__(self, telemetry: Telemetry, slack_um: float = ECHO_SLACK_UM) -> None:
         self._telemetry = telemetry
+        self._slack_um = slack_um
         self._awaited: _Awaited | None = None
 
     def wrote(self, trace: Trace, command: CompensationCommand, echo: Echo | None, line: str | None) -> None:
@@ -69,7 +70,7 @@ class EchoWatch:
         if awaited is None or echo is None or echo.status != APPLIED_STATUS or echo.time_s == awaited.guard_time_s:
             return
         distance_um = np.abs(echo.applied_um - awaited.value_um)[np.array(awaited.enabled, dtype=bool)]
-        if np.all(distance_um <= ECHO_SLACK_UM):
+        if np.all(distance_um <= self._slack_um):
             self._awaited = None
             self._telemetry.echoed(awaited.line, replace(awaited.trace, echoed=time))
 

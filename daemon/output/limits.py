@@ -6,8 +6,13 @@ import numpy as np
 
 from config.commissioning import CommissioningRecord
 from config.schema import Configuration
+from daemon.output.macro_block import ECHO_SLACK_UM
 from models.axis_map import AxisSource, ToolTerm
 from models.output import OutputLimits
+from models.units import um_from_mm
+
+ROUNDING = 0.51
+"""Half an increment, and a little for the arithmetic."""
 
 
 def output_limits(configuration: Configuration) -> OutputLimits:
@@ -55,3 +60,8 @@ def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]
     if record is None:
         return {}
     return {axis: record.axes[axis].sign * record.axes[axis].scale for axis in axes if axis in record.axes}
+
+
+def echo_slack_um(configuration: Configuration) -> float:
+    """Return what may lie between a written value and its echo [um]: the control rounds to its least increment."""
+    return max(ECHO_SLACK_UM, um_from_mm(ROUNDING * configuration.cnc.guard.increment_mm))

@@ -29,7 +29,15 @@ class Echo:
 class MacroBlock:
     """Layout of the block for one machine."""
 
-    def __init__(self, macros: MacroMapConfig, axes: Sequence[str], factors: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        macros: MacroMapConfig,
+        axes: Sequence[str],
+        factors: Mapping[str, float],
+        slack_um: float = ECHO_SLACK_UM,
+    ) -> None:
+        self.slack_um = slack_um
+        """Allowed between the echo and what explains it [um]; the control rounds to its least increment."""
         self._map = macros
         self._axes = tuple(axes)
         self._um_per_unit = np.array([macros.unit_um * factors.get(axis, 1.0) for axis in axes])
@@ -104,12 +112,12 @@ class MacroBlock:
         problems = []
         for i, axis in enumerate(self._axes):
             applied_um = echo.applied_um[i]
-            if abs(applied_um) > limits.absolute_bound_um[i] + ECHO_SLACK_UM:
+            if abs(applied_um) > limits.absolute_bound_um[i] + self.slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "
                     f"the bound is {limits.absolute_bound_um[i]:g} um"
                 )
-            elif abs(applied_um - written_um[i]) > limits.step_um[i] + ECHO_SLACK_UM:
+            elif abs(applied_um - written_um[i]) > limits.step_um[i] + self.slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
                     f"{written_um[i]:.3f} um, and the guard's step is {limits.step_um[i]:g} um"

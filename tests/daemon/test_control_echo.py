@@ -99,12 +99,36 @@ async def test_a_control_that_refuses_a_write_is_a_fault_and_counted(bench):
         await rig.history.flushed()
 
 
-async def test_a_guard_that_does_not_apply_raises_the_alarm(bench):
+async def refuse(rig, bench):
+    """The guard runs, and takes nothing over."""
+    bench.nc.macros.set(514, bench.nc.macros.get(514) + 1.0)
+    bench.nc.macros.set(515, 3.0)
+    await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+
+
+async def test_a_guard_that_refuses_twice_raises_the_alarm_and_once_does_not(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
-        bench.nc.macros.set(515, 3.0)
-        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        await refuse(rig, bench)
+        assert rig.control.journal.alarm == "", "the block may have been torn by its writing"
+        await refuse(rig, bench)
         assert rig.state == "ACTIVE" and "status 3" in rig.control.journal.alarm
+        await rig.turn(rig.estimate(0.0, 0.0))
+        await rig.turn(rig.estimate(0.0, 0.0))
+        assert rig.control.journal.alarm == ""
+
+
+async def test_a_guard_that_never_runs_raises_the_alarm(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        for _ in range(20):
+            await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
+        assert rig.control.guard_silent_s > 90.0
+        limit_s = rig.configuration.compensation.output.guard_alarm_after_s
+        while rig.control.guard_silent_s <= limit_s:
+            await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
+        await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
+        assert rig.state == "ACTIVE" and "has not run for 30 min" in rig.control.journal.alarm
 
 
 def test_outcomes_are_named():

@@ -167,3 +167,23 @@ async def test_every_write_is_in_the_audit(bench):
         assert all(record.outcome is WriteOutcome.VERIFIED for record in records)
         assert reader.unsettled_writes() == []
         assert any(event.kind == "request" and event.person == "a person" for event in reader.events(0.0, 1e11))
+
+
+async def test_an_intent_that_a_crash_left_without_an_outcome_is_settled_by_reading_back(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -8.0, 20)
+        held = {number: bench.nc.macros.get(number) for number in (500, Z)}
+        lost = rig.history.write_intent(rig.control.command, ((500, held[500] + 1), (Z, 0.5)), "tick")
+        arrived = rig.history.write_intent(rig.control.command, tuple(held.items()), "tick")
+        await rig.history.flushed()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.history.flushed()
+        with HistoryReader(rig.history.path) as reader:
+            assert reader.unsettled_writes() == []
+            records = {record.write_id: record for record in reader.writes(0.0, 2.0**40)}
+    assert records[int(lost)].outcome is WriteOutcome.FAILED
+    assert records[int(arrived)].outcome is WriteOutcome.VERIFIED
+    assert "ended while writing" in records[int(lost)].detail

@@ -56,8 +56,8 @@ def test_one_dead_line_is_imputed_and_three_hold_the_output(tmp_path):
         status = wires.status()
         assert status["temperatures"]["usable"] < status["temperatures"]["total"]
         assert status["estimate"]["imputed"] and status["estimate"]["confidence"] < 1.0
-        held = wires.wait_for_state("HOLD")
-        assert "stale" in held["output"]["reason"] or "confidence" in held["output"]["reason"]
+        held = wires.wait("stale temperatures", lambda status: "stale" in status["output"]["reason"])
+        assert held["output"]["state"] == "HOLD"
         frozen = {axis: state["written_um"] for axis, state in held["axes"].items()}
         while wires.running.time_s < 590.0:
             status = wires.status()
