@@ -13,6 +13,11 @@ Origin = Literal["published", "derived", "fitted", "assumed", "measured", "desig
 """Where a number comes from."""
 Rotary = Literal["correct", "published"]
 
+LEAST_GPA, MOST_GPA = 1e-3, 2000.0
+"""Range of moduli: softer is foam, stiffer than diamond is a slip of the pen."""
+STIFFEST = 1e15
+"""Largest stiffness or damping in SI units; a rigid tie needs no more, and more drowns the shaft in rounding."""
+
 OWN_CONSTANTS = ("E_gpa", "G_gpa", "nu", "density_g_cm3")
 RATIO_SUM = 1e-3
 """How far the volume ratios of a mixture may sum up beside 1; they are then made to."""
@@ -21,14 +26,20 @@ RATIO_SUM = 1e-3
 class MaterialDescription(Section):
     """A material: isotropic with G_gpa, or a laminate with G_zx_gpa and G_zy_gpa."""
 
-    E_gpa: float = Field(gt=0, description="Young's modulus along the axis [GPa]")
-    G_gpa: float | None = Field(None, gt=0, description="shear modulus of an isotropic material [GPa]")
-    G_zx_gpa: float | None = Field(None, gt=0, description="shear modulus between axis and radius [GPa]")
-    G_zy_gpa: float | None = Field(None, gt=0, description="shear modulus between axis and circumference [GPa]")
+    E_gpa: float = Field(ge=LEAST_GPA, le=MOST_GPA, description="Young's modulus along the axis [GPa]")
+    G_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus of an isotropic material [GPa]"
+    )
+    G_zx_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus between axis and radius [GPa]"
+    )
+    G_zy_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus between axis and circumference [GPa]"
+    )
     nu: float | None = Field(
         None, gt=-1, lt=1, description="Poisson's ratio; none: a section with it must give its own"
     )
-    density_g_cm3: float = Field(gt=0, le=25, description="density [g/cm^3]")
+    density_g_cm3: float = Field(ge=0.01, le=25, description="density [g/cm^3]")
     origin: Origin | None = Field(None, description="where the numbers come from")
     note: str | None = Field(None, description="what a reader should know about them")
 
@@ -43,10 +54,10 @@ class MaterialDescription(Section):
 class Constants(Section):
     """Elastic constants of a tube: written out, or a material with constants that override it."""
 
-    E_gpa: float | None = Field(None, gt=0, description="Young's modulus [GPa]")
-    G_gpa: float | None = Field(None, gt=0, description="shear modulus [GPa]")
+    E_gpa: float | None = Field(None, ge=LEAST_GPA, le=MOST_GPA, description="Young's modulus [GPa]")
+    G_gpa: float | None = Field(None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus [GPa]")
     nu: float | None = Field(None, gt=-1, lt=1, description="Poisson's ratio of the shear coefficient")
-    density_g_cm3: float | None = Field(None, gt=0, le=25, description="density [g/cm^3]")
+    density_g_cm3: float | None = Field(None, ge=0.01, le=25, description="density [g/cm^3]")
     material: str | None = Field(None, description="name of a material, shipped or under `materials`")
 
     def _missing(self) -> list[tuple[KeyPath, str]]:
@@ -91,8 +102,8 @@ class LayerDescription(Section):
 class SegmentDescription(Constants):
     """A stretch of constant section."""
 
-    length_mm: float = Field(gt=0, le=10_000, description="length [mm]")
-    outer_mm: float = Field(gt=0, le=2_000, description="outer diameter [mm]")
+    length_mm: float = Field(ge=0.01, le=10_000, description="length [mm]")
+    outer_mm: float = Field(ge=0.1, le=2_000, description="outer diameter [mm]")
     inner_mm: float = Field(0.0, ge=0, description="inner diameter [mm]; 0: a full section")
     mixture: dict[str, float] | None = Field(
         None, min_length=1, description="material -> volume ratio; spread uniformly over the section"
@@ -152,10 +163,10 @@ class SegmentDescription(Constants):
 class Springs(Section):
     """Springs and dampers between two bodies."""
 
-    kt_n_per_m: float = Field(0.0, ge=0, description="translational stiffness [N/m]")
-    ct_ns_per_m: float = Field(0.0, ge=0, description="translational damping [N s/m]")
-    kr_nm_per_rad: float = Field(0.0, ge=0, description="rotational stiffness [N m/rad]")
-    cr_nms_per_rad: float = Field(0.0, ge=0, description="rotational damping [N m s/rad]")
+    kt_n_per_m: float = Field(0.0, ge=0, le=STIFFEST, description="translational stiffness [N/m]")
+    ct_ns_per_m: float = Field(0.0, ge=0, le=STIFFEST, description="translational damping [N s/m]")
+    kr_nm_per_rad: float = Field(0.0, ge=0, le=STIFFEST, description="rotational stiffness [N m/rad]")
+    cr_nms_per_rad: float = Field(0.0, ge=0, le=STIFFEST, description="rotational damping [N m s/rad]")
     origin: Origin | None = Field(None, description="where the numbers come from")
     note: str | None = Field(None, description="what a reader should know about them")
 

@@ -69,9 +69,13 @@ def parts_at(spindle: Spindle, at: str) -> str:
 
 def response(spindle: Spindle, at: str, frequency_hz: FloatArray) -> ComplexArray:
     """Return the receptance at a place [m/N], shape (n,); raises ResponseError where it is not finite."""
-    condensed = CondensedAssembly(spindle.assembly(parts_at(spindle, at)), frequency_hz)
+    assembly = spindle.assembly(parts_at(spindle, at))
+    # Every bearing has a group of its own here, so that those of one group may differ.
+    supports = tuple(replace(each, group=str(number)) for number, each in enumerate(assembly.shaft.supports))
+    assembly = replace(assembly, shaft=replace(assembly.shaft, supports=supports))
     with np.errstate(all="ignore"):
-        receptance = condensed.receptance(properties(spindle))
+        condensed = CondensedAssembly(assembly, frequency_hz)
+        receptance = condensed.receptance({each.group: each.properties for each in supports})
     wrong = ~np.isfinite(receptance)
     if wrong.any():
         raise ResponseError(

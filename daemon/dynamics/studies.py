@@ -9,7 +9,7 @@ import numpy as np
 
 from config.spindle import Constants, MaterialDescription, SegmentDescription, SpindleDescription, shipped_materials
 from config.spindle_chain import Spindle, build_spindle, segment_elasticity
-from daemon.dynamics.responses import peaks, properties, response, spindle_modes
+from daemon.dynamics.responses import peaks, response, spindle_modes
 from models.dynamics.studies import mode_changes
 from models.records import FloatArray
 
@@ -154,7 +154,7 @@ def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequen
                 "rigid_rotary_inertia": spindle.rotary,
                 "warnings": list(spindle.warnings),
                 "mass_kg": spindle.assembly(at).whole().mass_kg,
-                "bearings": len(properties(spindle)),
+                "bearings": len(spindle.shaft.supports),
                 "frequency_hz": float(frequency_hz[highest]),
                 "compliance_m_per_n": float(np.abs(receptance[highest])),
                 "peaks": peaks(frequency_hz, receptance),

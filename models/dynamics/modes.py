@@ -23,6 +23,8 @@ NODE = 1e-9
 INVERSE_ITERATIONS = 4
 SHAPE_STEP_M = 0.005
 """Largest distance between two points of a shape."""
+MOST_SHAPE_POINTS = 400
+"""Points of a shape of one section at most; on a longer chain they lie further apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +101,7 @@ def modes(chain: Chain, count: int, step_m: float = SHAPE_STEP_M) -> list[Mode]:
 
 
 def _mode(chain: Chain, frequency_hz: float, step_m: float) -> Mode:
+    step_m = max(step_m, chain.length_m / MOST_SHAPE_POINTS)
     stiffness, position_m = dense_stiffness(chain, frequency_hz, step_m, damped=False)
     lever = np.tile([1.0, 1.0 / _gyration_m(chain)], len(position_m))
     vector = _null_vector(stiffness * lever[:, None] * lever) * lever
@@ -145,6 +148,7 @@ def deflection_shape(
 def _null_vector(matrix: Values) -> FloatArray:
     """Return the vector that a nearly singular symmetric matrix makes smallest, by inverse iteration."""
     size = len(matrix)
+    # The shift keeps an exactly singular matrix solvable and is far below what separates two modes.
     shifted = matrix + np.eye(size) * (np.finfo(np.float64).eps * np.abs(matrix).max())
     vector = np.cos(1.0 + np.arange(size) ** 1.5)
     for _ in range(INVERSE_ITERATIONS):

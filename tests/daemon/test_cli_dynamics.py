@@ -265,14 +265,24 @@ def test_every_shipped_spindle_can_be_computed(name: str) -> None:
 
 
 BAD_FILES = {
-    "zero length": ("length_mm: 15.1", "length_mm: 0", ":3:17: segments[0].length_mm: this must be above 0, not 0"),
-    "negative": ("length_mm: 15.1", "length_mm: -15", ":3:17: segments[0].length_mm: this must be above 0, not -15"),
+    "zero length": (
+        "length_mm: 15.1",
+        "length_mm: 0",
+        ":3:17: segments[0].length_mm: this must be at least 0.01, not 0",
+    ),
+    "negative": (
+        "length_mm: 15.1",
+        "length_mm: -15",
+        ":3:17: segments[0].length_mm: this must be at least 0.01, not -15",
+    ),
     "inner": ("inner_mm: 42.4", "inner_mm: 89", ":3:39: segments[0].inner_mm: inner 89 mm must be smaller"),
     "ring": ("ring: {outer_mm: 85.0", "ring: {outer_mm: 50", "segments[2].ring.outer_mm: a ring sits on the segment"),
     "outside": ("position_mm: 400.1", "position_mm: 500", ":10:18: bearings[2].position_mm: 500 mm lies outside"),
     "before": ("position_mm: 99.1", "position_mm: -1", "bearings[0].position_mm: this must be at least 0"),
     "group": ("'12'", "'13'", ":8:13: bearings[0].group: this must be one of"),
     "negative stiffness": ("5.11e7", "-5.11e7", ":8:50: bearings[0].kt_n_per_m: this must be at least 0"),
+    "stiffness": ("5.11e7", "5.11e77", "bearings[0].kt_n_per_m: this must be at most 1e+15"),
+    "pascals": ("E_gpa: 200", "E_gpa: 200e9", ":3:65: segments[0].E_gpa: this must be at most 2000"),
     "unknown key": ("inner_mm: 42.4", "iner_mm: 42.4", "unknown key; did you mean `inner_mm`?"),
     "material": (
         STEEL,
@@ -294,6 +304,17 @@ def test_bad_files_are_refused_with_line_and_key(tmp_path: Path, case: str, comm
     said = refusal(command, path)
     assert str(path) in said
     assert words in said
+
+
+def test_bearings_of_a_group_may_differ_in_a_response_but_not_in_an_identification(
+    spindle: Path, tmp_path: Path
+) -> None:
+    twice = f"  - {{group: '12', position_mm: 120.0, kt_n_per_m: 3e7, ct_ns_per_m: 500, {TURNING}}}\n"
+    path = tmp_path / "differ.yaml"
+    path.write_text(DIRECT + twice)
+    measured = write_csv(tmp_path / "m.csv", *nose(path, "--points", 300))
+    said = refusal("identify", path, measured)
+    assert "the bearings of group '12' have different properties" in said
 
 
 def test_missing_parts_are_refused(spindle: Path, tmp_path: Path) -> None:
