@@ -22,7 +22,7 @@ from daemon.output.echo_watch import EchoWatch
 from daemon.output.guard_watch import GuardWatch
 from daemon.output.handshake import Handshake
 from daemon.output.journal import Journal
-from daemon.output.limits import axis_sources, echo_slack_um, output_limits
+from daemon.output.limits import axis_sources, commissioned_factors, echo_slack_um, output_limits
 from daemon.output.permission import Permission, in_words
 from daemon.output.probing import judged_probe
 from daemon.output.references import References
@@ -86,7 +86,9 @@ class ControlTask:
         self._ask_reference = ask_reference
         self._on_tick = on_tick
         self._on_sample = on_sample
-        self.limits = output_limits(configuration)
+        self.limits = output_limits(
+            configuration, commissioned_factors(commissioning, tuple(configuration.compensation.axes))
+        )
         self._sources = axis_sources(configuration)
         self._tool = ToolInSpindle(self._sources, history)
         self._tool_setting: tuple[bool, ...] | None = None

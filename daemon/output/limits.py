@@ -1,6 +1,6 @@
 """From the configuration's words to the vectors and records that the mathematics takes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,15 +15,20 @@ ROUNDING = 0.51
 """Half an increment, and a little for the arithmetic."""
 
 
-def output_limits(configuration: Configuration) -> OutputLimits:
-    """Return the limits of the output, one row per axis."""
+def output_limits(configuration: Configuration, factors: Mapping[str, float] | None = None) -> OutputLimits:
+    """Return the limits of the output, one row per axis.
+
+    `factors` is the movement per macro value. The guard bounds the macro value, so where less moves
+    than is written, bound and step of the movement shrink with it.
+    """
     axes = configuration.compensation.axes
+    share = np.array([min(1.0, abs((factors or {}).get(axis, 1.0))) for axis in axes])
     output = configuration.compensation.output
     return OutputLimits(
         axes=tuple(axes),
-        absolute_bound_um=np.array([axis.absolute_bound_um for axis in axes.values()]),
+        absolute_bound_um=share * [axis.absolute_bound_um for axis in axes.values()],
         slew_um_per_min=np.array([axis.slew_um_per_min for axis in axes.values()]),
-        step_um=np.array([axis.step_um for axis in axes.values()]),
+        step_um=share * [axis.step_um for axis in axes.values()],
         deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
         stale_after_s=output.stale_after_s,
         hold_limit_s=output.hold_limit_s,
