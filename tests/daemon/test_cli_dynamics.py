@@ -282,7 +282,7 @@ BAD_FILES = {
     "group": ("'12'", "'13'", ":8:13: bearings[0].group: this must be one of"),
     "negative stiffness": ("5.11e7", "-5.11e7", ":8:50: bearings[0].kt_n_per_m: this must be at least 0"),
     "stiffness": ("5.11e7", "5.11e77", "bearings[0].kt_n_per_m: this must be at most 1e+15"),
-    "pascals": ("E_gpa: 200", "E_gpa: 200e9", ":3:65: segments[0].E_gpa: this must be at most 2000"),
+    "pascals": ("E_gpa: 200", "E_gpa: 200e9", ":3:62: segments[0].E_gpa: this must be at most 2000"),
     "unknown key": ("inner_mm: 42.4", "iner_mm: 42.4", "unknown key; did you mean `inner_mm`?"),
     "material": (
         STEEL,
