@@ -41,13 +41,13 @@ def other_model() -> ThermalModel:
     return replace(shipped, model_id="half-as-much-again", coefficients_um_per_k=coefficients, test_vectors=vectors)
 
 
-def said_of_models(store: Path, count: int) -> list[str]:
-    """Return the events about models, once there are so many: the daemon commits them while we look."""
+def said_of_models(store: Path, last: str) -> list[str]:
+    """Return the events about models once the last one begins so: the daemon commits them while we look."""
     end_s = time.monotonic() + FOREVER_S
     while True:
         with HistoryReader(store) as reader:
             said = [event.text for event in reader.events(*EVER) if event.kind == "model"]
-        if len(said) >= count or time.monotonic() > end_s:
+        if (said and said[-1].startswith(last)) or time.monotonic() > end_s:
             return said
         time.sleep(0.05)
 
@@ -89,8 +89,9 @@ def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
         assert back["action"] == "rollback" and back["number"] == 3
         wires.check_nothing_broke()
         check_audit(wires.writes(), wires.configuration)
-        said = said_of_models(wires.configuration.history.path, 3)
-        assert len(said) == 3, said
-        assert said[0].startswith("ridge-") and "release 1 by " in said[0]
-        assert said[1].startswith("half-as-much-again, sha256 ") and "release 2 by " in said[1]
-        assert said[2].startswith("refused: ") and "the model in use stays" in said[2]
+        said = said_of_models(wires.configuration.history.path, "refused: ")
+        # A rehearsal whose processes were not ready in time starts its daemon once more.
+        first_said, second_said, third_said = said[-3:]
+        assert first_said.startswith("ridge-") and "release 1 by " in first_said
+        assert second_said.startswith("half-as-much-again, sha256 ") and "release 2 by " in second_said
+        assert third_said.startswith("refused: ") and "the model in use stays" in third_said
