@@ -13,11 +13,11 @@ from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_pe
 from models.thermal.watch_fit import smoothed
 
 BAND_QUANTILE = 0.9
-"""The band is the largest, over instants that could have been the reference, of this quantile of what followed."""
-SHORTEST_HORIZON_MIN = 240.0
-"""So much must follow such an instant [min], or half of the run."""
+"""The band is the largest, over folds and instants that could have been the reference, of this quantile."""
+SHORTEST_HORIZON_MIN = 60.0
+"""So much must follow such an instant [min], or half of the fold."""
 REFERENCES = 30
-"""So many instants of every run are tried."""
+"""So many instants of every fold are tried."""
 NORMAL_90 = 1.282
 """90 % point of the normal distribution."""
 FEWEST_FOLDS_BEFORE = 2
@@ -180,24 +180,31 @@ def _band_um(
     probe_min: float | None,
     bias_filter: BiasFilter | None,
 ) -> FloatArray:
-    """Return the half width that held from (nearly) every instant that could have been the reference."""
+    """Return the half width that held on every fold from (nearly) every instant that could have been its reference."""
     widths: list[FloatArray] = []
+    known = rows & np.isfinite(series_um).all(axis=1)
     for run in np.unique(inputs.run[rows]):
-        chosen = np.flatnonzero(rows & (inputs.run == run) & np.isfinite(series_um).all(axis=1))
-        if not len(chosen):
-            continue
-        time_min, residual_um = inputs.time_min[chosen], series_um[chosen]
-        if probe_min is not None:
-            probed = np.abs(probed_residual_um(time_min, residual_um - residual_um[0], probe_min, bias_filter))
-            folds = fold[chosen]
+        of_run = np.flatnonzero(known & (inputs.run == run))
+        if len(of_run) and probe_min is not None:
+            residual_um = series_um[of_run] - series_um[of_run[0]]
+            probed = np.abs(probed_residual_um(inputs.time_min[of_run], residual_um, probe_min, bias_filter))
+            folds = fold[of_run]
             widths += [np.quantile(probed[folds == number], BAND_QUANTILE, axis=0) for number in np.unique(folds)]
             continue
-        shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
-        references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
-        for first in references[:: max(1, len(references) // REFERENCES)]:
-            later = np.abs(residual_um[first:] - residual_um[first])
-            widths.append(np.quantile(later, BAND_QUANTILE, axis=0))
+        for number in np.unique(fold[of_run]):
+            chosen = of_run[fold[of_run] == number]
+            widths += _widths(inputs.time_min[chosen], series_um[chosen])
     return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def _widths(time_min: FloatArray, residual_um: FloatArray) -> list[FloatArray]:
+    """Return the quantile of what followed each of some instants that could have been the reference."""
+    shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
+    references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
+    return [
+        np.quantile(np.abs(residual_um[first:] - residual_um[first]), BAND_QUANTILE, axis=0)
+        for first in references[:: max(1, len(references) // REFERENCES)]
+    ]
 
 
 def few_folds_factor(folds: int) -> float:
