@@ -93,6 +93,9 @@ def _delay(
     cause = _cause_of(setting, account, change, record)
     product_s = record.delay_s["read_back"]
     held_back_s = cause["end_s"] - first["end_s"]
+    if setting.experiment.mode == "temperature" and not setting.experiment.cleansing:
+        # No rule holds anything back here: a cycle that was overtaken waited for this computer, in wall time.
+        product_s, held_back_s = product_s + cause["real_s"] - first["real_s"], 0.0
     if record.cause == "tick":  # written between two cycles: held back until then, on the machine's clock
         held_back_s = (change["real_s"] - first["real_s"]) * setting.experiment.speed
     lag_s = min(float(move["lag_s"]), first["start_s"] - time_s)

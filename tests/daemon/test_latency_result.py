@@ -102,7 +102,7 @@ def test_every_part_is_found_and_a_total_is_their_sum():
         assert move.sampling_wait_s == pytest.approx(start_s - time_s - LAG_S)
         assert move.line_time_s == pytest.approx(LINE_TIME_S)
         assert move.held_back_s == 0.0
-        assert move.product_s == PRODUCT_S
+        assert move.product_s == pytest.approx(PRODUCT_S)
         assert move.measurement_s == pytest.approx(start_s + LINE_TIME_S - time_s)
         assert move.total_s == pytest.approx(move.measurement_s + PRODUCT_S)
 
@@ -111,7 +111,19 @@ def test_every_part_is_found_and_a_total_is_their_sum():
 def test_the_product_counts_wall_seconds_whatever_the_speed(speed):
     moves, problems = Machine(setting(speed=speed)).delays()
     assert problems == []
-    assert all(move.feedback_s == PRODUCT_S for move in moves)
+    assert all(move.feedback_s == pytest.approx(PRODUCT_S) for move in moves)
+
+
+@pytest.mark.parametrize("speed", [1.0, 120.0])
+def test_a_cycle_that_was_overtaken_without_any_rule_is_the_products_delay_in_wall_time(speed):
+    machine = Machine(setting(speed=speed))
+    for time_s in machine.setting.script.moves_s:
+        shows_it = next(event for event in machine.passes if event["start_s"] > time_s + LAG_S)
+        machine.macros = [event for event in machine.macros if not 0.0 < event["real_s"] - shows_it["real_s"] < 0.01]
+    moves, problems = machine.delays()
+    assert problems == []
+    assert all(move.held_back_s == 0.0 for move in moves)
+    assert all(move.product_s == pytest.approx(PRODUCT_S + 10.0 / speed) for move in moves)
 
 
 @pytest.mark.parametrize("mode", ["temperature", "compensation"])
