@@ -1,0 +1,126 @@
+"""Measured responses from CSV and universal files: units, kinds, coherence, refusals."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyuff
+
+from drivers.frf_measurement import MeasurementFileError, read_measurements
+
+FREQUENCY_HZ = np.linspace(0.0, 2000.0, 41)
+OMEGA = 2 * np.pi * FREQUENCY_HZ
+RECEPTANCE = 1e-7 / (1 - (FREQUENCY_HZ / 1000) ** 2 + 0.05j)
+UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
+
+
+def function(data: Any, **changes: Any) -> dict[str, Any]:
+    told = {
+        "type": 58, "func_type": 4, "rsp_node": 1, "rsp_dir": 2, "ref_node": 1, "ref_dir": 2, "x": FREQUENCY_HZ,
+        "data": data, "id1": "", "id2": "", "id3": "", "id4": "", "id5": "", "abscissa_spec_data_type": 18,
+        "ordinate_spec_data_type": 8, "orddenom_spec_data_type": 13, "ordinate_axis_units_lab": "m",
+        "orddenom_axis_units_lab": "N", "binary": 0,
+    }  # fmt: skip
+    return {**told, **changes}
+
+
+def universal(path: Path, *sets: dict[str, Any]) -> Path:
+    path.unlink(missing_ok=True)
+    pyuff.UFF(str(path)).write_sets(list(sets), mode="add")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "label"),
+    [
+        (8, RECEPTANCE, "m"),
+        (8, RECEPTANCE * 1e3, "mm"),
+        (8, RECEPTANCE * 1e6, "um"),
+        (11, RECEPTANCE * 1j * OMEGA, "m/s"),
+        (12, RECEPTANCE * -(OMEGA**2), "m/s^2"),
+        (12, RECEPTANCE * -(OMEGA**2) / 9.80665, "g"),
+        (12, RECEPTANCE * -(OMEGA**2) * 1e3, "mm/s^2"),
+    ],
+)
+def test_kinds_and_units_of_universal_files(tmp_path: Path, kind: int, data: Any, label: str) -> None:
+    path = universal(tmp_path / "m.uff", function(data, ordinate_spec_data_type=kind, ordinate_axis_units_lab=label))
+    (found,) = read_measurements(path)
+    # The line at 0 Hz is left out: nothing can be integrated there.
+    assert found.frequency_hz == pytest.approx(FREQUENCY_HZ[1:])
+    assert found.receptance_m_per_n == pytest.approx(RECEPTANCE[1:], rel=1e-5)
+    assert found.coherence is None
+
+
+def test_several_responses_and_their_coherence(tmp_path: Path) -> None:
+    coherence = np.linspace(0.5, 1.0, 41)
+    path = universal(
+        tmp_path / "m.uff",
+        function(RECEPTANCE),
+        function(2 * RECEPTANCE, rsp_node=7),
+        function(coherence, func_type=6, rsp_node=7),
+    )
+    first, second = read_measurements(path)
+    assert second.receptance_m_per_n == pytest.approx(2 * first.receptance_m_per_n)
+    assert first.coherence is None
+    assert second.coherence == pytest.approx(coherence[1:], abs=1e-5)
+    assert len(second.coherent(0.9).frequency_hz) < 12
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"func_type": 6}, "holds no frequency response function"),
+        ({"ordinate_spec_data_type": 2}, "its ordinate is of kind 2"),
+        ({"orddenom_spec_data_type": 12}, "is per kind 12 of data, not per force"),
+        ({"ordinate_axis_units_lab": "furlong"}, "the unit 'furlong' is not known"),
+    ],
+)
+def test_unfit_universal_files_are_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    data = np.abs(RECEPTANCE) if changes.get("func_type") == 6 else RECEPTANCE
+    with pytest.raises(MeasurementFileError, match=words):
+        read_measurements(universal(tmp_path / "m.uff", function(data, **changes)))
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.unv"
+    with pytest.raises(MeasurementFileError, match="no such file"):
+        read_measurements(path)
+    path.write_text("nothing of the kind\n")
+    with pytest.raises(MeasurementFileError, match=r"m\.unv: "):
+        read_measurements(path)
+    with pytest.raises(MeasurementFileError, match="cannot be opened"):
+        read_measurements(tmp_path / "m.csv")
+    binary = tmp_path / "b.csv"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(MeasurementFileError, match="is not UTF-8 text"):
+        read_measurements(binary)
+
+
+def test_csv_with_coherence_other_columns_and_semicolons(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    rows = ["note;coherence;mobility_im;frequency_hz;mobility_re"]
+    for f, h in zip(FREQUENCY_HZ.tolist(), (RECEPTANCE * 1j * OMEGA).tolist(), strict=True):
+        rows.append(f"x;0.75;{h.imag!r};{f!r};{h.real!r}")
+    path.write_text("\n".join(rows))
+    (found,) = read_measurements(path)
+    assert found.receptance_m_per_n == pytest.approx(RECEPTANCE[1:])
+    assert found.coherence == pytest.approx(np.full(40, 0.75))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("frequency_hz,receptance_re,receptance_im\n", "holds no frequencies"),
+        ("frequency_hz,receptance_re,receptance_im\n-1,0,0\n", r":2: column frequency_hz: '-1'"),
+        ("frequency_hz,receptance_re,receptance_im\n1,1e-7,inf\n", r":2: column receptance_im: 'inf'"),
+        ("frequency_hz,receptance_re,receptance_im,coherence\n1,1e-7,0,2\n", r":2: column coherence: '2'"),
+        ("frequency_hz,receptance_re,receptance_im\n1,0,0\n", "at 1 Hz the response is zero"),
+        ("frequency_hz,receptance_re,receptance_im,mobility_re,mobility_im\n", "has 2 responses"),
+    ],
+)
+def test_unfit_csv_files_are_refused(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text(content)
+    with pytest.raises(MeasurementFileError, match=words):
+        read_measurements(path)
