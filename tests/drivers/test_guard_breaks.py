@@ -1,0 +1,159 @@
+"""The shipped text of the guard when it is broken off: clocks, power-off, reset in the middle, a lost memory."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from guard_bench import AXES, CLOCK_S, MAP, NOISE_UM, GuardBench
+
+from drivers.sim.nc import CLOCK_WRAP_S
+from drivers.sim.safe_point import GuardStatus
+
+MEMORY = range(590, 597)
+READS = 7
+"""Macros that the guard reads from the block, and that the daemon writes."""
+
+
+@pytest.fixture
+def bench() -> GuardBench:
+    return GuardBench(own_um={"x": 12.0, "y": -250.0, "z": 1234.5})
+
+
+def test_a_clock_that_wraps_expires_the_block_and_never_revives_it() -> None:
+    bench = GuardBench()
+    bench.clock_s = CLOCK_WRAP_S - 10.0
+    bench.write(z=3.0, valid_for_s=30.0)
+    assert bench.call() is GuardStatus.APPLIED
+    bench.clock_s = 5.0
+    assert bench.call() is GuardStatus.EXPIRED
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.APPLIED
+    bench.clock_s = 200.0
+    assert bench.call() is GuardStatus.EXPIRED
+    bench.clock_s = 20.0  # 24.9 days later the clock reads again what it read while the block was good
+    bench.macros.set(MAP.values["z"], 0.009)
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.applied_um["z"] == pytest.approx(5.0)
+
+
+def test_another_program_that_clears_the_timer_only_expires_the_block(bench: GuardBench) -> None:
+    bench.write(z=3.0)
+    bench.nc.control.timer_zero_ms = CLOCK_S * 1000.0
+    interpreter = bench.nc.at(bench.macros, CLOCK_S)
+    interpreter.run(bench.nc.programs.guard)
+    assert bench.macros.get(MAP.echo_status) == GuardStatus.EXPIRED
+    assert bench.applied_um["z"] == 0.0
+
+
+def test_power_off_keeps_the_offset_and_waits_for_the_daemon(bench: GuardBench) -> None:
+    bench.write(x=2.0, z=6.0)
+    bench.call()
+    bench.macros.power_off()
+    bench.nc.power_cycle()
+    bench.clock_s = 3.0
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.applied_um == pytest.approx({"x": 2.0, "y": 0.0, "z": 6.0})
+    bench.write(x=2.0, z=7.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um["z"] == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("power_off", [False, True])
+def test_reset_or_power_off_at_every_block_applies_nothing_twice(power_off: bool) -> None:
+    target = {"x": -4.0, "y": 5.0, "z": 9.0}
+    for after in itertools.count():
+        bench = GuardBench(own_um={"x": 50.0, "z": -20.0})
+        bench.write(**target)
+        if not bench.interrupted(after):
+            break
+        if power_off:
+            bench.macros.power_off()
+            bench.nc.power_cycle()
+        for axis, um in bench.applied_um.items():
+            assert um == pytest.approx(0.0) or um == pytest.approx(target[axis])
+            assert abs(um - bench.echo_um[axis]) <= AXES[axis].step_um + NOISE_UM
+        bench.write(**target)
+        assert bench.call() is GuardStatus.APPLIED
+        assert bench.applied_um == pytest.approx(target)
+        assert bench.settled()
+    assert after > 100
+
+
+def test_reset_again_while_a_reset_is_being_settled() -> None:
+    target = {"x": 4.0, "y": -5.0, "z": 9.0}
+    for first in range(0, 230, 4):
+        for second in range(0, 230, 9):
+            bench = GuardBench()
+            bench.write(**target)
+            bench.interrupted(first)
+            bench.interrupted(second)
+            assert bench.call() is GuardStatus.APPLIED
+            assert bench.applied_um == pytest.approx(target)
+            assert bench.settled()
+
+
+def test_an_offset_changed_by_hand_after_a_reset_in_the_middle_needs_a_person() -> None:
+    refused = 0
+    for after in itertools.count():
+        bench = GuardBench()
+        bench.write(z=8.0)
+        if not bench.interrupted(after):
+            break
+        applied = bench.applied_um["z"]
+        bench.nc.change_own_offset("z", 33.0)
+        status = bench.call()
+        if status is GuardStatus.UNSETTLED:
+            refused += 1
+            assert bench.applied_um["z"] == applied
+            assert bench.message == "TOOLPOINT OFFSET UNSETTLED"
+            assert bench.call() is GuardStatus.UNSETTLED
+        else:
+            assert status is GuardStatus.APPLIED
+            assert bench.applied_um["z"] == pytest.approx(8.0)
+    assert refused > 3
+
+
+def test_a_control_with_a_coarser_increment_than_told_is_noticed() -> None:
+    bench = GuardBench()
+    bench.nc.control.increment_mm = 0.001
+    bench.write(z=2.4)
+    assert bench.call() is GuardStatus.UNSETTLED
+    assert bench.applied_um["z"] == pytest.approx(2.0)
+    bench.write(z=9.0)
+    assert bench.call() is GuardStatus.UNSETTLED
+    assert bench.applied_um["z"] == pytest.approx(2.0)
+
+
+def test_initialising_forgets_only_on_demand(bench: GuardBench) -> None:
+    interpreter = bench.nc.at(bench.macros, CLOCK_S)
+    bench.write(z=5.0)
+    bench.call()
+    interpreter.run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm == (110, "TOOLPOINT SWITCH OFF FIRST")
+    bench.write(enable=0.0, valid_for_s=None)
+    interpreter.run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET APPLIED")
+    assert bench.echo_um["z"] == pytest.approx(5.0)
+    bench.nc.control.alarm = None
+    interpreter.run(bench.nc.programs.initialise, A=1.0)
+    assert bench.nc.control.alarm is None
+    assert bench.echo_um == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def test_an_uninitialised_control_is_never_moved() -> None:
+    bench = GuardBench()
+    for number in (*MAP.block, *MEMORY):
+        bench.macros.set(number, None)
+    assert bench.call() is GuardStatus.TORN
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.MEMORY
+    assert bench.applied_um["z"] == 0.0
+    bench.write(enable=0.0)
+    bench.nc.at(bench.macros, CLOCK_S).run(bench.nc.programs.initialise)
+    assert bench.nc.control.alarm is None
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.APPLIED
