@@ -8,7 +8,14 @@ import click
 from daemon.cli.common import json_option, refuse, write_json
 from daemon.cli.dynamics_bearings import bearings
 from daemon.cli.dynamics_identify import contact, identify
-from daemon.cli.dynamics_options import POSITIVE, picture_option, rotary_option, show_warnings, spindle_argument
+from daemon.cli.dynamics_options import (
+    POSITIVE,
+    csv_option,
+    picture_option,
+    rotary_option,
+    show_warnings,
+    spindle_argument,
+)
 from daemon.cli.dynamics_studies import compare, sensitivity
 
 if TYPE_CHECKING:
@@ -65,6 +72,7 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
 @click.option("--to-hz", type=POSITIVE, default=2500.0, show_default=True, help="Last frequency [Hz].")
 @click.option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
 @click.option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
+@csv_option
 @picture_option
 @json_option
 def frf(
@@ -75,6 +83,7 @@ def frf(
     to_hz: float,
     points: int | None,
     step_hz: float | None,
+    csv_path: Path | None,
     picture: Path | None,
     json_path: str | None,
 ) -> None:
@@ -93,6 +102,10 @@ def frf(
     show_warnings(found)
     for peak in found["peaks"]:
         click.echo(f"peak {peak['frequency_hz']:10.2f} Hz {peak['magnitude_m_per_n']:10.3e} m/N", err=True)
+    if csv_path is not None:
+        rows = zip(found["frequency_hz"], found["receptance_re"], found["receptance_im"], strict=True)
+        lines = ["frequency_hz,receptance_re,receptance_im", *(f"{f!r},{re!r},{im!r}" for f, re, im in rows)]
+        csv_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     if picture is not None:
         from daemon.dynamics.pictures import response_picture
 

@@ -33,6 +33,21 @@ def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
     return value
 
 
+def _destination(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse a file that cannot be written before the work is done."""
+    if value is not None and (value.is_dir() or not value.parent.is_dir()):
+        raise click.BadParameter(f"{value}: name a file in a folder that exists")
+    return value
+
+
+csv_option = click.option(
+    "--csv",
+    "csv_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    callback=_destination,
+    help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
+)
 picture_option = click.option(
     "--picture",
     metavar="FILE",

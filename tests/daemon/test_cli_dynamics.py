@@ -111,6 +111,15 @@ def test_peaks_lie_where_the_magnitude_is_largest_and_near_the_modes(spindle: Pa
     assert min(abs(peak["frequency_hz"] - first) for peak in found["peaks"]) < 0.02 * first
 
 
+def test_a_written_response_is_a_measurement_for_identification(spindle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "frf.csv"
+    found = answer("frf", spindle, "--points", 400, "--csv", path)
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert table[:, 1].tolist() == found["receptance_re"]
+    assert answer("identify", spindle, path, "--fixed", "file")["log_error"] < 1e-6
+    assert "a folder that exists" in refusal("frf", spindle, "--csv", tmp_path / "nowhere" / "frf.csv")
+
+
 def test_holder_and_tool_soften_the_spindle() -> None:
     compliance = {}
     for at in ("nose", "holder", "tool"):
