@@ -42,6 +42,8 @@ MEMORY_LOOK_S = 600.0
 KEPT_BLOCKS = 100_000
 TEMPERATURES_LATE_S = 25.0
 """Temperatures arrive when a line has been heard whole within this time [s]."""
+SETTLED_S = 300.0
+"""A daemon that has followed the CNC for so long has stored how the last life's open intent ended [s]."""
 ZERO_UM = 1e-6
 STOP_S = 120.0
 """At the end the daemon gets so much virtual time to stop [s]."""
@@ -97,7 +99,8 @@ class Campaign:
         self._good_input = GoodInput([line.name for line in lines])
         self._kill: Happening | None = None
         self._kill_after_groups: tuple[int, Happening] | None = None
-        self._ends_by_force = 0
+        self._open_intents = 0
+        self._follows_since_s: float | None = None
         self._blocks: list[float] = []
         self._memory_at_start: float | None = None
         self._next_memory_s = 0.0
@@ -155,7 +158,7 @@ class Campaign:
             log_path=self._directory / "daemon.log",
         )
         self._life_began_s = self._next_memory_s = self._world.time_s
-        self._memory_at_start = None
+        self._memory_at_start = self._follows_since_s = None
         self._blocks = []
         self._writes.restarted(self._world.time_s)
         if any(happening.kind is Incident.FULL_DISK for happening in self._world.active):
@@ -165,7 +168,9 @@ class Campaign:
     def _after_end(self, killed: Happening) -> None:
         """Check what a killed daemon left; let the machine go on alone until the next one is started."""
         self._kill = self._kill_after_groups = None
-        self._ends_by_force += 1
+        since_s = self._follows_since_s
+        settled = since_s is not None and self._world.time_s - since_s > SETTLED_S
+        self._open_intents = 1 if settled else self._open_intents + 1
         self._bury()
         self._hear(self._world.time_s, None)
         until_s = max(killed.end_s, self._world.time_s)
@@ -185,7 +190,7 @@ class Campaign:
         process.close()
         self._ledger.check("nothing_unexpected", not process.defects, "; ".join(process.defects[:2])[:2000])
         self._store.acknowledged_cycles(self._acknowledged)
-        self._store.audit(self._ends_by_force, None, written=self.result.blocks > 0)
+        self._store.audit(self._open_intents, None, written=self.result.blocks > 0)
 
     def _finish(self) -> None:
         """Stop the daemon in order, and look at everything once more."""
@@ -203,8 +208,9 @@ class Campaign:
                     )
             status = process.wait()
             self._ledger.check("nothing_unexpected", status == 0, f"the daemon ended with status {status}")
+            self._open_intents = self._open_intents if self._follows_since_s is None else 0
             self._bury()
-            self._store.audit(self._ends_by_force, self._blocks, written=self.result.blocks > 0)
+            self._store.audit(self._open_intents, self._blocks, written=self.result.blocks > 0)
         self._store.acknowledged_cycles(self._acknowledged, all_of_them=True)
         self._store.displacements()
         result = self.result
@@ -352,6 +358,8 @@ class Campaign:
         self._claims = claims
         if claims is None:
             return
+        if self._follows_since_s is None:
+            self._follows_since_s = time_s
         if before is not None and before.state == "FAULT" and claims.state != "FAULT":
             self._world.cnc.forgiven()
         self._writes.heard(time_s, claims)

@@ -61,11 +61,12 @@ class StoreCheck:
                 from_s = to_s
         return np.array(found, dtype=np.int64)
 
-    def audit(self, ends: int, blocks: list[float] | None, *, written: bool = True) -> None:
-        """Check that every intent has an outcome but one per violent end, and that every block has its intent.
+    def audit(self, open_ones: int, blocks: list[float] | None, *, written: bool = True) -> None:
+        """Check that every intent has an outcome but `open_ones`, and that every block has its intent.
 
-        `blocks` are the sequence numbers that the CNC received in a life that ended in order. Before anything was
-        `written` there need not be a store: the daemon may have been killed while it made one.
+        A kill may leave one open, which the next life settles. `blocks` are the sequence numbers that the CNC
+        received in a life that ended in order. Before anything was `written` there need not be a store: the daemon
+        may have been killed while it made one.
         """
         try:
             with HistoryReader(self._path) as reader:
@@ -74,8 +75,8 @@ class StoreCheck:
         except HistoryError as error:
             self._ledger.check("audit_complete", not written, str(error))
             return
-        why = f"{len(unsettled)} intents have no outcome, {ends} lives ended by force"
-        self._ledger.check("audit_complete", len(unsettled) <= ends, why)
+        why = f"{len(unsettled)} intents have no outcome, {open_ones} may be open"
+        self._ledger.check("audit_complete", len(unsettled) <= open_ones, why)
         if frame is None or not blocks:
             return
         outcomes = frame.integers("outcome")
