@@ -116,7 +116,8 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     Returns
     -------
     numpy.ndarray, shape (n_axes,)
-        baseline + offset since the setting - weight (estimate since the setting + tool term) [um]; NaN without an estimate.
+        baseline + offset since the setting - weight (estimate since the setting + tool term) [um];
+        NaN without an estimate.
 
     """
     baseline, error = rest_of_tool(memory, inputs)

@@ -182,7 +182,8 @@ def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     if inputs.estimate_reference_id != inputs.reference_id or memory.reference_id != inputs.reference_id:
         return "waiting for the first estimate of this reference"
     if inputs.confidence < limits.min_confidence:
-        return f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({inputs.doubt or 'sensors missing'})"
+        why = inputs.doubt or "sensors missing"
+        return f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
     if not inputs.in_domain:
         return "temperatures are outside the range that the model was trained on"
     wanted = np.array(memory.wanted, dtype=bool)

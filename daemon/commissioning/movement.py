@@ -8,7 +8,7 @@ from config.guard import GuardStatus
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.station import Station
-from daemon.output.alarm import GUARD_CONTENT
+from daemon.output.guard_watch import GUARD_CONTENT
 from models.records import FloatArray
 
 CALL_THE_GUARD = "Call the guard now: in MDI, or run the program to its safe point."

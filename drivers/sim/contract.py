@@ -49,8 +49,10 @@ class SimulatedNc(Protocol):
 class SimulatedMachine(Protocol):
     """A simulated machine, moved on by whoever owns it."""
 
-    time_s: float
-    """Simulated seconds since its start."""
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since its start."""
+        ...
 
     @property
     def nc(self) -> SimulatedNc: ...
