@@ -97,21 +97,20 @@ def _left_out_departures_k(inputs: Inputs, rows: BoolArray, fold: IntArray) -> l
     """Return the largest departure of every sensor on folds that were left out [K], one table per penalty."""
     largest = [np.zeros(inputs.layout.sensors) for _ in PENALTIES]
     numbers = fold_numbers(rows, fold)
+    smooth = np.vstack([_against_own_mean(inputs, run) for run in np.unique(inputs.run)])
     for number in numbers:
         rest = rows & (fold != number) if len(numbers) > 1 else rows
         centre, gain = _scaling(inputs, rest)
-        scaled = (inputs.features - centre) * gain
-        smooth = np.vstack([_against_own_mean(inputs, scaled, run) for run in np.unique(inputs.run)])
-        judged = smooth[rows & (fold == number)]
+        judged = smooth[rows & (fold == number)] * gain
         for index, precision in enumerate(_precisions(inputs, rest, centre, gain, PENALTIES)):
             maps, _ = departure_maps(inputs.layout, precision, gain)
             largest[index] = np.maximum(largest[index], np.abs(judged @ maps.T).max(axis=0))
     return largest
 
 
-def _against_own_mean(inputs: Inputs, scaled: FloatArray, run: int) -> FloatArray:
+def _against_own_mean(inputs: Inputs, run: int) -> FloatArray:
     rows = inputs.run == run
-    fast = smoothed(inputs.time_min[rows], scaled[rows], FAST_MIN)
+    fast = smoothed(inputs.time_min[rows], inputs.features[rows], FAST_MIN)
     return fast - smoothed(inputs.time_min[rows], fast, SLOW_MIN)
 
 

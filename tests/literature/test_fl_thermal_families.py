@@ -8,6 +8,7 @@ asks of itself; they leave room for other linear algebra libraries, not for anot
 """
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,13 @@ def figures(minutes: Recording, model: str = "default", **protocol: Any) -> dict
     return evaluate([minutes], 60.0, model, Protocol(**protocol), lambda what, done, total: None)
 
 
-def test_split_a(minutes: Recording) -> None:
-    found = figures(minutes, **SPLIT_A)
+@pytest.fixture(scope="module")
+def split_a(minutes: Recording) -> dict[str, Any]:
+    return figures(minutes, **SPLIT_A)
+
+
+def test_split_a(split_a: dict[str, Any]) -> None:
+    found = split_a
     assert found["mean"]["reduction_rmse"] >= 0.80
     assert found["mean"]["reduction_max"] >= 0.78
     assert all(channel["band_coverage"] >= 0.85 for channel in found["channels"].values())
@@ -50,8 +56,8 @@ def test_split_c(minutes: Recording) -> None:
     assert all(channel["band_coverage"] >= 0.85 for channel in found["channels"].values())
 
 
-def test_an_hourly_probe(minutes: Recording) -> None:
-    without = figures(minutes, **SPLIT_A)["mean"]
+def test_an_hourly_probe(minutes: Recording, split_a: dict[str, Any]) -> None:
+    without = split_a["mean"]
     with_probe = figures(minutes, **SPLIT_A, probe_min=60.0)["mean"]
     assert with_probe["reduction_rmse"] >= 0.915
     assert with_probe["rmse_um"] <= 0.5 * without["rmse_um"]
@@ -73,23 +79,22 @@ def test_any_single_sensor_may_fail(minutes: Recording) -> None:
 
 @pytest.mark.parametrize(
     ("model", "least", "most"),
-    [("ridge", 0.62, 0.75), ("pls", 0.62, 0.78), ("lasso", 0.60, 0.75), ("increments", 0.35, 0.50)],
+    [
+        ("ridge", 0.62, 0.75),
+        ("pls", 0.62, 0.78),
+        ("lasso", 0.60, 0.75),
+        ("increments", 0.35, 0.50),
+        ("increments-b0", 0.15, 0.32),
+    ],
 )
 def test_the_other_families_come_near_what_is_known_of_them(
     minutes: Recording, model: str, least: float, most: float
 ) -> None:
-    """The study found 67 % for ridge and PLS on temperatures alone and 36 % for increments over 1 min."""
+    """The study found 67 % for ridge and PLS on temperatures alone, 36 % for increments over 1 min, 20 % with b_0."""
     assert least <= figures(minutes, model, **SPLIT_A)["mean"]["reduction_rmse"] <= most
 
 
-def test_the_drift_term_of_the_source_is_worse(minutes: Recording) -> None:
-    with_drift = figures(minutes, "increments-b0", **SPLIT_A)["mean"]["reduction_rmse"]
-    assert with_drift < figures(minutes, "increments", **SPLIT_A)["mean"]["reduction_rmse"] - 0.1
-
-
-def test_without_spindle_speed_it_works_less_well(minutes: Recording) -> None:
-    from dataclasses import replace
-
+def test_without_spindle_speed_it_works_less_well(minutes: Recording, split_a: dict[str, Any]) -> None:
     found = figures(replace(minutes, speed_rpm=None), **SPLIT_A)
     assert found["hyper_parameters"]["speed_lags_min"] == []
-    assert 0.65 <= found["mean"]["reduction_rmse"] < figures(minutes, **SPLIT_A)["mean"]["reduction_rmse"]
+    assert 0.65 <= found["mean"]["reduction_rmse"] < split_a["mean"]["reduction_rmse"]
