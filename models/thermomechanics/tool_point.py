@@ -1,0 +1,332 @@
+"""The tool point's frequency response and its followed resonance, renewed once a cycle from temperatures.
+
+Temperatures -> bearing properties (5-1) -> receptance through the condensed chain of spindle, holder and tool (4-35,
+4-38) -> the resonance, followed by mode continuity (Figs 5-18, 5-19, 5-26).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
+from models.dynamics.beam import ComplexArray
+from models.dynamics.bearings import PARAMETERS, properties_from_parameters
+from models.records import FloatArray, MachineTemperatures
+from models.thermomechanics.history import TemperatureHistory
+from models.thermomechanics.regression import AxisRegression, EstimatedProperty, ThermomechanicalModel
+from models.thermomechanics.resonance import Resonance, ResonanceFollower
+
+SOURCE_BAND_HZ = (300.0, 2500.0)
+SOURCE_STEP_HZ = 12800.0 / 16384.0
+"""Band and spacing of the source's analyser: 2817 frequencies."""
+COARSE = 4
+"""The ends of physical ranges are looked at on every fourth frequency."""
+ENDS_STAND_HZ = 0.5
+"""They are looked at again when the resonance has moved by this [Hz], or other properties are flagged."""
+REFERENCE_DEGC = 20.0
+"""Where the resonance is chosen when the fit does not say which temperatures it saw."""
+
+
+def source_frequencies() -> FloatArray:
+    """Return 300 to 2500 Hz at the spacing of the source's analyser [Hz], shape (2817,)."""
+    low, high = SOURCE_BAND_HZ
+    count = int((high - low) / SOURCE_STEP_HZ) + 1
+    return np.asarray(low + SOURCE_STEP_HZ * np.arange(count), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RangeEnds:
+    """The resonance when one flagged property is taken to both ends of its physical range."""
+
+    name: str
+    at_lowest_hz: float | None
+    """None: the mode is lost on the way there (it vanishes, or melts into another)."""
+    at_highest_hz: float | None
+
+    def largest_move_hz(self, resonance_hz: float) -> float:
+        """Return how far the resonance may be off [Hz]; inf where an end loses the mode."""
+        ends = (self.at_lowest_hz, self.at_highest_hz)
+        return max(math.inf if end is None else abs(end - resonance_hz) for end in ends)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisDynamics:
+    """The tool point along one machine axis."""
+
+    axis: str
+    properties: tuple[EstimatedProperty, ...]
+    receptance_m_per_n: ComplexArray
+    """Displacement per force at the tool point [m/N], shape (n,)."""
+    resonance: Resonance
+    range_ends: tuple[RangeEnds, ...]
+    """One for each flagged property."""
+
+    @property
+    def resonance_hz(self) -> float:
+        """The followed resonance [Hz]."""
+        return self.resonance.frequency_hz
+
+    @property
+    def flagged(self) -> tuple[str, ...]:
+        """Names of the properties that stand at a physical bound."""
+        return tuple(each.name for each in self.properties if each.flagged)
+
+    @property
+    def confidence(self) -> float:
+        """0 to 1: the lowest of the properties'."""
+        return min(each.confidence for each in self.properties)
+
+    @property
+    def largest_move_hz(self) -> float:
+        """How far the resonance may be off because of flagged properties [Hz]; 0 without any, inf when lost."""
+        return max((each.largest_move_hz(self.resonance_hz) for each in self.range_ends), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPointDynamics:
+    """What is known about the dynamics of the tool point at one moment."""
+
+    time_s: float
+    """Monotonic time of the temperatures [s]."""
+    frequency_hz: FloatArray
+    """Shape (n,)."""
+    axes: Mapping[str, AxisDynamics]
+    signals: tuple[str, ...]
+    degc: FloatArray
+    """One-minute means of the signals [degC]."""
+    doubt: str
+    """Why it should not be followed yet, '' when it can be."""
+    model_id: str
+
+    @property
+    def resonance_hz(self) -> dict[str, float]:
+        """The followed resonance per axis [Hz]."""
+        return {axis: each.resonance_hz for axis, each in self.axes.items()}
+
+
+class AxisTracker:
+    """Properties, response and followed resonance of one axis from its temperatures."""
+
+    def __init__(
+        self,
+        regression: AxisRegression,
+        assembly: SpindleAssembly,
+        frequency_hz: FloatArray,
+        near_hz: float | None = None,
+    ) -> None:
+        """Condense the assembly and choose the resonance at the middle of the fitted temperatures.
+
+        Parameters
+        ----------
+        regression
+            From temperatures to bearing properties.
+        assembly
+            Spindle, holder and tool; its supports belong to the three groups of bearings.
+        frequency_hz
+            Evenly spaced [Hz], shape (n,).
+        near_hz
+            The resonance nearest to this is followed [Hz]; None: the highest.
+
+        """
+        self.regression = regression
+        self._condensed = CondensedAssembly(assembly, frequency_hz)
+        self._coarse = CondensedAssembly(assembly, frequency_hz[::COARSE])
+        start = self.parameters(self._reference())
+        self._follower = ResonanceFollower(frequency_hz, self.receptance, start, near_hz)
+        chosen_hz = self._follower.resonance.frequency_hz
+        self._ends: tuple[float, tuple[RangeEnds, ...]] = (np.inf, ())
+        self._coarse_follower = ResonanceFollower(frequency_hz[::COARSE], self._coarse_receptance, start, chosen_hz)
+
+    def _reference(self) -> tuple[EstimatedProperty, ...]:
+        count, seen = len(self.regression.signals), self.regression.fitted_range
+        degc = np.full(count, REFERENCE_DEGC) if seen is None else 0.5 * (seen.lowest_degc + seen.highest_degc)
+        return self.regression.estimate(degc, dict.fromkeys(self.regression.intervals_min, np.zeros(count)))
+
+    def parameters(self, properties: Sequence[EstimatedProperty]) -> dict[str, float]:
+        """Return the twelve parameters: those regressed, within their bounds, and those fixed."""
+        regressed = {each.name: each.value for each in properties}
+        return {name: regressed[name] if name in regressed else self.regression.fixed[name] for name in PARAMETERS}
+
+    def receptance(self, parameters: Mapping[str, float]) -> ComplexArray:
+        """Return the receptance at the tool point [m/N], shape (n,)."""
+        return self._condensed.receptance(properties_from_parameters(parameters))
+
+    def _coarse_receptance(self, parameters: Mapping[str, float]) -> ComplexArray:
+        return self._coarse.receptance(properties_from_parameters(parameters))
+
+    def renew(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> AxisDynamics:
+        """Return the dynamics at new temperatures [degC] and changes [K], both of shape (m,); see `estimate`."""
+        properties = self.regression.estimate(degc, differences_k)
+        parameters = self.parameters(properties)
+        response = self.receptance(parameters)
+        resonance = self._follower.follow(parameters, response)
+        flagged = [each for each in properties if each.flagged]
+        return AxisDynamics(
+            axis=self.regression.axis,
+            properties=properties,
+            receptance_m_per_n=response,
+            resonance=resonance,
+            range_ends=self._range_ends(flagged, parameters, response) if flagged else (),
+        )
+
+    def _range_ends(
+        self, flagged: Sequence[EstimatedProperty], parameters: Mapping[str, float], response: ComplexArray
+    ) -> tuple[RangeEnds, ...]:
+        now_hz = self._follower.resonance.frequency_hz
+        if abs(self._ends[0] - now_hz) < ENDS_STAND_HZ and [e.name for e in self._ends[1]] == [e.name for e in flagged]:
+            return self._ends[1]
+        follower = self._coarse_follower
+        now = follower.follow(parameters, response[::COARSE])
+
+        def end(name: str, value: float) -> float | None:
+            if value == parameters[name]:
+                return now_hz
+            there = follower.reached(parameters, now, {**parameters, name: value})
+            return there.frequency_hz if there.continuous else None
+
+        found = tuple(
+            RangeEnds(
+                name=each.name,
+                at_lowest_hz=end(each.name, each.bounds.lowest),
+                at_highest_hz=end(each.name, each.bounds.highest),
+            )
+            for each in flagged
+        )
+        self._ends = (now_hz, found)
+        return found
+
+    def resonance_per_kelvin_hz(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> FloatArray:
+        """Return how the followed resonance changes when one signal reads another value [Hz/K], shape (m,).
+
+        A reading that changes at once also changes the difference terms; this is the slope that an error of a
+        sensor, or one step of its resolution, has.
+        """
+        slopes = np.zeros(len(degc))
+        here = self.parameters(self.regression.estimate(degc, differences_k))
+        known = self._follower.reached(here, self._follower.follow(here), here)
+        for index in range(len(degc)):
+            step = np.zeros(len(degc))
+            step[index] = STEP_K
+            moved = {minutes: change + step for minutes, change in differences_k.items()}
+            there = self.parameters(self.regression.estimate(degc + step, moved))
+            slopes[index] = (self._follower.reached(here, known, there).frequency_hz - known.frequency_hz) / STEP_K
+        return slopes
+
+
+STEP_K = 0.0625
+"""Resolution of the contact sensors [K]."""
+
+
+class ToolPointTracker:
+    """Renews the tool point's dynamics with every cycle of the sensors."""
+
+    def __init__(
+        self,
+        model: ThermomechanicalModel,
+        assemblies: Mapping[str, SpindleAssembly],
+        labels: Mapping[str, Sequence[int]],
+        *,
+        frequency_hz: FloatArray | None = None,
+        near_hz: Mapping[str, float] | None = None,
+    ) -> None:
+        """Prepare everything that does not depend on temperatures.
+
+        Parameters
+        ----------
+        model
+            Regressions per axis; those of axes without an assembly are not used.
+        assemblies
+            Axis -> spindle, holder and tool along it.
+        labels
+            Label -> indices into the machine's sensor order, whose mean is the signal.
+        frequency_hz
+            Evenly spaced [Hz], shape (n,); None: those of the source.
+        near_hz
+            Axis -> the resonance nearest to this is followed [Hz]; without: the highest.
+
+        Raises
+        ------
+        ValueError
+            When an axis has no regression, or a signal no sensor.
+
+        """
+        if missing := sorted(set(assemblies) - set(model.axes)):
+            raise ValueError(f"the model {model.model_id} holds no regression for axis {', '.join(missing)}")
+        if missing := sorted(set(model.signals) - set(labels)):
+            raise ValueError(
+                f"no sensor carries the label {', '.join(missing)}, which the model {model.model_id} needs"
+            )
+        self.model = model
+        self.frequency_hz = source_frequencies() if frequency_hz is None else frequency_hz
+        self._indices = [np.array(labels[signal], dtype=np.intp) for signal in model.signals]
+        self._history = TemperatureHistory(model.intervals_min)
+        self._last = np.full(len(model.signals), np.nan)
+        self._columns = {
+            axis: [model.signals.index(signal) for signal in model.axes[axis].signals] for axis in assemblies
+        }
+        self.axes = {
+            axis: AxisTracker(model.axes[axis], assembly, self.frequency_hz, (near_hz or {}).get(axis))
+            for axis, assembly in assemblies.items()
+        }
+
+    def renew(self, temperatures: MachineTemperatures) -> ToolPointDynamics | None:
+        """Return the dynamics at new temperatures; None before every signal has had a value."""
+        time = temperatures.trace.cleansed or temperatures.trace.last_byte
+        return self.renew_from(time.monotonic_s, self._signals(temperatures.degc))
+
+    def _signals(self, degc: FloatArray) -> FloatArray:
+        means = np.full(len(self._indices), np.nan)
+        for place, indices in enumerate(self._indices):
+            known = degc[indices]
+            known = known[np.isfinite(known)]
+            if known.size:
+                means[place] = known.mean()
+        return means
+
+    def renew_from(self, time_s: float, degc: FloatArray) -> ToolPointDynamics | None:
+        """Return the dynamics when the signals read `degc` [degC], NaN where unknown, shape (m,); see `renew`."""
+        self._history.add(time_s, degc)
+        mean = self._history.mean_degc()
+        if mean is None:
+            return None
+        doubts = []
+        if unknown := [name for name, value in zip(self.model.signals, mean, strict=True) if not np.isfinite(value)]:
+            doubts.append(f"no temperature of {', '.join(unknown)} for a minute; the last one stands")
+        now = np.where(np.isfinite(mean), mean, self._last)
+        if not np.isfinite(now).all():
+            return None
+        self._last = now
+        differences, short = self._differences(now)
+        if short:
+            doubts.append(
+                f"the changes of temperature need {max(short):g} min of temperatures, "
+                f"{self._history.covered_min:.1f} min are there"
+            )
+        axes = {
+            axis: tracker.renew(now[columns], {minutes: change[columns] for minutes, change in differences.items()})
+            for (axis, tracker), columns in zip(self.axes.items(), self._columns.values(), strict=True)
+        }
+        doubts += [f"{axis}: the mode is lost" for axis, each in axes.items() if not each.resonance.continuous]
+        return ToolPointDynamics(
+            time_s=time_s,
+            frequency_hz=self.frequency_hz,
+            axes=axes,
+            signals=self.model.signals,
+            degc=now,
+            doubt="; ".join(doubts),
+            model_id=self.model.model_id,
+        )
+
+    def _differences(self, now: FloatArray) -> tuple[dict[float, FloatArray], list[float]]:
+        """Return the changes over each interval [K] and the intervals [min] that are not covered (no change)."""
+        found: dict[float, FloatArray] = {}
+        short = []
+        for minutes in self.model.intervals_min:
+            then = self._history.mean_degc(minutes)
+            if then is None or not np.isfinite(then).all():
+                short.append(minutes)
+                then = now if then is None else np.where(np.isfinite(then), then, now)
+            found[minutes] = np.asarray(now - then, dtype=np.float64)
+        return found, short
