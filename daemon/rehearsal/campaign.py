@@ -41,7 +41,7 @@ WARM_UP_S = 3600.0
 MEMORY_LOOK_S = 600.0
 KEPT_BLOCKS = 100_000
 TEMPERATURES_LATE_S = 25.0
-"""Temperatures arrive when a line has been heard whole within this time [s]."""
+"""Temperatures arrive when a line has been heard within this time [s]."""
 SETTLED_S = 300.0
 """A daemon that has followed the CNC for so long has stored how the last life's open intent ended [s]."""
 ZERO_UM = 1e-6
@@ -94,7 +94,7 @@ class Campaign:
         self._claims: Claims | None = None
         self._heard_at_s = 0.0
         self._life_began_s = 0.0
-        self._heard_whole_s = -1e9
+        self._heard_s = -1e9
         self._case_kinds: set[str] = set()
         self._good_input = GoodInput([line.name for line in lines])
         self._kill: Happening | None = None
@@ -289,14 +289,14 @@ class Campaign:
 
     # --- what is watched ------------------------------------------------------------------------
 
-    def cycle(self, time_s: float, line: str, whole: bool) -> None:
+    def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
         """Take the end of a pass (`drivers.sim.campaign_world.Watcher`)."""
         self.result.cycles += 1
-        if not whole:
-            return
-        self._heard_whole_s = time_s
-        self._good_input.cycle(line)
-        self._note_good_input(time_s)
+        if heard:
+            self._heard_s = time_s
+        if whole:
+            self._good_input.cycle(line)
+            self._note_good_input(time_s)
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
         """Take what the NC applies."""
@@ -363,7 +363,7 @@ class Campaign:
         if before is not None and before.state == "FAULT" and claims.state != "FAULT":
             self._world.cnc.forgiven()
         self._writes.heard(time_s, claims)
-        self._writes.input_is(time_s, good=time_s - self._heard_whole_s <= TEMPERATURES_LATE_S)
+        self._writes.input_is(time_s, good=time_s - self._heard_s <= TEMPERATURES_LATE_S)
         self._note_good_input(time_s)
         if self._recovery.open:
             self._recovery.look(time_s, self._truth(time_s), claims)
@@ -380,7 +380,7 @@ class Campaign:
         known = [value for value in echoes if value is not None]
         return Truth(
             reachable=self._world.cnc.reachable,
-            temperatures=time_s - self._heard_whole_s <= TEMPERATURES_LATE_S,
+            temperatures=time_s - self._heard_s <= TEMPERATURES_LATE_S,
             distrust=bool(self._world.cnc.proof),
             echo_known=len(known) == len(echoes),
             at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),

@@ -29,8 +29,8 @@ SAFE_LOOK_S = 0.5
 class Watcher(Protocol):
     """Whoever watches the machine."""
 
-    def cycle(self, time_s: float, line: str, whole: bool) -> None:
-        """A pass over a line has ended; `whole`: a listener got all of it, undisturbed."""
+    def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
+        """A pass over a line has ended; `heard`: a listener got bytes of it, `whole`: all of them, undisturbed."""
         ...
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
@@ -62,6 +62,7 @@ class _Line:
         self.transmitter = transmitter
         self.listening_since_s = math.inf
         self.disturbed = 0
+        self.heard = False
 
 
 class CampaignWorld:
@@ -186,12 +187,14 @@ class CampaignWorld:
             data = state.transmitter.advance(at_s)
             if data and state.listening_since_s <= self.time_s and state.transmitter.plugged(at_s):
                 self._arrivals.append((at_s, name, data))
+                state.heard = True
 
     def _end_pass(self, line: LineConfig, state: _Line, start_s: float) -> None:
         undisturbed = state.transmitter.cycles_disturbed == state.disturbed
         state.disturbed = state.transmitter.cycles_disturbed
-        heard = state.listening_since_s <= start_s
-        self._watcher.cycle(self.time_s, line.name, heard and undisturbed)
+        listened = state.listening_since_s <= start_s
+        self._watcher.cycle(self.time_s, line.name, whole=listened and undisturbed, heard=state.heard)
+        state.heard = False
         self._plan_pass(line, state, start_s + line.cycle_period_s)
 
     def listen(self, name: str) -> bool:

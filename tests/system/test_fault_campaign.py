@@ -34,6 +34,8 @@ SCRIPT = (
     Happening(kind=FaultKind.LOST_BYTES, at_s=1000.0, duration_s=30.0, target="spindle", amount=0.1),
     Happening(kind=Incident.ZEROED, at_s=1060.0, duration_s=40.0),
     Happening(kind=Incident.POWER_CYCLE, at_s=1150.0),
+    # One on each line: every pass is touched, and yet temperatures arrive.
+    *(Happening(kind=FaultKind.STUCK_SENSOR, at_s=1255.0, duration_s=120.0, target=i) for i in (26, 193, 281)),
 )
 END_S = 1400.0
 
