@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol
 
 from drivers.sim.custom_macro.errors import MacroError
 from drivers.sim.custom_macro.expressions import (
@@ -16,10 +16,25 @@ from drivers.sim.custom_macro.expressions import (
 )
 from drivers.sim.custom_macro.tokens import Reader
 
-if TYPE_CHECKING:
-    from drivers.sim.custom_macro.interpreter import Interpreter
 
-Action: TypeAlias = "Callable[[Interpreter], int | None]"
+class Running(Protocol):
+    """The running program, as its statements act on it."""
+
+    @property
+    def frame(self) -> Frame:
+        """Local variables of the present level, and the control."""
+        ...
+
+    def alarm(self, number: int, text: str) -> None:
+        """End the program with an alarm."""
+        ...
+
+    def words(self, words: list[tuple[str, float | None]]) -> None:
+        """Do what a block of words says."""
+        ...
+
+
+Action = Callable[[Running], int | None]
 """Runs a block; returns the index of the block to go to, None for the next one."""
 MOST_LOOPS = 3
 _LOCALS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)
@@ -126,7 +141,7 @@ def _add(building: _Building, reader: Reader, line: int) -> None:
     program.blocks.append(CompiledBlock(line, reader.line, action))
 
 
-def _nothing(_: "Interpreter") -> None:
+def _nothing(_: Running) -> None:
     return None
 
 
@@ -161,7 +176,7 @@ def _assignment(reader: Reader) -> Action:
 
 
 def _set_local(number: int, value: Value) -> Action:
-    def action(run: "Interpreter") -> None:
+    def action(run: Running) -> None:
         frame = run.frame
         frame.local[number] = value(frame)
 
