@@ -7,6 +7,7 @@ from typing import Protocol
 from drivers.sim.custom_macro.errors import MacroError
 from drivers.sim.custom_macro.expressions import (
     Condition,
+    Frame,
     Value,
     condition,
     expression,
