@@ -55,6 +55,20 @@ class ReferenceRefused:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceRebased:
+    """The reference in use, with which sensors that returned go on from where they were imputed."""
+
+    reference: Reference
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceEnded:
+    """A reference counts no longer."""
+
+    reference_id: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SpindleSpeed:
     """What a poll of the CNC said."""
 
@@ -62,8 +76,10 @@ class SpindleSpeed:
     rpm: float
 
 
-Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | Reference | AnyThermalModel
+Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | Reference | AnyThermalModel
 """What the thermal task takes."""
+Delivery = ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | MachineTemperatures
+"""What it gives."""
 
 
 class ThermalTask:
@@ -77,7 +93,7 @@ class ThermalTask:
         telemetry: Telemetry,
         model: AnyThermalModel | None,
         inbox: "asyncio.Queue[Message]",
-        deliver: Callable[[ThermalErrorEstimate | Reference | ReferenceRefused | MachineTemperatures], None],
+        deliver: Callable[[Delivery], None],
     ) -> None:
         temperatures = configuration.temperatures
         self._clock = clock
@@ -137,6 +153,9 @@ class ThermalTask:
             self._speed_at_s = item.monotonic_s
         elif isinstance(item, ThermalModel | LaggedModel):
             await self.use_model(item)
+        elif isinstance(item, ReferenceEnded):
+            if self._reference is not None and self._reference.reference_id == item.reference_id:
+                self._reference = None
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
@@ -240,7 +259,7 @@ class ThermalTask:
         outcome, counted = answer
         if counted is not reference:
             self._reference = counted
-            self._deliver(counted)
+            self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
         now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)
         return ThermalErrorEstimate(

@@ -33,7 +33,7 @@ from daemon.output.settling import settle_unsettled
 from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRefused, ReferenceRequest
+from daemon.thermal import Delivery, ReferenceEnded, ReferenceRebased, ReferenceRequest
 from drivers.clock import Clock
 from drivers.contract import DriverError, LinkError
 from models.axis_map import nose_errors_um
@@ -70,7 +70,7 @@ class ControlTask:
         model_id: str | None,
         model_obstacle: Callable[[], str],
         resume: ResumePoint,
-        ask_reference: Callable[[ReferenceRequest | Reference], None],
+        ask_reference: Callable[[ReferenceRequest | ReferenceEnded | Reference], None],
         on_tick: Callable[[], None],
         on_sample: Callable[[CncSample], None] = lambda _sample: None,
     ) -> None:
@@ -130,7 +130,7 @@ class ControlTask:
             validity_s=configuration.compensation.output.validity_s,
         )
 
-    def deliver(self, item: ThermalErrorEstimate | Reference | ReferenceRefused | MachineTemperatures) -> None:
+    def deliver(self, item: Delivery) -> None:
         """Take an estimate, a new reference, or the thermal task's refusal of one."""
         if isinstance(item, ThermalErrorEstimate):
             self._estimate = self._fresh = item
@@ -138,6 +138,8 @@ class ControlTask:
             self._temperature.take(item)
         elif isinstance(item, Reference):
             self._adopt_reference(item)
+        elif isinstance(item, ReferenceRebased):
+            self._references.rebase(item.reference)
         else:
             self._desk.refused(item.reference_id, item.why)
             self.journal.notice(item.why)
@@ -255,9 +257,6 @@ class ControlTask:
             self._start_from(session)
 
     def _adopt_reference(self, reference: Reference) -> None:
-        if self.reference is not None and reference.reference_id == self.reference.reference_id:
-            self._references.rebase(reference)
-            return
         still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
         if refusal := self._references.adopt(reference, still_um):
             self._desk.refused(reference.reference_id, refusal)

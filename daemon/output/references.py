@@ -16,7 +16,7 @@ from daemon.output.reference_watch import (
     power_cycled,
 )
 from daemon.output.resume import reference_to_state
-from daemon.thermal import ReferenceRequest
+from daemon.thermal import ReferenceEnded, ReferenceRequest
 from drivers.clock import Clock
 from models.records import CncRun, CncSample, Phase, Reference
 
@@ -36,7 +36,7 @@ class References:
         output: OutputConfig,
         clock: Clock,
         history: HistoryWriter,
-        ask: Callable[[ReferenceRequest | Reference], None],
+        ask: Callable[[ReferenceRequest | ReferenceEnded | Reference], None],
         say: Callable[[str, str], None],
         handshake: Handshake,
         safe_flag: int | None,
@@ -99,6 +99,8 @@ class References:
                 f"reference of {reference.source} refused: the policy is zero_first and {applied_um:.1f} um are still "
                 "applied; let the program wait at its retreat block until the offset is out"
             )
+        if self._previous is not None and (ended := end_of_reference(reference, self._previous)):
+            return f"reference of {reference.source} refused: meanwhile {ended}"
         self._retreating = False
         self.current = reference
         self._history.reference(reference)
@@ -140,6 +142,7 @@ class References:
         """End the reference in force."""
         if self.current is not None:
             self._say("notice", f"reference ended: {why}")
+            self._ask(ReferenceEnded(reference_id=self.current.reference_id))
             self.current = None
             self.keep()
 

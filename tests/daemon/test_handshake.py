@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import Bench, Z, running
 
 from daemon.history import HistoryReader
-from daemon.thermal import ReferenceRefused, ReferenceRequest
+from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest
 from models.records import WriteOutcome
 
 COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE = 520, 521, 522, 523, 524
@@ -258,3 +258,30 @@ async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_
         await rig.follow(0.0, -3.0, 20)
         assert rig.state == "ACTIVE"
         assert rig.applied["z"] == pytest.approx(3.0, abs=0.11)
+
+
+async def test_a_reference_that_has_ended_never_comes_back_by_a_sensor_that_returns(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ended = rig.control.reference
+    bench.nc.work_offset = 55
+    await rig.turn()
+    assert rig.control.reference is None
+    assert any(isinstance(item, ReferenceEnded) and item.reference_id == "r1" for item in rig.asked)
+    bench.nc.work_offset = 54
+    await rig.turn()
+    rig.control.deliver(ReferenceRebased(reference=ended))
+    await rig.turn()
+    assert rig.control.reference is None and rig.state == "HOLD"
+
+
+async def test_a_reference_that_comes_after_its_work_offset_was_left_is_refused(rig, bench):
+    await rig.turn()
+    asked_at = 54
+    bench.nc.work_offset = 55
+    await rig.turn()
+    bench.nc.work_offset = asked_at
+    rig.set_reference("late")
+    bench.nc.work_offset = 55
+    await rig.turn()
+    assert rig.control.reference is None

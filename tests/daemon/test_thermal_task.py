@@ -19,7 +19,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.release.loading import load_released
 from daemon.release.reach import own_account
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRefused, ReferenceRequest, ThermalTask
+from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest, ThermalTask
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.model import TestVector, ThermalModel
@@ -301,7 +301,7 @@ async def test_a_sensor_that_returns_is_rebased_so_that_its_return_moves_nothing
     assert imputed == pytest.approx(before, abs=1e-9)
     await task.minutes(4, spindle=[29.5, 22.0, 22.0])
     assert not np.allclose(task.estimates[-1].thermal_error_um, imputed), "and from then on it counts"
-    rebased = task.references[-1]
+    rebased = next(item for item in reversed(task.delivered) if isinstance(item, ReferenceRebased)).reference
     assert rebased.reference_id == "r1" and rebased.degc[0] == pytest.approx(27.0, abs=0.01)
 
 
@@ -313,3 +313,18 @@ async def test_a_sensor_that_was_missing_at_the_reference_counts_from_its_first_
     await task.minutes(3, spindle=[35.0, 21.0, 21.0])
     assert task.estimates[-1].thermal_error_um == pytest.approx(imputed, abs=1e-9)
     assert task.estimates[-1].imputed == ()
+
+
+async def test_after_a_reference_has_ended_nothing_is_estimated_from_it(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(1)
+    count = len(task.estimates)
+    assert count
+    await task.task._take(ReferenceEnded(reference_id="another"))
+    await task.minutes(1)
+    assert len(task.estimates) > count
+    await task.task._take(ReferenceEnded(reference_id="r1"))
+    count = len(task.estimates)
+    await task.minutes(1)
+    assert len(task.estimates) == count

@@ -26,7 +26,7 @@ from daemon.output.macro_block import MacroBlock
 from daemon.output.resume import ResumePoint, load_resume_point
 from daemon.supervisor import Backoff, keep_alive
 from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRequest
+from daemon.thermal import ReferenceEnded, ReferenceRequest
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.safe_point import GUARD_VERSION
@@ -138,7 +138,7 @@ class Rig:
         self.history = HistoryWriter(
             configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
         )
-        self.asked: list[ReferenceRequest | Reference] = []
+        self.asked: list[ReferenceRequest | ReferenceEnded | Reference] = []
         self.ticks = 0
         axes = tuple(configuration.compensation.axes)
         self.block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
