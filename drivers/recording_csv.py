@@ -3,12 +3,13 @@
 Comma, semicolon or tab between fields (told by the header), UTF-8 with or without a byte-order
 mark, decimal commas where the comma does not separate fields. An empty field, `nan` or `NA` is a
 missing value in every column but time. Anything else that is not a number is refused, with
-file, line and column.
+file, line and column. Lines `# key: value` before the header say what the recording is of.
 """
 
 import csv
 import math
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,6 +24,7 @@ DELIMITERS = (",", ";", "\t")
 MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
 MAX_FIELDS = 4096
 """A recording has hundreds of columns; more means that the file is something else."""
+METADATA_MARK = "#"
 SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -127,8 +129,45 @@ class _opened:
         self._file.close()
 
 
+def read_metadata(path: Path) -> dict[str, str]:
+    """Return what the lines `# key: value` before the header say; raises `RecordingFileError`."""
+    place = _Place(path)
+    found: dict[str, str] = {}
+    with _opened(place) as lines:
+        for line in lines:
+            if not line.startswith(METADATA_MARK):
+                break
+            key, _, value = line.removeprefix(METADATA_MARK).partition(":")
+            if key.strip():
+                found[key.strip()] = value.strip()
+    return found
+
+
+def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping[str, tuple[FloatArray, int]]) -> None:
+    """Write a recording in the form that `read_recording` reads, in one step; raises OSError.
+
+    `columns` are values and decimals by name, in order; what is not finite becomes an empty field. A
+    line break in the metadata becomes a space.
+    """
+    lines = [f"{METADATA_MARK} {key}: {' '.join(str(value).splitlines())}\n" for key, value in metadata.items()]
+    lines.append(",".join(columns) + "\n")
+    table = np.column_stack([values for values, _ in columns.values()])
+    whole = ",".join(f"%.{decimals}f" for _, decimals in columns.values()) + "\n"
+    for row in table:
+        text = whole % tuple(row.tolist())
+        lines.append(text if np.isfinite(row).all() else text.replace("-inf", "").replace("inf", "").replace("nan", ""))
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text("".join(lines), encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     line = next(lines, "")
+    while line.startswith(METADATA_MARK):
+        line = next(lines, "")
     if not line.strip():
         raise place.refuse("has no header row with the names of its columns")
     delimiter = max(DELIMITERS, key=line.count)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.thermal_campaign import campaign
 from daemon.cli.thermal_evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal_options import ProgressBar, hours_option
 from daemon.cli.thermal_sensors import sensors
@@ -34,6 +35,7 @@ def thermal() -> None:
     """Thermal models: train them from recordings, evaluate them, and compare sensors."""
 
 
+thermal.add_command(campaign)
 thermal.add_command(evaluate)
 thermal.add_command(sensors)
 

@@ -1,0 +1,98 @@
+"""`toolpoint thermal campaign`: recordings of the simulated machine that any recording's reader understands."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from daemon.cli import main
+from drivers.recording_csv import read_metadata, read_recording
+
+PROGRAMME = """
+name: short
+minutes: 24
+series:
+  - operations:
+      - {dataset: 2, speeds_rpm: [12000.0], minutes_each: 14, idle_reduction: true, cooling: cold start, usage: train}
+      - {speeds_rpm: [4000.0], minutes_each: 10}
+      - {dataset: 1, speeds_rpm: [6000.0], minutes_each: 10, previous: "4000", usage: test}
+"""
+
+
+def run(folder: Path, programme: Path, *more: object) -> Result:
+    arguments = ["thermal", "campaign", folder, "--programme", programme, *more]
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def programme(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("programme") / "short.yaml"
+    path.write_text(PROGRAMME, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, programme: Path) -> Path:
+    out = tmp_path_factory.mktemp("campaign") / "out"
+    result = run(out, programme, "--seed", 3)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_the_recordings_are_read_like_any_other(folder: Path) -> None:
+    recording = read_recording(folder / "dataset-02.csv")
+    assert recording.rows == 25, "the reference and one row per minute"
+    assert len(recording.temperature_names) == 302
+    assert {"Y1", "Y2", "Z1", "Z2", "Z3"} <= set(recording.displacement_names)
+    assert recording.speed_rpm is not None
+    turning = recording.speed_rpm > 0.0
+    assert turning.tolist() == [False] + [True] * 14 + [False] * 10
+    assert recording.speed_rpm[5] == pytest.approx(12000.0)
+    nose = recording.temperatures_degc[:, recording.temperature_names.index("T301")]
+    assert nose[14] > nose[0] + 1.0, "full speed warms the nose"
+
+
+def test_metadata_say_that_it_is_a_simulation_and_of_what(folder: Path) -> None:
+    metadata = read_metadata(folder / "dataset-02.csv")
+    assert metadata["machine"] == "simulated"
+    assert metadata["seed"] == "3"
+    assert metadata["cooling"] == "cold start"
+    index = json.loads((folder / "campaign.json").read_text("utf-8"))
+    assert [entry["dataset"] for entry in index["datasets"]] == [1, 2]
+    assert index["datasets"][0]["start_h"] == pytest.approx(48.0 / 60.0)
+    assert len(index["labels"]["Room"]) == 20
+
+
+def test_a_data_set_begins_where_the_one_before_ended(folder: Path) -> None:
+    recording = read_recording(folder / "dataset-01.csv")
+    assert recording.speed_rpm is not None
+    assert recording.speed_rpm[0] == 0.0, "the reference lies in the idle of the operation before"
+    assert recording.speed_rpm[1] > 5000.0
+    overview = np.loadtxt(folder / "overview.csv", delimiter=",", comments="#", skiprows=3)
+    assert len(overview) == 73
+    assert [int((overview[:, 4] == number).sum()) for number in (0, 1, 2)] == [25, 24, 24]
+    assert overview[20, 3] == 0.0, "idle reduction stops the chiller"
+    assert overview[60, 3] == 1.0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(folder: Path, programme: Path, tmp_path: Path) -> None:
+    for seed, same in ((3, True), (4, False)):
+        assert run(tmp_path / str(seed), programme, "--seed", seed).exit_code == 0
+        again = (tmp_path / str(seed) / "dataset-02.csv").read_bytes().split(b"\n", 12)[-1]
+        assert (again == (folder / "dataset-02.csv").read_bytes().split(b"\n", 12)[-1]) is same
+
+
+def test_bad_input_is_one_sentence(programme: Path, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    result = run(tmp_path, programme)
+    assert (result.exit_code, "holds other files" in result.output) == (2, True)
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(
+        PROGRAMME.replace("dataset: 1", "dataset: 2").replace("minutes_each: 14", "minutes_each: 90"), "utf-8"
+    )
+    result = run(tmp_path / "out", bad)
+    assert result.exit_code == 2
+    assert "data set 2 stands here more than once" in result.output
+    assert "takes 90 min where an operation has 24" in result.output

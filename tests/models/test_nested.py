@@ -1,0 +1,175 @@
+"""Nested least squares, the source's models and the campaign study against refits from scratch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression
+
+from models.cleanse import remove_jumps_at_switching
+from models.dataset import DatasetError, Recording
+from models.records import FloatArray
+from models.thermal.campaign_study import (
+    MODELS,
+    by_increasing_speed,
+    progressive_fits,
+    random_sensor_order,
+    residual_maps,
+)
+from models.thermal.increments import combine
+from models.thermal.nested import nested_fits
+from models.thermal.published import PublishedSet, prepare
+
+SENSORS = 9
+ROOM = ("T1", "T2")
+
+
+def recording(seed: int, minutes: int = 60, speed_rpm: float = 6000.0) -> Recording:
+    """Warming with noise; Y2 jumps by 5 um with rotation."""
+    rng = np.random.default_rng(seed)
+    speed = np.where(np.arange(minutes + 1) % 40 < 25, speed_rpm, 0.0)
+    speed[0] = 0.0
+    degc = 20.0 + np.cumsum(rng.normal(0.02, 0.1, (minutes + 1, SENSORS)), axis=0)
+    um = degc @ _TRUE + rng.normal(0.0, 0.3, (minutes + 1, 3))
+    um[:, 0] += 5.0 * (speed > 0.0)
+    return Recording(
+        name=f"set {seed}",
+        time_s=60.0 * np.arange(minutes + 1.0),
+        speed_rpm=speed,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=degc,
+        displacement_names=("Y2", "Z1", "Z2"),
+        displacements_um=um,
+    )
+
+
+_TRUE = np.random.default_rng(99).normal(0.0, 2.0, (SENSORS, 3))
+
+
+def prepared(count: int = 4, minutes: int = 60) -> list[PublishedSet]:
+    return [prepare(i, recording(i, minutes, 2000.0 * (9 - i)), ROOM) for i in range(1, count + 1)]
+
+
+def increments_of(sets: list[PublishedSet], channel: str) -> tuple[FloatArray, FloatArray]:
+    """The rows that equation 3-2 sums over, written out."""
+    inputs, outputs = [], []
+    for each in sets:
+        source = each.recording
+        assert source.speed_rpm is not None
+        values = source.displacements_um[:, source.displacement_names.index(channel)]
+        inputs.append(np.diff(source.temperatures_degc, axis=0))
+        outputs.append(np.diff(remove_jumps_at_switching(values, source.speed_rpm, 3.0)))
+    return np.vstack(inputs), np.concatenate(outputs)
+
+
+@pytest.mark.parametrize("intercept", [True, False])
+@pytest.mark.parametrize("sets", [1, 3])
+def test_every_nested_fit_is_scikit_learns(intercept: bool, sets: int) -> None:
+    training = prepared(sets)
+    order = random_sensor_order(SENSORS, 5)
+    fits = nested_fits(combine([each.factor for each in training]), order, intercept=intercept)
+    for output, channel in enumerate(("Y2", "Z2", "Z1")):
+        inputs, outputs = increments_of(training, channel)
+        for count in range(1, SENSORS + 1):
+            columns = np.sort(order[:count])
+            refit = LinearRegression(fit_intercept=intercept).fit(inputs[:, columns], outputs)
+            coefficients, drift = fits.coefficients(count)
+            by_sensor = dict(zip(order[:count].tolist(), coefficients[:, output], strict=True))
+            assert [by_sensor[column] for column in columns] == pytest.approx(refit.coef_.tolist(), rel=1e-8, abs=1e-10)
+            assert drift[output] == pytest.approx(refit.intercept_, rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("intercept", [True, False])
+def test_fewer_rows_than_sensors_take_the_shortest_solution(intercept: bool) -> None:
+    training = prepared(1, minutes=6)
+    order = np.arange(SENSORS)
+    fits = nested_fits(training[0].factor, order, intercept=intercept)
+    inputs, outputs = increments_of(training, "Z2")
+    for count in range(1, SENSORS + 1):
+        refit = LinearRegression(fit_intercept=intercept).fit(inputs[:, :count], outputs)
+        assert fits.coefficients(count)[0][:, 1] == pytest.approx(refit.coef_, rel=1e-6, abs=1e-8)
+
+
+def test_a_still_sensor_and_a_doubled_one_change_nothing() -> None:
+    source = recording(1)
+    degc = source.temperatures_degc.copy()
+    degc[:, 2] = 21.5
+    degc[:, 7] = degc[:, 4]
+    each = prepare(1, replace(source, temperatures_degc=degc), ROOM)
+    fits = nested_fits(each.factor, np.arange(SENSORS), intercept=True)
+    assert fits.coefficients(4)[0][2] == pytest.approx(0.0, abs=1e-12)
+    change = degc - degc[0]
+    estimates = fits.estimates_um(change, each.elapsed_min, 1)
+    assert estimates[:, 7] == pytest.approx(estimates[:, 6], abs=1e-8), "the double adds nothing"
+    assert np.isfinite(estimates).all()
+    inputs, outputs = np.diff(degc, axis=0), np.diff(source.displacements_um[:, 2])
+    refit = LinearRegression().fit(inputs, outputs)
+    assert fits.coefficients(SENSORS)[0][:, 1] == pytest.approx(refit.coef_, abs=1e-8)
+
+
+def test_the_maps_are_those_of_refits_and_raw_tests() -> None:
+    *training, test = prepared(4)
+    order = random_sensor_order(SENSORS, 2)
+    maps = residual_maps(training, {"all": [test]}, order, intercept=True)
+    assert set(maps) == {(model, "all") for model in MODELS}
+    turning = test.rotating
+    for sets, count in ((1, 3), (2, SENSORS), (3, 5)):
+        columns = np.sort(order[:count])
+        estimate = {}
+        for channel in ("Y2", "Z1", "Z2"):
+            inputs, outputs = increments_of(training[:sets], channel)
+            refit = LinearRegression().fit(inputs[:, columns], outputs)
+            steps = refit.predict(np.diff(test.recording.temperatures_degc[:, columns], axis=0))
+            estimate[channel] = np.r_[0.0, np.cumsum(steps)]
+        residual = (test.error_um("Y2") - estimate["Y2"])[turning]
+        found = maps["Y2", "all"]
+        assert found.max_um[sets - 1, count - 1] == pytest.approx(np.abs(residual).max(), rel=1e-8)
+        assert found.rmse_um[sets - 1, count - 1] == pytest.approx(np.sqrt(np.mean(residual**2)), rel=1e-8)
+        assert found.mean_um[sets - 1, count - 1] == pytest.approx(np.abs(residual).mean(), rel=1e-8)
+        length = _length_estimate(training[:sets], test)
+        residual = (test.error_um("Z2") - (estimate["Z1"] - length))[turning]
+        assert maps["Z1+TL", "all"].max_um[sets - 1, count - 1] == pytest.approx(np.abs(residual).max(), rel=1e-7)
+
+
+def _length_estimate(training: list[PublishedSet], test: PublishedSet) -> FloatArray:
+    def inputs_of(each: PublishedSet) -> FloatArray:
+        assert each.recording.speed_rpm is not None
+        return np.column_stack([each.recording.temperatures_degc[:, :2], each.recording.speed_rpm / 1000.0])
+
+    z1, z2 = (increments_of(training, channel)[1] for channel in ("Z1", "Z2"))
+    inputs = np.vstack([np.diff(inputs_of(each), axis=0) for each in training])
+    refit = LinearRegression().fit(inputs, z1 - z2)
+    return np.r_[0.0, np.cumsum(refit.predict(np.diff(inputs_of(test), axis=0)))]
+
+
+def test_the_telescoped_estimate_is_the_sum_of_the_increments() -> None:
+    *training, test = prepared(3)
+    fits = progressive_fits(training, np.arange(SENSORS), intercept=True)[-1]
+    coefficients, drift = fits.main.coefficients(SENSORS)
+    steps = np.diff(test.recording.temperatures_degc, axis=0) @ coefficients[:, 0] + drift[0]
+    assert fits.estimates_um(test, "Y2")[1:, -1] == pytest.approx(np.cumsum(steps), abs=1e-9)
+
+
+def test_training_jumps_are_cleansed_and_test_jumps_are_not() -> None:
+    each = prepared(1)[0]
+    assert np.abs(np.diff(each.error_um("Y2"))).max() > 4.0
+    found = nested_fits(each.factor, np.arange(SENSORS), intercept=False).coefficients(SENSORS)[0][:, 0]
+    inputs, cleansed = increments_of([each], "Y2")
+    raw = np.diff(each.error_um("Y2"))
+    assert found == pytest.approx(np.linalg.lstsq(inputs, cleansed, rcond=None)[0], rel=1e-8)
+    assert np.abs(found - np.linalg.lstsq(inputs, raw, rcond=None)[0]).max() > 0.1
+
+
+def test_increasing_speed_and_refusals() -> None:
+    sets = prepared(4)
+    assert [each.number for each in by_increasing_speed(sets)] == [4, 3, 2, 1]
+    with pytest.raises(DatasetError, match="no spindle speed"):
+        prepare(1, replace(recording(1), speed_rpm=None), ROOM)
+    with pytest.raises(DatasetError, match="no temperature T77"):
+        prepare(1, recording(1), ("T77",))
+    with pytest.raises(DatasetError, match="no displacement Y2; there are"):
+        prepare(1, replace(recording(1), displacement_names=("A", "Z1", "Z2")), ROOM)
+    degc = recording(1).temperatures_degc.copy()
+    degc[3, 3] = np.nan
+    with pytest.raises(DatasetError, match="values are missing"):
+        prepare(1, replace(recording(1), temperatures_degc=degc), ROOM)
