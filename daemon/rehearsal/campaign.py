@@ -28,6 +28,7 @@ from drivers.sim.program import shift_program
 NAMES = (
     *WriteWatch.NAMES,
     "state_after_fault",
+    "fault_is_latched",
     "acknowledged_cycles_kept",
     "audit_complete",
     "audit_has_every_block",
@@ -104,7 +105,7 @@ class Campaign:
         self._blocks: list[float] = []
         self._memory_at_start: float | None = None
         self._next_memory_s = 0.0
-        self._interrupted = False
+        self._interrupted = self._acknowledging = False
         self._world.at(ROUND_S, self._round)
 
     def run(self) -> Result:
@@ -159,6 +160,7 @@ class Campaign:
         )
         self._life_began_s = self._next_memory_s = self._world.time_s
         self._memory_at_start = self._follows_since_s = None
+        self._acknowledging = False
         self._blocks = []
         self._writes.restarted(self._world.time_s)
         if any(happening.kind is Incident.FULL_DISK for happening in self._world.active):
@@ -334,7 +336,7 @@ class Campaign:
         calm = not any(not isinstance(h.kind, FaultKind) for h in world.active)
         if self._claims is not None and self._claims.state == "FAULT" and calm:
             world.cnc.repair()
-        self._person.round(world.time_s, self._claims, calm=calm)
+        self._acknowledging |= self._person.round(world.time_s, self._claims, calm=calm)
         world.at(world.time_s + ROUND_S, self._round)
         process = self._process
         if process is None or world.time_s < self._next_memory_s:
@@ -362,6 +364,8 @@ class Campaign:
             self._follows_since_s = time_s
         if before is not None and before.state == "FAULT" and claims.state != "FAULT":
             self._world.cnc.forgiven()
+            self._recovery.left_fault(time_s, acknowledged=self._acknowledging)
+            self._acknowledging = False
         self._writes.heard(time_s, claims)
         self._writes.input_is(time_s, good=time_s - self._heard_s <= TEMPERATURES_LATE_S)
         self._note_good_input(time_s)
@@ -387,13 +391,11 @@ class Campaign:
         )
 
     def _say(self, wall_s: float) -> None:
-        states = ", ".join(f"{state} {100 * s / max(self._world.time_s, 1):.0f} %" for state, s in self._shares())
+        shares = sorted(self.result.states_s.items(), key=lambda item: -item[1])
+        states = ", ".join(f"{state} {100 * s / max(self._world.time_s, 1):.0f} %" for state, s in shares)
         self._progress(
             f"day {self._world.time_s / DAY_S:.2f} of {self._end_s / DAY_S:g} after {wall_s:.0f} s: "
             f"{self.result.cycles} cycles, {self.result.blocks} blocks, "
             f"{sum(self.result.incidents.values())} incidents, "
             f"{self._ledger.violations} violations, {self.result.rss_mib:.1f} MiB; {states}"
         )
-
-    def _shares(self) -> list[tuple[str, float]]:
-        return sorted(self.result.states_s.items(), key=lambda item: -item[1])

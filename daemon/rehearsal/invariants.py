@@ -206,17 +206,19 @@ class WriteWatch:
             where += f" after {last_um:.4f} um {time_s - last_s:.1f} s ago, {there_um:.4f} um applied"
             from_last, from_tool = abs(um - last_um), abs(um - there_um)
             check("slew_written", min(from_last, from_tool) <= reach_um, where)
-            self._unsteppy(time_s, axis, min(from_last, from_tool), from_tool, where)
+            self._unsteppy(time_s, axis, last_s, (min(from_last, from_tool), from_tool), where)
             self._frozen(time_s, axis, from_last, from_tool, claims, where)
         if taken:
             self._written[axis] = (time_s, um)
 
-    def _unsteppy(self, time_s: float, axis: str, nearest_um: float, from_tool_um: float, where: str) -> None:
+    def _unsteppy(self, time_s: float, axis: str, last_s: float, distances_um: tuple[float, float], where: str) -> None:
         """After a reference and a restart the command begins at the tool; after switching, where it was or there."""
         per_s = self._axes[axis].slew_um_per_min / 60.0
+        nearest_um, from_tool_um = distances_um
         for mark, since_s in self._marks.items():
-            distance_um = nearest_um if mark == "switching" else from_tool_um
-            reach_um = per_s * (time_s - since_s + 2.0) + SLACK_UM
+            switched = mark == "switching"
+            distance_um, from_s = (nearest_um, min(since_s, last_s)) if switched else (from_tool_um, since_s)
+            reach_um = per_s * (time_s - from_s + 2.0) + SLACK_UM
             self._ledger.check(f"no_step_at_{mark}", distance_um <= reach_um, f"{where} ({mark} at {since_s:.1f} s)")
 
     def _frozen(

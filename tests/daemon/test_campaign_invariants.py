@@ -194,6 +194,14 @@ def test_a_step_at_switching(trace: Trace) -> None:
     assert "no_step_at_switching" in trace.violated
 
 
+def test_switching_between_two_writes_allows_what_the_slew_rate_did_before_it(trace: Trace) -> None:
+    trace.watch.heard(0.0, claims())
+    trace.block(0.0, 20.0)
+    trace.watch.heard(3.6, claims(wanted=(False, True, False)))
+    trace.block(3.6, 20.24, claims(wanted=(False, True, False)))
+    assert trace.violated == set()
+
+
 def test_only_the_first_violations_are_told() -> None:
     told: list[str] = []
     ledger = Ledger(("a",), tell=told.append)

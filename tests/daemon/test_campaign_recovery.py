@@ -99,6 +99,22 @@ def test_a_new_incident_puts_the_judgement_off() -> None:
     assert ledger.counts == {}
 
 
+def test_a_fault_that_a_person_has_acknowledged_leads_to_hold_and_on() -> None:
+    ledger, watch = watched([(101.0, "FAULT")], distrust=True)
+    watch.left_fault(104.0, acknowledged=True)
+    for time_s, state in ((104.0, "HOLD"), (105.0, "ACTIVE"), (120.0, "ACTIVE")):
+        if watch.open:
+            watch.look(time_s, truth(), claims(state))
+    assert ledger.violations == 0
+    assert ledger.counts["state_after_fault"].checked == 1
+
+
+def test_a_fault_that_ends_by_itself_is_wrong() -> None:
+    ledger, watch = watched([])
+    watch.left_fault(104.0, acknowledged=False)
+    assert ledger.counts["fault_is_latched"].violated == 1
+
+
 LINES = ("spindle", "saddle")
 
 
