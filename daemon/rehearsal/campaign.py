@@ -88,8 +88,8 @@ class Campaign:
         )
         self._world = CampaignWorld(machine, configuration, happenings, self, epoch_utc_s=epoch_utc_s, seed=seed)
         self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
-        first_sensors = {line.name: line.sensor_ids[0] for line in lines}
-        self._store = StoreCheck(configuration.history.path, first_sensors, ledger)
+        sensors = {line.name: line.sensor_ids[0] for line in lines}
+        self._store = StoreCheck(configuration.history.path, sensors, ledger)
         self._acknowledged = Acknowledgements()
         self._process: DaemonProcess | None = None
         self._claims: Claims | None = None
@@ -338,8 +338,7 @@ class Campaign:
             world.cnc.repair()
         self._acknowledging |= self._person.round(world.time_s, self._claims, calm=calm)
         world.at(world.time_s + ROUND_S, self._round)
-        process = self._process
-        if process is None or world.time_s < self._next_memory_s:
+        if (process := self._process) is None or world.time_s < self._next_memory_s:
             return
         self._acknowledged.take(process)
         self._next_memory_s = world.time_s + MEMORY_LOOK_S
