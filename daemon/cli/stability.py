@@ -12,6 +12,7 @@ from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.dynamics_options import picture_option
 from daemon.cli.stability_recordings import chatter, roughness
 from daemon.cli.stability_studies import coefficients, compare, modes
+from daemon.cli.stability_warm_up import warm_up
 
 if TYPE_CHECKING:
     from models.stability.lobes import StabilityLobes
@@ -38,7 +39,7 @@ def stability() -> None:
     """Stability of milling: lobes, a stable spindle speed, chatter in recordings."""
 
 
-for _command in (chatter, roughness, compare, modes, coefficients):
+for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     stability.add_command(_command)
 
 
