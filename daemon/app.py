@@ -245,6 +245,7 @@ class Daemon:
             async for sample in source.samples():
                 self._history.displacement(sample)
                 self.board.displacement = sample
+                self.control.displacement(sample)
         finally:
             self._displacement_health.up = False
             await source.close()

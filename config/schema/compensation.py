@@ -120,6 +120,13 @@ class OutputConfig(Section):
     guard_alarm_after_s: Seconds = Field(
         1800.0, description="alarm when the guard has not run for longer than this while the program runs"
     )
+    harm_above_um: float = Field(
+        5.0,
+        gt=0,
+        le=500,
+        description="where displacements or probes show that the estimate leaves more than this, and more than there "
+        "would be without it, the output holds [um]",
+    )
     safe_sequence_numbers: list[SequenceNumber] = Field(
         default_factory=list, description="N numbers at which the tool is away from the work (safe points)"
     )

@@ -6,6 +6,7 @@ a latched FAULT; a lost link never does.
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from itertools import compress
 
 import numpy as np
 import structlog
@@ -30,6 +31,7 @@ from daemon.output.request_desk import RequestDesk
 from daemon.output.requests import Requests
 from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
 from daemon.output.settling import settle_unsettled
+from daemon.output.skill_watch import SkillWatch
 from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
@@ -42,6 +44,7 @@ from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemor
 from models.records import (
     CncSample,
     CompensationCommand,
+    DisplacementSample,
     FloatArray,
     MachineTemperatures,
     Phase,
@@ -90,7 +93,9 @@ class ControlTask:
             configuration, commissioned_factors(commissioning, tuple(configuration.compensation.axes))
         )
         self._sources = axis_sources(configuration)
+        self._unknown = np.full(len(self.limits.axes), np.nan)
         self._tool = ToolInSpindle(self._sources, history)
+        self.skill = SkillWatch(self._sources, configuration)
         self._tool_setting: tuple[bool, ...] | None = None
         self._probe_um: FloatArray | None = None
         self.modelled = self._permission.modelled
@@ -103,8 +108,7 @@ class ControlTask:
         self.command: CompensationCommand | None = None
         self.journal = Journal(history, self.limits.axes, resume.fault)
         macros = configuration.cnc.macros
-        axes = tuple(configuration.compensation.axes)
-        handshake = Handshake(macros.request, axes)
+        handshake = Handshake(macros.request, self.limits.axes)
         self._references = References(
             configuration.compensation.reference,
             configuration.compensation.output,
@@ -178,8 +182,6 @@ class ControlTask:
         """What the machine is doing."""
         return self._references.phase
 
-    # --- the loop ------------------------------------------------------------------------
-
     @property
     def session(self) -> CncSession | None:
         return self._link.session
@@ -188,13 +190,13 @@ class ControlTask:
         """Return the guard's echo per axis [um], NaN while it is unknown."""
         session = self.session
         if session is None or session.echo is None:
-            return np.full(len(self.limits.axes), np.nan)
+            return self._unknown
         return session.echo.applied_um
 
     def thermal_error_um(self) -> FloatArray:
         """Return the estimated error per axis since the reference [um], NaN without an estimate."""
         if self._estimate is None:
-            return np.full(len(self.limits.axes), np.nan)
+            return self._unknown
         return nose_errors_um(self._sources, self._estimate) + self._tool.term_um(self._estimate)
 
     def stop(self) -> None:
@@ -277,6 +279,10 @@ class ControlTask:
         self._tool.begin(tool_number, self._estimate)
         self.journal.say("tool", f"T{tool_number} in the spindle")
 
+    def displacement(self, sample: DisplacementSample) -> None:
+        """Take a row of the A/D logger: it tells whether the estimate helps."""
+        self.skill.displacement(sample, self._estimate, self.applied_um())
+
     def _take_probe(self, axis: str, deviation_um: float) -> str:
         """Let a probe value correct the estimate, or return why not; it reaches the history either way."""
         sample, deviations = judged_probe(
@@ -288,8 +294,9 @@ class ControlTask:
             now=self._clock.now(),
         )
         self._history.probe(sample)
-        if sample.accepted:
+        if sample.accepted and self.memory is not None:
             self._probe_um = deviations
+            self.skill.probe(sample, self.memory)
         return sample.reason
 
     def _start_from(self, session: CncSession) -> None:
@@ -360,14 +367,13 @@ class ControlTask:
     def _inputs_now(self, request: OperatorRequest) -> OutputInputs:
         session, estimate = self.session, self._estimate
         now_s = self._clock.now().monotonic_s
-        nowhere = np.full(len(self.limits.axes), np.nan)
         return OutputInputs(
             now_s=now_s,
             phase=self.phase,
             link=session is not None and session.echo is not None and not self._permission.prohibition(session.cnc),
             applied_um=self.applied_um(),
             written_um=session.written_um if session is not None else None,
-            thermal_error_um=nose_errors_um(self._sources, estimate) if estimate is not None else nowhere,
+            thermal_error_um=nose_errors_um(self._sources, estimate) if estimate is not None else self._unknown,
             tool_term_um=self._tool.term_um(estimate) if estimate is not None else None,
             estimate_age_s=now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
             confidence=estimate.confidence if estimate is not None else 0.0,
@@ -377,7 +383,9 @@ class ControlTask:
             estimate_reference_id=estimate.reference_id if estimate is not None else None,
             model_id=estimate.model_id if estimate is not None else None,
             output_fault=self.journal.fault,
-            refusals=self._refusals(self._wanted_axes() | request.enable),
+            refusals=self._refusals(
+                request.enable.union(compress(self.limits.axes, self.memory.wanted if self.memory else ()))
+            ),
             request=request,
             zero_first=self._references.zero_first,
             tool_number=self._tool.number,
@@ -385,11 +393,7 @@ class ControlTask:
             probe_um=self._probe_um,
         )
 
-    def _wanted_axes(self) -> frozenset[str]:
-        if self.memory is None:
-            return frozenset()
-        return frozenset(axis for axis, on in zip(self.limits.axes, self.memory.wanted, strict=True) if on)
-
-    def _refusals(self, axes: frozenset[str]) -> tuple[str, ...]:
-        refusals = self._permission.refusals(self.session, axes)
-        return (*refusals, self._needs_person) if self._needs_person else refusals
+    def _refusals(self, asked: frozenset[str]) -> tuple[str, ...]:
+        wanted = self.memory.wanted if self.memory is not None else ()
+        refusals = self._permission.refusals(self.session, asked.union(compress(self.limits.axes, wanted)))
+        return tuple(why for why in (*refusals, self._needs_person, self.skill.obstacle()) if why)

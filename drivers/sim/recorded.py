@@ -51,6 +51,8 @@ class RecordedMachine:
         self._zero_um: FloatArray = recording.displacements_um[first].mean(axis=0)
         self._position = {sensor.id: index for index, sensor in enumerate(sensors)}
         self._axes = tuple(axes)
+        names = recording.displacement_names
+        self._channels = {name: axis.estimate for name, axis in axes.items() if axis.estimate in names}
         self.time_s = 0.0
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
@@ -99,9 +101,13 @@ class RecordedMachine:
         return codes
 
     def displacement_um(self) -> dict[str, float]:
-        """Return the recording's displacements now by channel [um]."""
+        """Return the recording's displacements now by channel [um], with what the NC applies to their axes."""
         row = self._recording.displacements_um[self._row()]
-        return dict(zip(self._recording.displacement_names, row.tolist(), strict=True))
+        readings = dict(zip(self._recording.displacement_names, row.tolist(), strict=True))
+        for axis, channel in self._channels.items():
+            assert channel is not None
+            readings[channel] += self._guard.applied_um[axis]
+        return readings
 
     def truth(self) -> dict[str, AxisTruth]:
         """Return what was measured since the first block, without and with what the NC has applied."""
