@@ -8,6 +8,7 @@ import click
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.thermal_campaign import campaign
 from daemon.cli.thermal_evaluate import MODELS, compact_text, evaluate
+from daemon.cli.thermal_figures import figures
 from daemon.cli.thermal_options import ProgressBar, hours_option
 from daemon.cli.thermal_sensors import sensors
 
@@ -37,6 +38,7 @@ def thermal() -> None:
 
 thermal.add_command(campaign)
 thermal.add_command(evaluate)
+thermal.add_command(figures)
 thermal.add_command(sensors)
 
 

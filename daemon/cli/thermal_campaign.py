@@ -22,10 +22,11 @@ STEPS = 1000
 @json_option
 def campaign(folder: Path, seed: int, programme_path: Path | None, json_path: str | None) -> None:
     """Carry out a thermal measurement campaign on the simulated machine and write its recordings to OUT."""
+    from config.campaign_index import INDEX_FILE
     from config.problems import ConfigurationError
     from config.thermal_campaign import PUBLISHED, load_thermal_campaign
     from daemon.rehearsal.simulated_model import published_sensors
-    from daemon.rehearsal.thermal_campaign import INDEX_FILE, run_thermal_campaign
+    from daemon.rehearsal.thermal_campaign import run_thermal_campaign
 
     if folder.exists() and not folder.is_dir():
         refuse(f"{folder}: is a file; name a folder for the recordings")

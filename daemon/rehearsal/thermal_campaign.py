@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from config.campaign_index import INDEX_FILE, INDEX_VERSION
 from config.schema.temperatures import SensorConfig
 from config.thermal_campaign import Operation, Phase, Series, ThermalCampaign
 from drivers.recording_csv import write_recording
@@ -23,9 +24,7 @@ from drivers.sim.sensors import RotationJump
 from drivers.sim.structure import CHANNELS
 from models.records import FloatArray
 
-INDEX_FILE = "campaign.json"
 OVERVIEW_FILE = "overview.csv"
-INDEX_VERSION = 1
 SAMPLES_PER_MINUTE = 6
 ROTATION_JUMP = RotationJump(um={"Y1": 3.4, "Y2": 4.2})
 """Jump of the test bar when the spindle turns (chosen, just over the source's threshold of 3 um)."""

@@ -10,7 +10,6 @@ from models.cleanse import remove_jumps_at_switching
 from models.dataset import DatasetError, Recording
 from models.records import FloatArray
 from models.thermal.campaign_study import (
-    MODELS,
     by_increasing_speed,
     progressive_fits,
     random_sensor_order,
@@ -18,7 +17,7 @@ from models.thermal.campaign_study import (
 )
 from models.thermal.increments import combine
 from models.thermal.nested import nested_fits
-from models.thermal.published import PublishedSet, prepare
+from models.thermal.published import MODELS, PublishedSet, prepare
 
 SENSORS = 9
 ROOM = ("T1", "T2")
@@ -139,7 +138,8 @@ def _length_estimate(training: list[PublishedSet], test: PublishedSet) -> FloatA
     z1, z2 = (increments_of(training, channel)[1] for channel in ("Z1", "Z2"))
     inputs = np.vstack([np.diff(inputs_of(each), axis=0) for each in training])
     refit = LinearRegression().fit(inputs, z1 - z2)
-    return np.r_[0.0, np.cumsum(refit.predict(np.diff(inputs_of(test), axis=0)))]
+    steps: FloatArray = refit.predict(np.diff(inputs_of(test), axis=0))
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def test_the_telescoped_estimate_is_the_sum_of_the_increments() -> None:

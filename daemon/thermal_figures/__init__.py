@@ -1,0 +1,1 @@
+"""The figures of the source's chapter on thermal errors, from the recordings of a campaign."""
