@@ -172,10 +172,11 @@ class RecoveryWatch:
             self._case.state_then = claims.state
 
     def left_fault(self, time_s: float, *, acknowledged: bool) -> None:
-        """FAULT has been left: only a person may have done that, and it leads to HOLD."""
+        """FAULT has been left: only a person may have done that; it leads to HOLD, and the way back begins anew."""
         self.ledger.check("fault_is_latched", acknowledged, f"{time_s:.1f} s: FAULT was left, nobody acknowledged it")
         if self._case is not None and self._case.good_s is not None:
             self._case.state_then = OutputState.HOLD.value
+            self._case.good_s, self._case.wrong_since_s = time_s, None
 
     def look(self, time_s: float, truth: Truth, claims: Claims) -> None:
         """Compare the claimed state with where the table leads; judge when the time to get there is over."""

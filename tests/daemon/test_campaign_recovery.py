@@ -107,6 +107,7 @@ def test_a_fault_that_a_person_has_acknowledged_leads_to_hold_and_on() -> None:
             watch.look(time_s, truth(), claims(state))
     assert ledger.violations == 0
     assert ledger.counts["state_after_fault"].checked == 1
+    assert watch.times_s == {"frozen_cnc": [0.0]}, "counted from the acknowledgement"
 
 
 def test_a_fault_that_ends_by_itself_is_wrong() -> None:
