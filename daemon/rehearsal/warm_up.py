@@ -35,8 +35,8 @@ from models.stability.modal_regression import (
     SignalHistory,
 )
 from models.stability.response import ModalResponse, Mode, ToolPointResponse
+from models.stability.speed_planner import MillingOperation
 from models.stability.speed_strategies import (
-    MillingOperation,
     ProgrammedSpeed,
     ResonanceRule,
     SpeedInForce,

@@ -3,20 +3,15 @@
 Each is asked once with every reading of the temperatures and answers with the pair of speed and feed that is in force.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from models.records import Phase
 from models.stability.errors import StabilityError
-from models.stability.lobes import StabilityLobes
-from models.stability.response import ToolPointResponse
+from models.stability.speed_planner import LobesOf, MillingOperation, SpeedPlanner
 from models.stability.speed_tuning import SpeedTuningInputs, SpeedTuningSettings, initial_memory, step
-from models.stability.spindle_speed import SpeedChoice, SpeedDemand, choose_speed, resonance_speed_rpm
+from models.stability.spindle_speed import resonance_speed_rpm
 from models.stability.tool_point import EstimatedToolPoint
-
-LobesOf = Callable[[ToolPointResponse], StabilityLobes]
-"""Response at the tool point -> lobes over the range of speeds that is allowed, better a little beyond it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,20 +24,10 @@ class SpeedInForce:
     alarm: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MillingOperation:
-    """What is programmed, and within what the speed may be."""
-
-    demand: SpeedDemand
-    feed_mm_min: float
-    teeth: int
-    range_rpm: tuple[float, float]
-    """Lowest and highest speed allowed [1/min]."""
-
-    def at(self, speed_rpm: float, state: str, alarm: str | None = None) -> SpeedInForce:
-        """Return a speed [1/min] with the feed that keeps the programmed feed per tooth."""
-        feed_mm_min = self.feed_mm_min * speed_rpm / self.demand.programmed_rpm
-        return SpeedInForce(speed_rpm=speed_rpm, feed_mm_min=feed_mm_min, state=state, alarm=alarm)
+def pair_at(operation: MillingOperation, speed_rpm: float, state: str) -> SpeedInForce:
+    """Return a speed [1/min] with the feed that keeps the programmed feed per tooth."""
+    feed_mm_min = operation.feed_mm_min * speed_rpm / operation.demand.programmed_rpm
+    return SpeedInForce(speed_rpm=speed_rpm, feed_mm_min=feed_mm_min, state=state)
 
 
 class SpeedStrategy(Protocol):
@@ -61,7 +46,7 @@ class ProgrammedSpeed:
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
         """Return the programmed pair."""
-        return self._operation.at(self._operation.demand.programmed_rpm, "programmed")
+        return pair_at(self._operation, self._operation.demand.programmed_rpm, "programmed")
 
 
 class ResonanceRule:
@@ -84,7 +69,7 @@ class ResonanceRule:
         self, operation: MillingOperation, *, axis: str, offset_hz: float = 20.0, lobe: int | None = None
     ) -> None:
         self._operation, self._axis, self._offset_hz, self._lobe = operation, axis, offset_hz, lobe
-        self._pair = operation.at(operation.demand.programmed_rpm, "programmed")
+        self._pair = pair_at(operation, operation.demand.programmed_rpm, "programmed")
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
         """Return the pair of the rule; outside the range of speeds the last one stays. Raises StabilityError."""
@@ -98,7 +83,7 @@ class ResonanceRule:
         speed_rpm = fastest / self._lobe
         low, high = self._operation.range_rpm
         if low <= speed_rpm <= high:
-            self._pair = self._operation.at(speed_rpm, "followed")
+            self._pair = pair_at(self._operation, speed_rpm, "followed")
         else:
             text = f"{speed_rpm:.0f} 1/min of the rule lies outside {low:.0f} to {high:.0f}"
             self._pair = replace(self._pair, state="outside", alarm=text)
@@ -120,18 +105,13 @@ class TunedSpeed:
     """
 
     def __init__(self, operation: MillingOperation, settings: SpeedTuningSettings, lobes_of: LobesOf) -> None:
-        self._operation, self._settings, self._lobes_of = operation, settings, lobes_of
+        self._operation, self._settings = operation, settings
+        self._planner = SpeedPlanner(operation, lobes_of)
         self._memory = initial_memory(operation.demand.programmed_rpm)
-
-    def choice(self, response: ToolPointResponse) -> SpeedChoice:
-        """Return the speed that a response asks for. Raises StabilityError."""
-        return choose_speed(self._lobes_of(response), self._operation.demand, range_rpm=self._operation.range_rpm)
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
         """Return the pair in force. Raises StabilityError."""
-        usable = known is not None and not known.doubt
-        choice = self.choice(known.response) if known is not None and usable else None
-        span_rpm = self.flagged_span_rpm(choice, known) if choice is not None and known is not None else 0.0
+        plan = self._planner.plan(known) if known is not None and not known.doubt else None
         command, self._memory = step(
             self._memory,
             SpeedTuningInputs(
@@ -140,18 +120,11 @@ class TunedSpeed:
                 enabled=True,
                 programmed_rpm=self._operation.demand.programmed_rpm,
                 programmed_feed_mm_min=self._operation.feed_mm_min,
-                choice=choice,
-                flagged_span_rpm=span_rpm,
+                choice=plan.choice if plan is not None else None,
+                flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
             ),
             self._settings,
         )
         return SpeedInForce(
             speed_rpm=command.speed_rpm, feed_mm_min=command.feed_mm_min, state=command.state.value, alarm=command.alarm
         )
-
-    def flagged_span_rpm(self, choice: SpeedChoice, known: EstimatedToolPoint) -> float:
-        """Return how far the wish moves over the ranges of flagged properties [1/min]; inf where a mode is lost."""
-        if any(end is None for end in known.flagged_ends):
-            return float("inf")
-        ends = [self.choice(end).speed_rpm for end in known.flagged_ends if end is not None]
-        return max((*ends, choice.speed_rpm)) - min((*ends, choice.speed_rpm))

@@ -1,7 +1,7 @@
 """What a tuner of the spindle speed needs to know of the tool point, whoever estimates it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from models.records import FloatArray
@@ -15,8 +15,8 @@ class EstimatedToolPoint:
     response: ToolPointResponse
     resonance_hz: Mapping[str, float]
     """The followed resonance per axis [Hz]; a rigid axis has none."""
-    flagged_ends: tuple[ToolPointResponse | None, ...] = field(default=())
-    """The response with each flagged property at both ends of its physical range; None: the mode is lost there."""
+    flagged_ends: "tuple[EstimatedToolPoint | None, ...]" = ()
+    """The same with each flagged property at both ends of its physical range; None: the mode is lost there."""
     doubt: str = ""
     """Why it should not be followed, '' when it can be."""
 

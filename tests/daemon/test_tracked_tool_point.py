@@ -1,0 +1,58 @@
+"""A spindle model with the published regressions as a source of speeds: it answers, and its flags block."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.thermomechanics import published_model
+from daemon.dynamics.spindle_files import read_spindle
+from models.stability.response import SampledResponse
+from models.stability.tracked_tool_point import TrackedToolPoint
+from models.thermomechanics.tool_point import ToolPointTracker
+
+LABELS = {"IR": [0, 1], "A": [2], "F": [3], "Room": [4]}
+DEGC = np.array([25.0, 25.2, 22.5, 23.0, 20.0])
+
+
+@pytest.fixture(scope="module")
+def tracker() -> ToolPointTracker:
+    spindle = read_spindle(Path("simulated_machine"))
+    frequency_hz = np.arange(300.0, 1500.0, 2.0)
+    return ToolPointTracker(
+        published_model(), {"x": spindle.assembly(), "y": spindle.assembly()}, LABELS, frequency_hz=frequency_hz
+    )
+
+
+def test_it_answers_with_the_trackers_response_and_flags(tracker: ToolPointTracker) -> None:
+    estimator = TrackedToolPoint(tracker, LABELS)
+    known = estimator.renew(0.0, DEGC)
+    assert known is not None
+    assert "the changes of temperature need 10 min" in known.doubt
+    assert set(known.resonance_hz) == {"x", "y"}
+    assert isinstance(known.response, SampledResponse)
+    assert np.abs(known.response.receptance[:, 0, 0]).max() > 0.0
+    assert not known.response.receptance[:, 0, 1].any()
+    assert known.flagged_ends
+    again = estimator.renew(10.0, DEGC)
+    assert again is not None
+    assert again.flagged_ends is known.flagged_ends
+
+
+def test_a_flagged_property_at_its_other_end_is_another_response(tracker: ToolPointTracker) -> None:
+    known = TrackedToolPoint(tracker, LABELS).renew(100.0, DEGC)
+    assert known is not None
+    others = [end for end in known.flagged_ends if end is not None]
+    for end in others:
+        assert isinstance(end.response, SampledResponse)
+        assert isinstance(known.response, SampledResponse)
+        assert not np.allclose(end.response.receptance, known.response.receptance, rtol=1e-6, atol=0.0)
+    assert others or None in known.flagged_ends
+
+
+def test_a_missing_sensor_and_a_missing_label(tracker: ToolPointTracker) -> None:
+    degc = DEGC.copy()
+    degc[0] = np.nan
+    assert TrackedToolPoint(tracker, LABELS).renew(200.0, degc) is not None
+    with pytest.raises(ValueError, match="no sensor carries the label Room"):
+        TrackedToolPoint(tracker, {**LABELS, "Room": []})
