@@ -1,7 +1,8 @@
 """Impact tests on the simulated machine's spindle: responses over a day of warm-up and idle, and the truth.
 
-As in the published campaign the spindle is hit while it stands, along X and a minute later along Y, between rotations
-of growing length and then during two idle periods, with and without the chiller. Five hits are averaged.
+As in the published campaign the spindle is hit while it stands, between rotations of growing length and then during two
+idle periods, with and without the chiller; along both axes, half a minute apart, in turn one or the other first. Five
+hits are averaged.
 """
 
 import csv
@@ -25,11 +26,17 @@ HITS = 5
 NOISE_SHARE = 0.02
 NOISE_FLOOR = 0.002
 """Noise of one hit: relative to the response, and to its largest magnitude (chosen)."""
-BEFORE_MIN = 15.0
-"""The machine stands cold before the first hit, so that changes over ten minutes are known."""
+BEFORE_MIN = 24.0
+"""The machine stands cold before it turns first."""
+COLD_HITS_MIN = (12.0, 15.0, 18.0, 21.0)
 ROTATIONS_MIN = (2.0,) * 5 + (4.0,) * 4 + (10.0,) * 4
-STOP_MIN = 3.0
-HEATING_MIN = 60.0
+STOP_MIN = 2.5
+"""Time between two rotations."""
+HIT_AFTER_MIN = 0.4
+"""After a rotation the spindle is hit so long after the command to stop, and again along the other axis."""
+OTHER_AXIS_S = 30.0
+HEATING_MIN = (10.0,) * 6
+"""Rotations before each of the idle periods, with stops between."""
 IDLE_HITS_MIN = (1.0, 4.0, 7.0, 11.0, 15.0, 20.0, 25.0, 31.0, 38.0, 46.0, 55.0, 65.0, 76.0, 90.0)
 LAST_MIN = 93.0
 INDEX_FILE = "impacts.csv"
@@ -38,7 +45,7 @@ RECORDING_FILE = "temperatures.csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignPlan:
-    """What the machine does, and when it is hit along X; along Y a minute later."""
+    """What the machine does, and when it is hit along the first axis."""
 
     program: PartProgram
     hits_s: tuple[float, ...]
@@ -48,16 +55,17 @@ class CampaignPlan:
 def campaign_plan(speed_rpm: float = 12000.0) -> CampaignPlan:
     """Return warm-up by steps, then an hour of rotation and idle with the chiller, then the same without it."""
     blocks: list[Block] = [_idle(BEFORE_MIN, True)]
-    hits = [BEFORE_MIN - 2.0]
+    hits = list(COLD_HITS_MIN)
     time_min = BEFORE_MIN
-    for rotation in ROTATIONS_MIN:
-        blocks += [_turning(rotation, speed_rpm), _idle(STOP_MIN, True)]
-        hits.append(time_min + rotation + 0.5)
-        time_min += rotation + STOP_MIN
-    for chiller in (True, False):
-        blocks += [_turning(HEATING_MIN, speed_rpm), _idle(LAST_MIN, chiller)]
-        hits += [time_min + HEATING_MIN + after for after in IDLE_HITS_MIN]
-        time_min += HEATING_MIN + LAST_MIN
+    for rotations, chiller in ((ROTATIONS_MIN, None), (HEATING_MIN, True), (HEATING_MIN, False)):
+        for rotation in rotations:
+            blocks += [_turning(rotation, speed_rpm), _idle(STOP_MIN, True)]
+            hits.append(time_min + rotation + HIT_AFTER_MIN)
+            time_min += rotation + STOP_MIN
+        if chiller is not None:
+            blocks.append(_idle(LAST_MIN, chiller))
+            hits += [time_min + after for after in IDLE_HITS_MIN]
+            time_min += LAST_MIN
     return CampaignPlan(
         program=PartProgram(number=2400, blocks=tuple(blocks)),
         hits_s=tuple(minute * MINUTE_S for minute in hits),
@@ -128,7 +136,11 @@ def run_campaign(
     plan = plan or campaign_plan()
     body = MachineBody(day, plan.program, sensors, machine_seed=machine_seed)
     beams = {axis: SpindleBeam(nominal_bearings(axis), with_tool=False) for axis in AXES}
-    due = sorted((hit + delay, axis) for hit in plan.hits_s for axis, delay in (("x", 0.0), ("y", MINUTE_S)))
+    due = sorted(
+        (hit + OTHER_AXIS_S * ((number + place) % len(AXES)), axis)
+        for number, hit in enumerate(plan.hits_s)
+        for place, axis in enumerate(AXES)
+    )
     rng = np.random.default_rng([machine_seed, day.seed, 71])
     impacts: list[Impact] = []
     times: list[float] = []
