@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from models.stability.lobes import StabilityLobes
 from models.stability.response import ToolPointResponse
-from models.stability.spindle_speed import SpeedChoice, SpeedDemand, choose_speed, rule_candidates_rpm
+from models.stability.spindle_speed import SpeedChoice, SpeedDemand, choose_speed, deepest_speed, rule_candidates_rpm
 from models.stability.tool_point import EstimatedToolPoint
 
 LobesOf = Callable[[ToolPointResponse], StabilityLobes]
@@ -61,15 +61,21 @@ class SpeedPlanner:
         return SpeedPlan(choice=choice, flagged_span_rpm=self._span_rpm(choice, known))
 
     def choice(self, known: EstimatedToolPoint) -> SpeedChoice:
-        """Return the speed that some dynamics ask for; raises StabilityError."""
+        """Return the speed that some dynamics ask for; raises StabilityError.
+
+        Where nothing bears the depth with its margin, the deepest speed is taken if it bears the depth itself: the
+        programmed one bears no more.
+        """
         operation, candidates = self.operation, None
         if operation.offset_hz is not None:
             candidates = rule_candidates_rpm(
                 tuple(known.resonance_hz.values()), operation.offset_hz, operation.teeth, operation.range_rpm
             )
-        return choose_speed(
-            self._lobes_of(known.response), operation.demand, range_rpm=operation.range_rpm, candidates_rpm=candidates
-        )
+        lobes, demand = self._lobes_of(known.response), operation.demand
+        choice = choose_speed(lobes, demand, range_rpm=operation.range_rpm, candidates_rpm=candidates)
+        if choice.stable:
+            return choice
+        return deepest_speed(lobes, demand, operation.range_rpm) or choice
 
     def _span_rpm(self, choice: SpeedChoice, known: EstimatedToolPoint) -> float:
         """Return how far the choice moves when flagged properties are at the ends of their ranges [1/min].

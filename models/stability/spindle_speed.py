@@ -100,6 +100,8 @@ class SpeedChoice:
     """The stable range that holds the chosen speed [1/min]; the same number twice with an alarm."""
     alarm: str | None = None
     """Why no stable speed was found."""
+    margin_met: bool = True
+    """The demand is met with its margin; without, this is the deepest speed, and bears the depth itself."""
 
     @property
     def stable(self) -> bool:
@@ -174,6 +176,41 @@ def choose_speed(
         speed_rpm=chosen,
         limiting_depth_mm=_depth_at(lobes, chosen),
         pocket_rpm=_pocket(speeds, borne, int(_nearest_places(speeds, np.array([chosen]))[0])),
+    )
+
+
+def deepest_speed(
+    lobes: StabilityLobes, demand: SpeedDemand, range_rpm: tuple[float, float] | None = None
+) -> SpeedChoice | None:
+    """Return the speed with the greatest limiting depth, for when none bears the demand with its margin.
+
+    Parameters
+    ----------
+    lobes
+        Over the range of speeds that is allowed, better a little beyond it.
+    demand
+        Programmed speed and depth, and tolerance; the margin is not asked for.
+    range_rpm
+        Lowest and highest speed allowed [1/min]; None: those of the lobes.
+
+    Returns
+    -------
+    SpeedChoice or None
+        None when even there the limiting depth is below the programmed one.
+
+    """
+    speeds, depths = lobes.speed_rpm, lobes.limiting_depth_mm
+    low, high = range_rpm or (float(speeds[0]), float(speeds[-1]))
+    inside = np.flatnonzero((speeds >= low) & (speeds <= high))
+    worst = _worst_within(lobes, demand.tolerance_fraction)
+    place = int(inside[np.argmax(worst[inside])])
+    if depths[place] < demand.depth_mm:
+        return None
+    return SpeedChoice(
+        speed_rpm=float(speeds[place]),
+        limiting_depth_mm=float(depths[place]),
+        pocket_rpm=_pocket(speeds, depths >= demand.depth_mm, place),
+        margin_met=False,
     )
 
 

@@ -70,6 +70,23 @@ def test_an_offset_leaves_the_speeds_of_the_rule_only() -> None:
     assert below.speed_rpm == pytest.approx(60.0 * 655.0 / 4.0)
 
 
+def test_without_the_margin_the_deepest_speed_is_taken_and_without_the_depth_none() -> None:
+    lobes = lobes_of(known_at(620.0, 680.0).response)
+    deepest_mm = float(
+        lobes.limiting_depth_mm[(lobes.speed_rpm >= RANGE_RPM[0]) & (lobes.speed_rpm <= RANGE_RPM[1])].max()
+    )
+    tight = replace(OPERATION, demand=replace(OPERATION.demand, depth_mm=0.95 * deepest_mm))
+    choice = SpeedPlanner(tight, lobes_of).plan(known_at(620.0, 680.0)).choice
+    assert choice.stable
+    assert not choice.margin_met
+    assert choice.limiting_depth_mm >= 0.95 * deepest_mm
+    assert choice.pocket_rpm[0] <= choice.speed_rpm <= choice.pocket_rpm[1]
+    beyond = replace(OPERATION, demand=replace(OPERATION.demand, depth_mm=1.05 * deepest_mm))
+    none = SpeedPlanner(beyond, lobes_of).plan(known_at(620.0, 680.0)).choice
+    assert not none.stable
+    assert none.speed_rpm == 9200.0
+
+
 def test_the_change_per_step_of_a_sensor_is_reported() -> None:
     changes = SpeedPlanner(OPERATION, lobes_of).change_per_step_rpm(
         known_at(650.0, 715.0), {"nose": known_at(660.0, 725.0), "room": known_at(650.0, 715.0)}
