@@ -18,7 +18,7 @@ from models.records import FloatArray
 ComplexVector = npt.NDArray[np.complex128]
 
 ELEMENT_MM = 8.0
-"""Longest element; halving it moves no mode below 2.5 kHz by more than 0.1 Hz."""
+"""Longest element; halving it moves no mode below 1.5 kHz by more than 0.1 Hz."""
 COORDINATES = 60
 """Undamped modes that serve as coordinates."""
 LOSS_FACTOR = 0.0029
@@ -94,7 +94,7 @@ class DampedModes:
 
     @property
     def resonance_hz(self) -> FloatArray:
-        """Frequencies at which each mode, alone, responds most [Hz], shape (m,)."""
+        """Frequencies at which each mode, alone, responds most [Hz], shape (m,); 0 where it is damped too much."""
         natural = np.abs(self.poles)
         ratio = -self.poles.real / natural
         return np.asarray(natural * np.sqrt(np.maximum(1.0 - 2.0 * ratio**2, 0.0)) / (2.0 * np.pi))

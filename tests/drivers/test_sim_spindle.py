@@ -1,0 +1,126 @@
+"""The simulated spindle's finite elements and bearings, against independent computations; its campaigns."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.spindle import spindle_folder
+from daemon.dynamics.spindle_files import read_spindle
+from daemon.rehearsal.impact_campaign import labelled_sensors
+from drivers.frf_measurement import read_measurements
+from drivers.impact_index import read_index
+from drivers.recording_csv import read_header
+from drivers.sim import spindle_beam
+from drivers.sim.body import MachineBody
+from drivers.sim.day import Day
+from drivers.sim.heat import INDEX
+from drivers.sim.impact_campaign import CampaignPlan, TrueResonance, campaign_plan, run_campaign
+from drivers.sim.program import Block, PartProgram
+from drivers.sim.spindle_beam import BEARING_PLACES_MM, SpindleBeam, Spring, Stretch
+from drivers.sim.spindle_bearings import bearings, nominal_bearings
+from models.dynamics.assembly import CondensedAssembly
+from models.dynamics.chain import SpringDamper
+from models.records import FloatArray
+
+FREQUENCY_HZ = np.arange(300.0, 1500.0, 3.125)
+
+
+def at(shaft_degc: float, bearing_degc: float, housing_degc: float) -> FloatArray:
+    degc = np.full(len(INDEX), housing_degc)
+    for end in ("front", "rear"):
+        degc[INDEX[f"shaft_{end}"]], degc[INDEX[f"bearing_{end}"]] = shaft_degc, bearing_degc
+    return degc
+
+
+def test_a_uniform_bar_has_its_closed_form_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slender free bar: (4.7300, 7.8532)^2 / (2 pi L^2) sqrt(E I / rho A); shear and rotation take under 0.1 %."""
+    bar = (Stretch(length_mm=1000.0, outer_mm=10.0, inner_mm=0.0, **spindle_beam.STEEL),)
+    monkeypatch.setattr(spindle_beam, "SHAFT", bar)
+    soft = [Spring(kt=1e-3, ct=0.0, kr=1e-3, cr=0.0)] * 5
+    found = SpindleBeam(soft, with_tool=False).modes(soft).resonance_hz
+    bending = [each for each in found if each > 5.0][:2]
+    wave_m_per_s = np.sqrt(200e9 / 7850.0) * 0.0025
+    expected = np.array([4.730041, 7.853205]) ** 2 / (2.0 * np.pi) * wave_m_per_s
+    assert bending == pytest.approx(expected, rel=1e-3)
+
+
+def test_halving_the_elements_moves_nothing_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = nominal_bearings("y")
+    coarse = SpindleBeam(usual, with_tool=True).modes(usual).resonance_hz
+    monkeypatch.setattr(spindle_beam, "ELEMENT_MM", spindle_beam.ELEMENT_MM / 2.0)
+    fine = SpindleBeam(usual, with_tool=True).modes(usual).resonance_hz
+    pairs = [[each for each in found if 300.0 < each < 1500.0] for found in (coarse, fine)]
+    assert len(pairs[0]) == 3
+    assert pairs[0] == pytest.approx(pairs[1], abs=0.1)
+
+
+@pytest.mark.parametrize("with_tool", [False, True])
+def test_finite_elements_agree_with_the_exact_beam(with_tool: bool) -> None:
+    """The same springs under the product's exact beam; shear areas differ by Poisson's ratio (some per cent of G)."""
+    usual = nominal_bearings("y")
+    spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
+    supports = tuple(
+        replace(
+            support,
+            group=str(place),
+            properties=SpringDamper(
+                kt_n_per_m=each.kt, ct_ns_per_m=each.ct, kr_nm_per_rad=each.kr, cr_nms_per_rad=each.cr
+            ),
+        )
+        for place, (support, each) in enumerate(zip(spindle.shaft.supports, usual, strict=True))
+    )
+    assert [support.position_m for support in supports] == pytest.approx(np.array(BEARING_PLACES_MM) / 1e3)
+    assembly = spindle.assembly("tool" if with_tool else "nose")
+    assembly = replace(assembly, shaft=replace(assembly.shaft, supports=supports))
+    exact = CondensedAssembly(assembly, FREQUENCY_HZ).receptance({each.group: each.properties for each in supports})
+    elements = SpindleBeam(usual, with_tool=with_tool).modes(usual).receptance(FREQUENCY_HZ)
+    peak = FREQUENCY_HZ[[np.argmax(np.abs(each)) for each in (exact, elements)]]
+    assert peak[0] == pytest.approx(peak[1], rel=0.01)
+    assert np.median(np.abs(np.log(exact / elements))) < 0.05
+
+
+def test_bearings_stiffen_as_the_shaft_outgrows_the_housing() -> None:
+    cold, warm, hot = (bearings(at(*degc), "y") for degc in ((20, 20, 20), (26, 25, 23), (40, 40, 30)))
+    for place in range(5):
+        assert cold[place].kt < warm[place].kt < hot[place].kt
+        assert cold[place].kr < warm[place].kr < hot[place].kr
+    assert all(x.kt < y.kt for x, y in zip(bearings(at(20, 20, 20), "x"), cold, strict=True))
+    loose = bearings(at(5, 5, 40), "y")
+    assert all(each.kt > 0.0 and each.ct > 0.0 for each in loose)
+
+
+def test_the_true_resonance_is_followed_through_temperature() -> None:
+    truth = TrueResonance("y")
+    way = [truth.at(at(20.0 + k, 20.0 + 0.8 * k, 20.0 + 0.4 * k)) for k in np.linspace(0.0, 20.0, 41)]
+    assert np.abs(np.diff(way)).max() < 5.0
+    assert way[-1] - way[0] > 30.0
+
+
+def test_a_campaign_as_files(tmp_path: Path) -> None:
+    rest = Block(sequence_number=1, kind="idle", duration_s=600.0)
+    plan = CampaignPlan(program=PartProgram(number=1, blocks=(rest,)), hits_s=(60.0, 200.0), duration_s=300.0)
+    sensors = labelled_sensors()
+    campaign = run_campaign(Day.draw(1, start="cold"), sensors, FREQUENCY_HZ, plan=plan)
+    campaign.write(tmp_path)
+    index = read_index(tmp_path)
+    assert [(each.axis, each.time) for each in index] == [("x", 60.0), ("y", 90.0), ("y", 200.0), ("x", 230.0)]
+    (measured,) = read_measurements(index[0].path)
+    assert measured.frequency_hz == pytest.approx(FREQUENCY_HZ)
+    body = MachineBody(Day.draw(1, start="cold"), plan.program, sensors)
+    true = SpindleBeam(nominal_bearings("x"), with_tool=False).modes(bearings(body.thermal_nodes(), "x"))
+    ratio = measured.receptance_m_per_n / true.receptance(FREQUENCY_HZ)
+    assert 0.002 < np.std(np.abs(ratio)) < 0.1
+    assert read_header(tmp_path / "temperatures.csv")[:2] == ["t", f"T{sensors[0].id}"]
+    same = run_campaign(Day.draw(1, start="cold"), sensors, FREQUENCY_HZ, plan=plan)
+    assert np.array_equal(same.impacts[0].receptance, campaign.impacts[0].receptance)
+
+
+def test_the_plan_hits_a_standing_spindle() -> None:
+    plan = campaign_plan()
+    ends = np.cumsum([block.duration_s for block in plan.program.blocks])
+    assert ends[-1] == pytest.approx(plan.duration_s)
+    for hit_s in plan.hits_s:
+        for later_s in (hit_s, hit_s + 30.0):
+            assert plan.program.blocks[int(np.searchsorted(ends, later_s))].spindle_speed_rpm == 0.0
