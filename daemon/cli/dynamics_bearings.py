@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from daemon.cli.common import Command, FiniteFloat, json_option, refuse, write_json
+
+if TYPE_CHECKING:
+    from models.thermomechanics.regression import AxisRegression
 
 DEGC = FiniteFloat(min=-40.0, max=150.0)
 KELVIN = FiniteFloat(min=-100.0, max=100.0)
@@ -38,33 +41,35 @@ def _temperature_options(command: Command) -> Command:
 @click.option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis: Table D-1 (x) or D-2 (y).")
 @_temperature_options
 @click.option(
+    "--model",
+    "model_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Model of a campaign (JSON) in place of the published tables; its signals must be IR, A, F and Room.",
+)
+@click.option(
     "--bounds",
     "bounds_path",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="Physical bounds (YAML) in place of the shipped ones.",
+    help="Physical bounds (YAML) for the published tables, in place of the shipped ones.",
 )
 @json_option
-def bearings(axis: str, bounds_path: Path | None, json_path: str | None, **given: Any) -> None:
-    """Bearing properties from four temperatures and their changes (5-1), with the published regressions.
+def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_path: str | None, **given: Any) -> None:
+    """Bearing properties from four temperatures and their changes (5-1).
 
-    `raw` is what the regression says, `value` the same within the physical bounds, `flagged` is true where
-    they differ: a flagged value is a bound, not an estimate.
+    The regressions are the published ones, or those of a model. `raw` is what the regression says, `value` the same
+    within the physical bounds, `flagged` is true where they differ: a flagged value is a bound, not an estimate.
     """
     import numpy as np
 
-    from config.problems import ConfigurationError
-    from config.thermomechanics import load_bounds, published_model
-
-    try:
-        regression = published_model(load_bounds(bounds_path)).axes[axis]
-    except ConfigurationError as error:
-        refuse(str(error))
+    regression = _regression(axis, model_path, bounds_path)
     degc = np.array([given[f"t_{name}"] for name in SIGNALS])
     change = np.array([given[f"d_{name}"] for name in SIGNALS])
     over_4_min = np.array([given[f"d_{n}"] if given[f"d4_{n}"] is None else given[f"d4_{n}"] for n in SIGNALS])
-    differences = {minutes: over_4_min if minutes == 4.0 else change for minutes in regression.intervals_min}
-    found = regression.estimate(degc, differences)
+    order = [list(SIGNALS.values()).index(signal) for signal in regression.signals]
+    changes = {minutes: over_4_min if minutes == 4.0 else change for minutes in regression.intervals_min}
+    found = regression.estimate(degc[order], {minutes: each[order] for minutes, each in changes.items()})
     for each in found:
         beside = ""
         if each.flagged:
@@ -75,3 +80,31 @@ def bearings(axis: str, bounds_path: Path | None, json_path: str | None, **given
     write_json(
         json_path, {each.name: {"raw": each.raw, "value": each.value, "flagged": each.flagged} for each in found}
     )
+
+
+def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) -> "AxisRegression":
+    """Return the regressions that are asked for, or end with a sentence."""
+    from config.problems import ConfigurationError
+    from config.thermomechanics import load_bounds, published_model
+    from models.thermal.model import ModelError
+    from models.thermomechanics.artifact import model_from_json
+
+    try:
+        if model_path is None:
+            return published_model(load_bounds(bounds_path)).axes[axis]
+        model = model_from_json(model_path.read_text(encoding="utf-8"), str(model_path))
+    except OSError as error:
+        refuse(f"{model_path}: cannot be opened ({error.strerror})")
+    except UnicodeDecodeError:
+        refuse(f"{model_path}: is not text; a model is JSON")
+    except (ConfigurationError, ModelError) as error:
+        refuse(str(error))
+    if bounds_path is not None:
+        refuse("a model carries its own bounds; give --bounds when it is fitted")
+    if axis not in model.axes:
+        refuse(f"{model_path}: holds no regressions for axis {axis}, only for {', '.join(model.axes)}")
+    regression = model.axes[axis]
+    if not set(regression.signals) <= set(SIGNALS.values()):
+        signals = ", ".join(regression.signals)
+        refuse(f"{model_path}: regresses on {signals}; here are {', '.join(SIGNALS.values())} (campaign --signals)")
+    return regression

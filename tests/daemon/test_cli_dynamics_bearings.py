@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from config.thermomechanics import data_folder
+from config.thermomechanics import data_folder, published_model
 from daemon.cli import main
+from models.thermomechanics.artifact import model_to_json
 
 AT_20 = ["--t-ir", "20", "--t-a", "20", "--t-f", "20", "--t-room", "20"]
 
@@ -72,3 +73,14 @@ def test_temperatures_that_are_none_are_refused(wrong: str) -> None:
     result = call("--axis", "x", "--t-ir", wrong, *AT_20[2:])
     assert result.exit_code == 2
     assert "--t-ir" in result.stderr
+
+
+def test_a_model_of_a_campaign_takes_the_place_of_the_tables(tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    model.write_text(model_to_json(published_model()))
+    assert answer("--axis", "x", *AT_20, "--model", model) == answer("--axis", "x", *AT_20)
+    model.write_text(model_to_json(published_model()).replace("2910.0", "2910.5", 1))
+    result = call("--axis", "x", *AT_20, "--model", model)
+    assert result.exit_code == 2
+    assert "model.json: sha256" in result.stderr
+    assert "cannot be opened" in call("--axis", "x", *AT_20, "--model", tmp_path / "none.json").stderr

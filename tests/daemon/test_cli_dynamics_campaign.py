@@ -1,0 +1,133 @@
+"""`toolpoint dynamics campaign` on a simulated campaign: model, report, result; bad input."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from config.machines import shipped_file
+from daemon.cli import main
+from models.thermomechanics.artifact import model_from_json
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["dynamics", *map(str, arguments)])
+
+
+def refusal(*arguments: object) -> str:
+    result = call("campaign", *arguments)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    return str(result.stderr)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign") / "hits"
+    result = call("simulate-campaign", folder, "--df", 12.5)
+    assert result.exit_code == 0, result.stderr
+    return folder
+
+
+@pytest.fixture
+def few(simulated: Path, tmp_path: Path) -> Path:
+    """The first responses along x alone, as somebody's folder that can be spoilt."""
+    folder = tmp_path / "few"
+    folder.mkdir()
+    rows = (simulated / "impacts.csv").read_text().splitlines()
+    kept = [rows[0], *[row for row in rows[1:] if ",x," in row][:25]]
+    for row in kept[1:]:
+        shutil.copy(simulated / row.partition(",")[0], folder)
+    for name in ("temperatures.csv", "spindle.yaml"):
+        shutil.copy(simulated / name, folder)
+    (folder / "impacts.csv").write_text("\n".join(kept) + "\n")
+    return folder
+
+
+def test_model_report_and_result(simulated: Path, tmp_path: Path) -> None:
+    model, report, summary = (tmp_path / name for name in ("model.json", "report.html", "result.json"))
+    result = call(
+        "campaign", simulated, "--temperatures", simulated / "temperatures.csv", "--config",
+        shipped_file("cfrpmt.yaml"), "--to-hz", 1500, "--only-five", "--model", model, "--report", report,
+        "--json", summary,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(summary.read_text())
+    fitted = model_from_json(model.read_text(), str(model))
+    assert found["model_id"] == fitted.model_id
+    assert set(fitted.axes) == {"x", "y"}
+    assert found["signals"]["used"] == list(fitted.signals)
+    assert found["signals"]["groups"]
+    properties = found["axes"]["y"]["properties"]
+    assert set(properties) == {"ct_12", "kr_12", "kt_34", "kt_5", "ct_5"}
+    assert all(0.9 < each["adjusted_r2"] <= 1.0 for each in properties.values())
+    series = found["axes"]["y"]["series"]["5"][0]
+    assert len(series["time_min"]) == found["axes"]["y"]["responses"] == len(series["values"]["kt_34"])
+    stiffness = np.array(series["values"]["kt_34"])
+    assert stiffness.max() > 1.2 * stiffness[0], "the spindle stiffens as it warms"
+    page = report.read_text()
+    assert page.count("plotly-graph-div") == 9
+    assert "Fig. 5-10" in page
+    assert "https://cdn" not in page.partition("<body>")[2]
+
+
+def test_twelve_and_seven_parameters_and_columns_without_labels(few: Path) -> None:
+    rows = np.genfromtxt(few / "temperatures.csv", delimiter=",", names=True)
+    table = np.column_stack([rows["t"] / 60.0, rows["T301"], rows["T56"]])
+    np.savetxt(few / "own.csv", table, "%.5f", ",", header="time_min,nose,housing", comments="")
+    index = (few / "impacts.csv").read_text().splitlines()
+    lines = [index[0]] + [f"{row.rpartition(',')[0]},{float(row.rpartition(',')[2]) / 60.0}" for row in index[1:]]
+    (few / "impacts.csv").write_text("\n".join(lines) + "\n")
+    result = call("campaign", few, "--temperatures", few / "own.csv", "--signals", "nose,housing", "--json", "-")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["signals"]["used"] == ["nose", "housing"]
+    series = found["axes"]["x"]["series"]
+    assert {count: len(each[0]["values"]) for count, each in series.items()} == {"5": 5, "7": 7, "12": 12}
+    shares = series["12"][0]["identifiable_share"]
+    assert min(shares.values()) < 0.5, "one response does not determine twelve parameters"
+
+
+def spoil(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "complaint"),
+    [
+        ("impacts.csv", "file,axis,time", "name,axis,time", "impacts.csv:1: the header must be file,axis,time"),
+        ("impacts.csv", ",x,", ",z,", "impacts.csv:2: column axis: 'z' is neither x nor y"),
+        ("impacts.csv", "x_001.csv,x,720.0", "x_001.csv,x,noon", "column time: 'noon' is neither a number nor date"),
+        ("impacts.csv", "x_001.csv,x,720.0", "x_000.csv,x,720.0", "column file: there is no file"),
+        ("impacts.csv", "x_001.csv,x,720.0", "x_001.csv,x,9e6", "times must be those of the recording"),
+        ("x_001.csv", "frequency_hz", "Hz", "there is no column frequency_hz"),
+        ("spindle.yaml", "length_mm: 15", "length_mm: -15", "spindle.yaml:9:17: segments[0].length_mm"),
+    ],
+)
+def test_bad_files_are_refused_with_file_and_line(few: Path, file: str, old: str, new: str, complaint: str) -> None:
+    spoil(few / file, old, new)
+    assert complaint in refusal(few, "--temperatures", few / "temperatures.csv", "--only-five")
+
+
+def test_missing_files_and_bad_choices(few: Path, tmp_path: Path) -> None:
+    recording = few / "temperatures.csv"
+    assert "as many recordings" in refusal(few, few, "--temperatures", recording)
+    assert "impacts.csv" in refusal(tmp_path, "--temperatures", recording, "--spindle", few / "spindle.yaml")
+    assert "no recording has the signal Q" in refusal(
+        few, "--temperatures", recording, "--only-five", "--signals", "Q,T56"
+    )
+    assert "ends in .html" in refusal(few, "--temperatures", recording, "--report", tmp_path / "report.pdf")
+    assert "cannot determine 5 parameters" in refusal(few, "--temperatures", recording, "--from-hz", 400, "--to-hz", 600)
+    (few / "impacts.csv").write_text("file,axis,time\nx_001.csv,x,720.0\n")
+    assert "at least 4" in refusal(few, "--temperatures", recording)
+
+
+def test_a_folder_that_holds_something_is_not_written_over(few: Path) -> None:
+    result = call("simulate-campaign", few)
+    assert result.exit_code == 2
+    assert "not an empty folder" in result.stderr
