@@ -10,6 +10,7 @@ from daemon.cli.thermal_campaign import campaign
 from daemon.cli.thermal_evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal_figures import figures
 from daemon.cli.thermal_options import ProgressBar, hours_option
+from daemon.cli.thermal_report import report
 from daemon.cli.thermal_sensors import sensors
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def thermal() -> None:
 thermal.add_command(campaign)
 thermal.add_command(evaluate)
 thermal.add_command(figures)
+thermal.add_command(report)
 thermal.add_command(sensors)
 
 

@@ -118,8 +118,10 @@ def _png_heat(drawn: Any, place: Any, heat: Heat) -> None:
         place.contour(heat.x, heat.y, heat.values, levels=[heat.contour], colors=CONTOUR_COLOUR, linestyles="dashed")
 
 
-def save_html(figures: Sequence[Figure], path: Path, *, title: str, introduction: Sequence[str]) -> None:
-    """Write all figures as one page that needs nothing else; raises OSError."""
+def save_html(
+    figures: Sequence[Figure], path: Path, *, title: str, introduction: Sequence[str], body: Sequence[str] = ()
+) -> None:
+    """Write all figures as one page that needs nothing else; `body` is HTML before them. Raises OSError."""
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         f"<title>{html.escape(title)}</title>",
@@ -127,6 +129,7 @@ def save_html(figures: Sequence[Figure], path: Path, *, title: str, introduction
         "figure{margin:2.5em 0}figcaption{font-size:.95em}</style></head><body>",
         f"<h1>{html.escape(title)}</h1>",
         *(f"<p>{html.escape(line)}</p>" for line in introduction),
+        *body,
     ]
     for place, figure in enumerate(figures):
         drawn = _plotly(figure)
