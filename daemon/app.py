@@ -91,7 +91,11 @@ class Daemon:
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
         self._block = MacroBlock(
-            configuration.cnc.macros, axes, commissioned_factors(record, axes), echo_slack_um(configuration)
+            configuration.cnc.macros,
+            axes,
+            commissioned_factors(record, axes),
+            echo_slack_um(configuration),
+            configuration.cnc.guard,
         )
         self._alive_real_s = float("-inf")
         self._last_block = LastBlock.beside(configuration.history.path)

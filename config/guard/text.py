@@ -12,7 +12,7 @@ from config.commissioning import macro_map_digest
 from config.schema import Configuration
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
-from config.schema.guard import SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
+from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
 
 GUARD_VERSION = 1
 """Echoed by the guard; raised when what the text does changes."""
@@ -175,10 +175,10 @@ def _axis_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gu
             "value": str(macros.values[name]),
             "echo": str(macros.echo_applied[name]),
             "mirror": str(guard.memory + SHARED_MEMORY + bit),
-            "settle": str(101 + bit),
-            "settled": str(121 + bit),
-            "judged": str(331 + bit),
-            "applied": str(601 + bit),
+            "settle": str(PROGRAM_LABELS.start + 101 + bit),
+            "settled": str(PROGRAM_LABELS.start + 121 + bit),
+            "judged": str(PROGRAM_LABELS.start + 331 + bit),
+            "applied": str(PROGRAM_LABELS.start + 601 + bit),
             "bound": decimal(_down(bound_mm, increment)),
             "bound_slack": decimal(bound_mm + increment / 2.0),
             "bound_tolerance": decimal(bound_mm + macros.tolerance * to_mm),

@@ -1,11 +1,14 @@
 """The one schema: every knob of the daemon, with its unit, bounds, default and meaning."""
 
+from collections.abc import Iterator
+
 from pydantic import Field, model_validator
 
 from config.schema.base import KeyPath, KeyProblems, Section
 from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
+from config.schema.guard import PROGRAM_LABELS
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import TemperaturesConfig
 
@@ -41,9 +44,34 @@ class Configuration(Section):
         if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
             at = ("cnc", "temperature_macro", "sensor")
             problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors)"))
+        problems += self._numbers_of_the_guard()
+        valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
+        if valid_s >= (believed_s := self.cnc.guard.look_ahead_s):
+            sentence = (
+                f"with cnc.poll_period_s a block is valid for up to {valid_s:g} s, and the guard believes none that is "
+                f"valid for {believed_s:g} s or longer (cnc.guard.look_ahead_s): it would never move anything"
+            )
+            problems.append((("compensation", "output", "validity_s"), sentence))
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""
+        reference, output = self.compensation.reference, self.compensation.output
+        lists: dict[KeyPath, list[int]] = {
+            ("reference", "sequence_numbers"): reference.sequence_numbers,
+            ("reference", "retreat_sequence_numbers"): reference.retreat_sequence_numbers,
+            ("output", "safe_sequence_numbers"): output.safe_sequence_numbers,
+        }
+        for key, numbers in lists.items():
+            for place, number in enumerate(numbers):
+                if number in PROGRAM_LABELS:
+                    sentence = (
+                        f"N{PROGRAM_LABELS.start} to N{PROGRAM_LABELS.stop - 1} occur in the guard and its programs, "
+                        "which pass them at every call; choose another number"
+                    )
+                    yield ("compensation", *key, place), sentence
 
 
 __all__ = ["Configuration"]

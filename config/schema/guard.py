@@ -11,6 +11,8 @@ USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "
 """Address letter and number of the axes whose names leave no doubt."""
 PROGRAMS = 5
 """Numbers that the programs take: guard, initialise, request, safe point begins, safe point ends."""
+PROGRAM_LABELS = range(90_000, 91_000)
+"""N numbers in the programs; the control reports them like any other, so none may mean anything in a part program."""
 SHARED_MEMORY = 4
 """Memory macros that all axes share: pending axis, planned value, offset before, offset after."""
 

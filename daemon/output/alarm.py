@@ -1,5 +1,7 @@
 """What a person at the machine must be told about the output."""
 
+from collections.abc import Iterator
+
 from config.schema.compensation import OutputConfig
 from daemon.output.guard_watch import GuardWatch
 from daemon.output.macro_block import Echo
@@ -8,6 +10,8 @@ from models.records import OutputState
 
 REFUSALS = 2
 """A single torn read is no alarm: the block was being written."""
+ASKS_THE_GUARD = (OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
+"""States in which the guard has an offset to bring, to keep or to take out."""
 
 
 def alarm_of(
@@ -22,14 +26,20 @@ def alarm_of(
     """Return the alarm that the output's state calls for, '' when there is none."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
-    if memory.state is OutputState.ACTIVE and guard.refusals >= REFUSALS and echo is not None:
-        return f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
-    if memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
-        return (
+    return "; ".join(_alarms(memory, echo, now_s, guard, config, obstacle))
+
+
+def _alarms(
+    memory: OutputMemory, echo: Echo | None, now_s: float, guard: GuardWatch, config: OutputConfig, obstacle: str
+) -> Iterator[str]:
+    """Yield what is wrong at the guard, and what has been held for too long."""
+    if memory.state in ASKS_THE_GUARD and guard.refusals >= REFUSALS and echo is not None:
+        yield f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
+    elif memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
+        yield (
             f"the guard has not run for {guard.silent_s / 60:.0f} min while the program ran, so nothing that is "
             "written reaches the tool: check that the program calls it at its safe points"
         )
     held_s = now_s - memory.since_s
     if memory.state is OutputState.HOLD and held_s > config.alarm_after_s:
-        return f"held for {held_s:.0f} s: {obstacle or memory.reason}"
-    return ""
+        yield f"held for {held_s:.0f} s: {obstacle or memory.reason}"

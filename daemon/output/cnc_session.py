@@ -50,6 +50,8 @@ class CncSession:
         self._sequence = 0
         self._enabled = False
         self._seen: Mapping[int, float | None] = {}
+        self._after_expiry = block.expires_to_zero
+        """The guard may have taken an expired block's offset out and not yet put it back; nobody knows at the start."""
         self.sample: CncSample | None = None
         self.echo: Echo | None = None
         self.last_write_s = -np.inf
@@ -83,7 +85,7 @@ class CncSession:
         problems = self._block.differences(self._acceptable, sample.macros)
         if not problems:
             self._narrow(sample.macros)
-        return problems + self._block.implausible_echo(sample.macros, self._limits)
+        return problems + self._implausible_echo(sample.macros, sample.clock_s)
 
     def forgive(self) -> list[str]:
         """Take what the CNC holds now as known: a person has acknowledged. Return what is vacant and stays a fault."""
@@ -106,13 +108,22 @@ class CncSession:
             problems.append("enable bits are set in the CNC, and this daemon has no record of having set them")
         if not problems:
             self._narrow(sample.macros)
-        return problems + self._block.implausible_echo(sample.macros, self._limits)
+        return problems + self._implausible_echo(sample.macros, sample.clock_s)
+
+    def _implausible_echo(self, found: Mapping[int, float | None], clock_s: float) -> list[str]:
+        """Return what the guard cannot have applied; between two steps of a way back after an expiry it may lag."""
+        lagging = self._block.implausible_echo(found, self._limits)
+        vacant = bool(np.isnan(self._block.echo(found).applied_um).any())
+        expired = self._block.expires_to_zero and self._block.expired(found, clock_s)
+        self._after_expiry = expired or (self._after_expiry and (bool(lagging) or vacant))
+        return self._block.implausible_echo(found, self._limits, after_expiry=True) if self._after_expiry else lagging
 
     async def write(self, command: CompensationCommand, *, validity_s: float, trace: Trace, cause: str) -> Receipt:
         """Write the block first to last, read it back, and leave intent and outcome in the audit."""
         assert self.sample is not None
         now = self._clock.now()
         clock_s = self.sample.clock_s + (now.monotonic_s - self.sample.time.monotonic_s)
+        self._after_expiry |= self._block.expires_to_zero and self._block.expired(self._seen, clock_s)
         self._sequence = self._sequence % LAST_SEQUENCE + 1
         stopped = not any(command.enable)
         valid_until_s = 0.0 if stopped else clock_s + validity_s
@@ -135,7 +146,7 @@ class CncSession:
             raise
         self._acceptable = {number: (value,) for number, value in macros}
         problems = self._block.differences(self._acceptable, found)
-        problems += self._block.implausible_echo(found, self._limits)
+        problems += self._implausible_echo(found, clock_s)
         self.echo = self._block.echo(found)
         self._enabled = self._block.enabled(found)
         self._seen = found
@@ -146,21 +157,27 @@ class CncSession:
 
     async def write_one(self, number: int, value: float, *, cause: str, trace: Trace | None = None) -> Receipt:
         """Write one macro that is not of the block, read it back, and leave intent and outcome in the audit."""
+        return await self.write_apart((((number, value),),), cause=cause, trace=trace)
+
+    async def write_apart(
+        self, groups: tuple[tuple[tuple[int, float], ...], ...], *, cause: str, trace: Trace | None = None
+    ) -> Receipt:
+        """Write macros that are not of the block, group after group, with read-back and audit as for the block."""
         now = self._clock.now()
         trace = trace or Trace(first_byte=now, last_byte=now)
-        macros = ((number, value),)
+        macros = tuple(pair for group in groups for pair in group)
         intent = self._history.write_intent(None, macros, cause)
         try:
-            await self.cnc.write_macros((macros,))
+            await self.cnc.write_macros(groups)
             trace = replace(trace, written=self._clock.now())
-            found = await self.cnc.read_macros((number,))
+            found = await self.cnc.read_macros(tuple(number for number, _ in macros))
             trace = replace(trace, read_back=self._clock.now())
         except Exception as error:
             refused = isinstance(error, FatalDriverError)
             outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
             self._conclude(intent, macros, outcome, str(error), {}, trace)
             raise
-        problems = self._block.differences({number: (value,)}, found)
+        problems = self._block.differences({number: (value,) for number, value in macros}, found)
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
         return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
 

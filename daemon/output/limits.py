@@ -11,23 +11,41 @@ from models.axis_map import AxisSource, ToolTerm
 from models.output import OutputLimits
 from models.units import um_from_mm
 
+GUARD_PROGRAMS = 5
+"""Guard, initialise, request, safe point begins, safe point ends."""
 ROUNDING = 0.51
 """Half an increment, and a little for the arithmetic."""
+
+
+class CommissionedFactors(dict[str, float]):
+    """Movement per macro value by axis: sign times scale, as the record takes them to be."""
+
+    def __init__(self, record: CommissioningRecord, axes: Sequence[str]) -> None:
+        proved = {axis: record.axes[axis] for axis in axes if axis in record.axes}
+        super().__init__({axis: found.sign * found.scale for axis, found in proved.items()})
+        self.excess = {
+            axis: max(1.0, abs(found.measured_um / found.written_um) / found.scale) for axis, found in proved.items()
+        }
+        """Measured movement over the movement that sign and scale make of the value, where it was more."""
 
 
 def output_limits(configuration: Configuration, factors: Mapping[str, float] | None = None) -> OutputLimits:
     """Return the limits of the output, one row per axis.
 
     `factors` is the movement per macro value. The guard bounds the macro value, so where less moves
-    than is written, bound and step of the movement shrink with it.
+    than is written, bound and step of the movement shrink with it. Where the axis was measured to move
+    further than sign and scale say, bound, step and slew rate shrink by as much, so that what moves
+    stays within the configured limits.
     """
     axes = configuration.compensation.axes
-    share = np.array([min(1.0, abs((factors or {}).get(axis, 1.0))) for axis in axes])
+    excess = factors.excess if isinstance(factors, CommissionedFactors) else {}
+    certain = np.array([1.0 / excess.get(axis, 1.0) for axis in axes])
+    share = np.minimum(certain, [abs((factors or {}).get(axis, 1.0)) for axis in axes])
     output = configuration.compensation.output
     return OutputLimits(
         axes=tuple(axes),
         absolute_bound_um=share * [axis.absolute_bound_um for axis in axes.values()],
-        slew_um_per_min=np.array([axis.slew_um_per_min for axis in axes.values()]),
+        slew_um_per_min=certain * [axis.slew_um_per_min for axis in axes.values()],
         step_um=share * [axis.step_um for axis in axes.values()],
         deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
         stale_after_s=output.stale_after_s,
@@ -64,9 +82,15 @@ def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]
     """Return movement per macro value for each commissioned axis: its sign times its scale."""
     if record is None:
         return {}
-    return {axis: record.axes[axis].sign * record.axes[axis].scale for axis in axes if axis in record.axes}
+    return CommissionedFactors(record, axes)
 
 
 def echo_slack_um(configuration: Configuration) -> float:
     """Return what may lie between a written value and its echo [um]: the control rounds to its least increment."""
     return max(ECHO_SLACK_UM, um_from_mm(ROUNDING * configuration.cnc.guard.increment_mm))
+
+
+def guard_programs(configuration: Configuration) -> range:
+    """Return the O numbers of the NC programs that belong to the guard, whichever of them runs."""
+    first = configuration.cnc.guard.program
+    return range(first, first + GUARD_PROGRAMS)

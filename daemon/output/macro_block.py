@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.schema.cnc import MacroMapConfig
+from config.schema.guard import GuardConfig
 from models.output import OutputLimits
 from models.records import CompensationCommand, FloatArray
 
@@ -35,10 +36,13 @@ class MacroBlock:
         axes: Sequence[str],
         factors: Mapping[str, float],
         slack_um: float = ECHO_SLACK_UM,
+        guard: GuardConfig | None = None,
     ) -> None:
+        """`guard` says what an expired block does; without it an expired block keeps what is applied."""
         self.slack_um = slack_um
         """Allowed between the echo and what explains it [um]; the control rounds to its least increment."""
         self._map = macros
+        self._guard = guard
         self._axes = tuple(axes)
         self._um_per_unit = np.array([macros.unit_um * factors.get(axis, 1.0) for axis in axes])
         self.ours = (
@@ -105,8 +109,25 @@ class MacroBlock:
             if value is None and number != self._map.valid_until
         ]
 
-    def implausible_echo(self, macros: Mapping[int, float | None], limits: OutputLimits) -> list[str]:
-        """Return what the guard cannot have applied: more than the bound, or more than a step from what is written."""
+    @property
+    def expires_to_zero(self) -> bool:
+        """The guard takes the offset out, step by step, when the block has expired."""
+        return self._guard is not None and self._guard.on_expiry == "zero"
+
+    def expired(self, macros: Mapping[int, float | None], clock_s: float) -> bool:
+        """Whether the guard would call this block expired at this reading of the CNC's clock [s]."""
+        valid_until_s = macros.get(self._map.valid_until)
+        ahead_s = np.inf if self._guard is None else self._guard.look_ahead_s
+        return valid_until_s is None or not clock_s < valid_until_s <= clock_s + ahead_s
+
+    def implausible_echo(
+        self, macros: Mapping[int, float | None], limits: OutputLimits, *, after_expiry: bool = False
+    ) -> list[str]:
+        """Return what the guard cannot have applied: more than the bound, or more than a step from what is written.
+
+        `after_expiry`: the guard may have taken an expired block's offset out, so anything between zero and what is
+        written is plausible as well.
+        """
         echo = self.echo(macros)
         written_um = np.nan_to_num(self.values_um(macros))
         problems = []
@@ -117,6 +138,8 @@ class MacroBlock:
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "
                     f"the bound is {limits.absolute_bound_um[i]:g} um"
                 )
+            elif after_expiry and _between_zero_and(written_um[i], applied_um, self.slack_um):
+                continue
             elif abs(applied_um - written_um[i]) > limits.step_um[i] + self.slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
@@ -140,3 +163,8 @@ class MacroBlock:
 
     def _close(self, value: float, expected: float) -> bool:
         return abs(value - expected) <= max(self._map.tolerance, 1e-9 * abs(expected))
+
+
+def _between_zero_and(written_um: float, applied_um: float, slack_um: float) -> bool:
+    """Whether the way from the written value to zero leads over what is applied."""
+    return bool(min(written_um, 0.0) - slack_um <= applied_um <= max(written_um, 0.0) + slack_um)

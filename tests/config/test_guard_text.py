@@ -20,7 +20,7 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
-from config.schema.guard import GuardConfig
+from config.schema.guard import PROGRAM_LABELS, GuardConfig
 from drivers.sim.custom_macro import compile_programs
 
 GUARD = GuardConfig(increment_mm=0.0001)
@@ -55,8 +55,9 @@ def test_every_program_can_be_compiled_and_every_label_is_jumped_to(shipped: Con
     text = guard_program(shipped)
     for number, program in programs.items():
         part = text.split(f"O{number}(", 1)[1].split("\nO9", 1)[0]
-        jumps = {int(label) for label in re.findall(r"GOTO(\d+)", part)} | {*range(903, 910)}
-        assert set(program.labels) <= jumps | {300, 600}, number
+        jumps = {int(label) for label in re.findall(r"GOTO(\d+)", part)} | {*range(90903, 90910)}
+        assert set(program.labels) <= jumps | {90300, 90600}, number
+        assert set(program.labels) <= set(PROGRAM_LABELS), number
 
 
 def test_only_macros_of_the_map_and_of_the_memory_are_written(shipped: Configuration) -> None:

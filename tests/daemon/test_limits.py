@@ -7,9 +7,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from control_rig import machine
+from control_rig import machine, record_for
 
-from daemon.output.limits import echo_slack_um, output_limits
+from config.commissioning import CommissionedAxis
+from daemon.output.limits import commissioned_factors, echo_slack_um, output_limits
 
 
 def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path):
@@ -18,6 +19,32 @@ def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path
     scaled = output_limits(configuration, {"y": -0.5, "z": 2.0})
     assert scaled.absolute_bound_um == pytest.approx(plain.absolute_bound_um * [1.0, 0.5, 1.0])
     assert scaled.step_um == pytest.approx(plain.step_um * [1.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("scale", "measured_um", "bound_share", "slew_share"),
+    [
+        (1.0, 10.0, 1.0, 1.0),
+        (1.0, 11.9, 1 / 1.19, 1 / 1.19),
+        (1.0, -11.9, 1 / 1.19, 1 / 1.19),
+        (1.0, 8.1, 1.0, 1.0),
+        (2.0, 23.0, 1 / 1.15, 1 / 1.15),
+        (0.5, 5.5, 0.5, 1 / 1.1),
+    ],
+)
+def test_what_was_measured_to_move_stays_within_the_configured_limits(
+    tmp_path, scale, measured_um, bound_share, slew_share
+):
+    configuration = machine(tmp_path)
+    sign = 1 if measured_um > 0 else -1
+    proved = CommissionedAxis(sign=sign, scale=scale, written_um=10.0, measured_um=measured_um)
+    record = record_for(configuration, axes={"z": proved})
+    factors = commissioned_factors(record, ("x", "y", "z"))
+    assert factors == {"z": sign * scale}
+    plain, found = output_limits(configuration), output_limits(configuration, factors)
+    assert found.absolute_bound_um == pytest.approx(plain.absolute_bound_um * [1.0, 1.0, bound_share])
+    assert found.step_um == pytest.approx(plain.step_um * [1.0, 1.0, bound_share])
+    assert found.slew_um_per_min == pytest.approx(plain.slew_um_per_min * [1.0, 1.0, slew_share])
 
 
 def test_the_slack_of_the_echo_is_half_an_increment_of_the_control(tmp_path):

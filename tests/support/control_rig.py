@@ -141,7 +141,9 @@ class Rig:
         self.asked: list[ReferenceRequest | ReferenceEnded | Reference] = []
         self.ticks = 0
         axes = tuple(configuration.compensation.axes)
-        self.block = MacroBlock(configuration.cnc.macros, axes, commissioned_factors(record, axes))
+        self.block = MacroBlock(
+            configuration.cnc.macros, axes, commissioned_factors(record, axes), guard=configuration.cnc.guard
+        )
         self.last_block = LastBlock.beside(configuration.history.path)
         loaded = load_resume_point(configuration, self.history, clock, self.last_block)
         self.resume = resume if resume is not None else loaded

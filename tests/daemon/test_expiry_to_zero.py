@@ -1,0 +1,90 @@
+"""A guard under the policy `zero` takes an expired offset out; the daemon must know that and not call it false."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import Bench, Rig, running
+
+from drivers.sim.safe_point import GuardStatus, SafePointApplication, simulated_guard
+from models.records import CncRun
+
+
+def zero_bench(directory: Path) -> Bench:
+    """A machine whose guard, and whose configuration, says `zero`."""
+    bench = Bench(directory)
+    configuration = bench.configuration
+    axes = configuration.compensation.axes
+    cnc = configuration.cnc.model_copy(
+        update={"guard": simulated_guard(axes).model_copy(update={"on_expiry": "zero"})},
+    )
+    bench.configuration = configuration.model_copy(update={"cnc": cnc})
+    bench.nc.guard = SafePointApplication(cnc.macros, axes, cnc.guard)
+    bench.nc.guard.initialise(bench.nc.macros, bench.nc.clock_s)
+    return bench
+
+
+async def expire(bench: Bench, rig: Rig, *, calls: int) -> None:
+    """The machine stands idle while the daemon's computer stalls, and the guard is called so often."""
+    bench.nc.run = CncRun.STOP
+    await rig.turn(rig.estimate(0.0, -25.0))
+    for _ in range(calls):
+        bench.clock.monotonic_s += 60.0
+        assert bench.nc.safe_point() is GuardStatus.EXPIRED
+
+
+async def test_the_way_back_of_an_expired_block_is_no_fault_and_the_guard_catches_up(tmp_path: Path) -> None:
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -25.0, 80)
+        assert rig.applied["z"] == pytest.approx(25.0)
+        await expire(bench, rig, calls=3)
+        assert rig.applied["z"] == 0.0
+        await rig.turn(rig.estimate(0.0, -25.0), safe=False)
+        assert rig.control.journal.fault is None
+        bench.nc.run = CncRun.START
+        for expected_um in (10.0, 20.0, 25.0):
+            await rig.turn(rig.estimate(0.0, -25.0))
+            assert (rig.applied["z"], rig.state) == (pytest.approx(expected_um), "ACTIVE")
+
+
+async def test_a_new_session_and_a_new_daemon_find_the_guard_on_its_way(tmp_path: Path) -> None:
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -25.0, 80)
+        await expire(bench, rig, calls=3)
+        await rig.turn(rig.estimate(0.0, -25.0), safe=False)
+    again = bench.rig()
+    async with running(again):
+        await again.turn(safe=False)
+        assert again.control.journal.fault is None
+
+
+async def test_what_lies_on_no_way_to_zero_is_a_fault_as_before(tmp_path: Path) -> None:
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -12.0, 80)
+        await expire(bench, rig, calls=1)
+        bench.nc.macros.set(bench.configuration.cnc.macros.echo_applied["z"], -0.011)
+        await rig.turn(rig.estimate(0.0, -12.0), safe=False)
+        assert "the CNC says that it applies -11.000 um" in (rig.control.journal.fault or "")
+
+
+async def test_once_the_guard_has_caught_up_a_loss_without_expiry_is_a_fault_again(tmp_path: Path) -> None:
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -25.0, 80)
+        bench.nc.macros.set(bench.configuration.cnc.macros.echo_applied["z"], 0.0)
+        await rig.turn(rig.estimate(0.0, -25.0), safe=False)
+        assert "the CNC says that it applies 0.000 um" in (rig.control.journal.fault or "")
