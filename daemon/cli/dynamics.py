@@ -7,7 +7,7 @@ import click
 
 from daemon.cli.common import json_option, refuse, write_json
 from daemon.cli.dynamics_bearings import bearings
-from daemon.cli.dynamics_campaign import campaign, simulate_campaign
+from daemon.cli.dynamics_campaign import campaign, simulate_campaign, track
 from daemon.cli.dynamics_identify import contact, identify
 from daemon.cli.dynamics_options import (
     POSITIVE,
@@ -114,5 +114,5 @@ def frf(
     write_json(json_path, found)
 
 
-for command in (identify, contact, sensitivity, compare, bearings, campaign, simulate_campaign):
+for command in (identify, contact, sensitivity, compare, bearings, campaign, simulate_campaign, track):
     dynamics.add_command(command)

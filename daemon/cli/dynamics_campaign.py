@@ -1,4 +1,4 @@
-"""`toolpoint dynamics campaign` and `simulate-campaign`: bearings over temperature from impact tests."""
+"""`toolpoint dynamics campaign`, `simulate-campaign` and `track`: bearings and tool point over temperature."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import json_option, refuse, write_json
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.dynamics_options import POSITIVE, rotary_option, show_warnings
 
 if TYPE_CHECKING:
@@ -152,3 +152,89 @@ def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
         refuse(f"{folder} exists and is not an empty folder; name a new one")
     count, minutes = write_campaign(folder, day, step_hz)
     click.echo(f"{folder}: {count} responses within {minutes:.0f} simulated minutes", err=True)
+
+
+@click.command()
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--model", "model_path", metavar="FILE", type=FILE, help="Model of a campaign. Without: the published.")
+@click.option("--spindle", "spindle_path", metavar="SPINDLE.yaml", type=FILE, required=True, help="Spindle with tool.")
+@click.option(
+    "--spindle-y", "spindle_y_path", metavar="SPINDLE.yaml", type=FILE, help="Spindle along Y where it differs."
+)
+@rotary_option
+@click.option("--axis", type=click.Choice(["x", "y", "both"]), default="both", show_default=True, help="Machine axes.")
+@click.option(
+    "--at", type=click.Choice(["nose", "holder", "tool"]), default="tool", show_default=True, help="Where to look."
+)
+@click.option("--config", "-c", "config_path", type=FILE, help="Configuration whose labels name T1, T2 ...")
+@click.option("--near-hz", type=POSITIVE, help="Follow the resonance nearest to this [Hz]. Without: the highest.")
+@click.option(
+    "--every-min", type=FiniteFloat(min=0.0, min_open=True), default=1.0, show_default=True, help="Results apart [min]."
+)
+@click.option(
+    "--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write the curves over time (HTML)."
+)
+@json_option
+def track(
+    recording: Path,
+    model_path: Path | None,
+    spindle_path: Path,
+    spindle_y_path: Path | None,
+    rotary: "Rotary | None",
+    axis: str,
+    at: str,
+    config_path: Path | None,
+    near_hz: float | None,
+    every_min: float,
+    report_path: Path | None,
+    json_path: str | None,
+) -> None:
+    """Follow the resonance of the tool point through a RECORDING of temperatures, as the daemon would."""
+    from config.loader import load_configuration
+    from config.problems import ConfigurationError
+    from config.thermomechanics import published_model
+    from daemon.cli.thermal_options import ProgressBar
+    from daemon.dynamics.campaign import read_temperatures
+    from daemon.dynamics.responses import ResponseError, parts_at
+    from daemon.dynamics.spindle_files import read_spindle
+    from daemon.dynamics.tracking import TrackingError, track_recording, tracking_summary, write_tracking_page
+    from drivers.contract import FatalDriverError
+    from models.dynamics.response_fit import IdentificationError
+    from models.thermal.model import ModelError
+    from models.thermomechanics.artifact import model_from_json
+
+    files = {"x": spindle_path, "y": spindle_y_path or spindle_path}
+    try:
+        configuration = None if config_path is None else load_configuration(config_path)
+        model = published_model()
+        if model_path is not None:
+            model = model_from_json(model_path.read_text(encoding="utf-8"), str(model_path))
+        wanted = [each for each in files if axis in (each, "both") and (axis != "both" or each in model.axes)]
+        spindles = {each: read_spindle(files[each], rotary) for each in wanted}
+        for each, spindle in spindles.items():
+            parts_at(spindle, at)
+            if not spindle.shaft.supports:
+                refuse(f"{files[each]}: describes no bearings")
+        temperatures = read_temperatures(recording, configuration)
+        with ProgressBar() as progress:
+            day = track_recording(temperatures, model, spindles, at, near_hz, every_min, progress.show)
+    except OSError as error:
+        refuse(f"{error.filename}: cannot be opened ({error.strerror})")
+    except UnicodeDecodeError:
+        refuse(f"{model_path}: is not text; a model is JSON")
+    except ResponseError as error:
+        refuse(f"{spindle_path}: {error}")
+    except (ConfigurationError, FatalDriverError, IdentificationError, ModelError, TrackingError) as error:
+        refuse(str(error))
+    found = tracking_summary(day)
+    show_warnings(found)
+    for name, told in found["axes"].items():
+        hz = told["resonance_hz"]
+        click.echo(
+            f"axis {name}: {hz[0]:.1f} Hz at first, {min(hz):.1f} to {max(hz):.1f} Hz, {hz[-1]:.1f} Hz at last; "
+            f"{sum(not each for each in told['continuous'])} of {len(hz)} lost",
+            err=True,
+        )
+    if report_path is not None:
+        write_tracking_page(report_path, day)
+    write_json(json_path, found)

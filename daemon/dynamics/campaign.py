@@ -86,7 +86,7 @@ class CampaignResult:
 
 def read_run(folder: Path, recording: Path, configuration: Configuration | None, band: Band) -> Run:
     """Return a run with its responses cut to the band; raises a driver's error or MeasurementError."""
-    temperatures = _temperatures(recording, configuration)
+    temperatures = read_temperatures(recording, configuration)
     by_axis: dict[str, list[tuple[float, Measurement]]] = {}
     for each in read_index(folder):
         minutes = (each.time - temperatures.start) * temperatures.seconds_per_unit / 60.0
@@ -114,7 +114,8 @@ def read_run(folder: Path, recording: Path, configuration: Configuration | None,
     )
 
 
-def _temperatures(path: Path, configuration: Configuration | None) -> Temperatures:
+def read_temperatures(path: Path, configuration: Configuration | None) -> Temperatures:
+    """Return a recording as signals: means by label with a configuration, columns without; raises a driver's error."""
     header = read_header(path)
     columns = _map(header)
     recording = read_recording(path, columns)

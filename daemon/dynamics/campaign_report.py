@@ -1,6 +1,6 @@
 """The report of an impact campaign: one HTML page that holds all it needs (Figs 5-2 to 5-13), by plotly."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -30,22 +30,30 @@ def write_report(path: Path, result: CampaignResult, spindle: Spindle) -> None:
         figures += [_responses(result, spindle, axis), _properties(result, axis)]
     figures += [_matrix(result, "auto"), _matrix(result, "cross")]
     figures += [_determination(result, axis) for axis in result.model.axes]
-    drawn = [figure.to_html(include_plotlyjs=number == 0, full_html=False) for number, figure in enumerate(figures)]
-    title = escape(f"Impact campaign: {result.model.model_id}")
     warnings = "".join(f"<li>{escape(each)}</li>" for each in result.warnings)
-    page = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
-        f"<h1>{title}</h1><ul>{''.join(f'<li>{escape(each)}</li>' for each in result.model.training)}</ul>",
-        f"<h2>Warnings</h2><ul>{warnings}</ul>" if warnings else "",
-        _regression_table(result),
-        *drawn,
-        _parameter_table(result),
-        "</html>",
-    ]
+    write_page(
+        path,
+        f"Impact campaign: {result.model.model_id}",
+        [
+            f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in result.model.training)}</ul>",
+            f"<h2>Warnings</h2><ul>{warnings}</ul>" if warnings else "",
+            _regression_table(result),
+        ],
+        figures,
+        [_parameter_table(result)],
+    )
+
+
+def write_page(path: Path, title: str, before: Sequence[str], figures: Sequence[Any], after: Sequence[str]) -> None:
+    """Write a page that holds all it needs: text, figures, text."""
+    drawn = [figure.to_html(include_plotlyjs=number == 0, full_html=False) for number, figure in enumerate(figures)]
+    head = f"<meta charset='utf-8'><title>{escape(title)}</title><style>{STYLE}</style>"
+    page = [f"<!doctype html><html lang='en'>{head}<h1>{escape(title)}</h1>", *before, *drawn, *after, "</html>"]
     path.write_text("\n".join(page), encoding="utf-8")
 
 
-def _figure(title: str, x: str, y: str, *, logarithmic: bool = False) -> Any:
+def new_figure(title: str, x: str, y: str, *, logarithmic: bool = False) -> Any:
+    """Return an empty figure with its axes named."""
     figure = import_module("plotly.graph_objects").Figure()
     figure.update_layout(title=title, template="plotly_white", height=460, xaxis_title=x, yaxis_title=y)
     if logarithmic:
@@ -54,7 +62,7 @@ def _figure(title: str, x: str, y: str, *, logarithmic: bool = False) -> Any:
 
 
 def _temperatures(result: CampaignResult) -> Any:
-    figure = _figure("Temperatures; ticks: responses (Fig. 5-2)", "time [min]", "temperature [degC]")
+    figure = new_figure("Temperatures; ticks: responses (Fig. 5-2)", "time [min]", "temperature [degC]")
     for number, run in enumerate(result.runs):
         told = run.temperatures
         for place, name in enumerate(told.signals):
@@ -76,7 +84,7 @@ def _temperatures(result: CampaignResult) -> Any:
 
 def _responses(result: CampaignResult, spindle: Spindle, axis: str) -> Any:
     title = f"Receptance at the nose, {axis}: solid measured, dashed model (Figs 5-3, 5-4)"
-    figure = _figure(title, "frequency [Hz]", "receptance [m/N]", logarithmic=True)
+    figure = new_figure(title, "frequency [Hz]", "receptance [m/N]", logarithmic=True)
     shaft = CondensedShaft(spindle.shaft, result.frequency_hz)
     series, responses = result.series[axis][5][0], result.runs[0].responses[axis]
     for number, k in enumerate(np.linspace(0, len(series.time_min) - 1, SHOWN_RESPONSES).astype(int).tolist()):
@@ -129,7 +137,7 @@ def _matrix(result: CampaignResult, kind: str) -> Any:
         if kind == "auto"
         else "Correlation of temperatures with bearing properties (Fig. 5-11)"
     )
-    figure = _figure(title, "", "")
+    figure = new_figure(title, "", "")
     figure.add_heatmap(
         z=values, x=list(columns), y=list(told.candidates), zmin=-1.0, zmax=1.0, colorscale="RdBu", reversescale=True,
         text=np.round(values, 2), texttemplate="%{text}",
@@ -139,7 +147,7 @@ def _matrix(result: CampaignResult, kind: str) -> Any:
 
 def _determination(result: CampaignResult, axis: str) -> Any:
     title = f"Adjusted R^2 over the interval, {axis}: solid with squares, dashed without (Figs 5-12, 5-13)"
-    figure = _figure(title, "interval of the differences [min]", "adjusted R^2")
+    figure = new_figure(title, "interval of the differences [min]", "adjusted R^2")
     curves: list[tuple[str, str]] = [("adjusted_r2", "solid"), ("adjusted_r2_without_squares", "dash")]
     for number, (name, each) in enumerate(result.fitted[axis].items()):
         for attribute, dash in curves:

@@ -285,6 +285,10 @@ class ToolPointTracker:
                 means[place] = known.mean()
         return means
 
+    def observe(self, time_s: float, degc: FloatArray) -> None:
+        """Keep what the signals read [degC], NaN where unknown, shape (m,), at a time [s], and compute nothing."""
+        self._history.add(time_s, degc)
+
     def renew_from(self, time_s: float, degc: FloatArray) -> ToolPointDynamics | None:
         """Return the dynamics when the signals read `degc` [degC], NaN where unknown, shape (m,); see `renew`."""
         self._history.add(time_s, degc)

@@ -122,7 +122,9 @@ def test_missing_files_and_bad_choices(few: Path, tmp_path: Path) -> None:
         few, "--temperatures", recording, "--only-five", "--signals", "Q,T56"
     )
     assert "ends in .html" in refusal(few, "--temperatures", recording, "--report", tmp_path / "report.pdf")
-    assert "cannot determine 5 parameters" in refusal(few, "--temperatures", recording, "--from-hz", 400, "--to-hz", 600)
+    assert "cannot determine 5 parameters" in refusal(
+        few, "--temperatures", recording, "--from-hz", 400, "--to-hz", 600
+    )
     (few / "impacts.csv").write_text("file,axis,time\nx_001.csv,x,720.0\n")
     assert "at least 4" in refusal(few, "--temperatures", recording)
 
@@ -131,3 +133,55 @@ def test_a_folder_that_holds_something_is_not_written_over(few: Path) -> None:
     result = call("simulate-campaign", few)
     assert result.exit_code == 2
     assert "not an empty folder" in result.stderr
+
+
+# Track
+
+
+@pytest.fixture(scope="module")
+def fitted(simulated: Path) -> Path:
+    model = simulated.parent / "model.json"
+    result = call(
+        "campaign", simulated, "--temperatures", simulated / "temperatures.csv", "--config",
+        shipped_file("cfrpmt.yaml"), "--to-hz", 1500, "--only-five", "--model", model,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    return model
+
+
+def test_the_tool_point_over_the_campaigns_own_recording(simulated: Path, fitted: Path, tmp_path: Path) -> None:
+    report = tmp_path / "day.html"
+    result = call(
+        "track", simulated / "temperatures.csv", "--model", fitted, "--spindle", simulated / "spindle.yaml",
+        "--config", shipped_file("cfrpmt.yaml"), "--every-min", 10, "--report", report, "--json", "-",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["warnings"] == []
+    assert set(found["axes"]) == {"x", "y"}
+    hz = np.array(found["axes"]["y"]["resonance_hz"])
+    assert len(hz) == len(found["time_min"]) == len(found["doubt"]) == 46
+    assert "need 10 min" in found["doubt"][0]
+    assert set(found["doubt"][2:]) == {""}
+    assert hz[0] + 30.0 < hz.max() < hz[0] + 90.0
+    assert all(found["axes"]["y"]["continuous"])
+    stiffness = found["axes"]["y"]["properties"]["kt_34"]
+    assert np.corrcoef(stiffness["value"], hz)[0, 1] > 0.9
+    assert report.read_text().count("plotly-graph-div") == 5
+
+
+def test_mixing_rotary_inertia_warns_and_missing_signals_are_named(simulated: Path, tmp_path: Path) -> None:
+    recording = simulated / "temperatures.csv"
+    labelled = ["--config", shipped_file("cfrpmt.yaml"), "--every-min", 60]
+    mixed = call("track", recording, "--spindle", "simulated_machine", *labelled, "--axis", "x", "--json", "-")
+    assert mixed.exit_code == 0, mixed.stderr
+    assert "identified with rigid_rotary_inertia published" in json.loads(mixed.stdout)["warnings"][0]
+    for arguments, complaint in (
+        (["--spindle", "simulated_machine"], "no sensor carries the label A, F, IR, Room"),
+        (["--spindle", "model_1", "--at", "nose"], "describes no bearings"),
+        (["--spindle", "unit_model_5_x"], "describes no tool"),
+        (["--spindle", "simulated_machine", "--model", tmp_path / "no.json"], "no.json: cannot be opened"),
+    ):
+        result = call("track", recording, *arguments)
+        assert result.exit_code == 2
+        assert complaint in result.stderr
