@@ -31,6 +31,7 @@ from daemon.output.resume import load_resume_point
 from daemon.registry import PARTS, Parts
 from daemon.release.loading import load_released
 from daemon.release.reach import own_account
+from daemon.release.retraining_job import RetrainingJob
 from daemon.supervisor import Backoff, LinkHealth, keep_alive
 from daemon.telemetry import Telemetry
 from daemon.thermal import Message, SpindleSpeed, ThermalTask
@@ -82,6 +83,10 @@ class Daemon:
         self._backups: BackupJob | None = None
         if configuration.history.backup is not None and config_path is not None:
             self._backups = BackupJob(configuration, config_path, configuration.history.backup, self._report)
+        self._retraining: RetrainingJob | None = None
+        if configuration.compensation.retraining is not None and config_path is not None:
+            retraining = configuration.compensation.retraining
+            self._retraining = RetrainingJob(configuration, config_path, retraining, self._report)
         self._loaded = load_released(configuration, own_account())
         model, obstacle = self._loaded.model, self._loaded.obstacle
         if obstacle:
@@ -152,6 +157,8 @@ class Daemon:
                 scheduler.start()
                 if self._backups is not None:
                     self._backups.start()
+                if self._retraining is not None:
+                    self._retraining.start()
                 gc.collect()
                 gc.freeze()
                 self._service_manager.ready("running")
@@ -167,6 +174,8 @@ class Daemon:
                 scheduler.shutdown(wait=False)
             if self._backups is not None:
                 self._backups.stop()
+            if self._retraining is not None:
+                self._retraining.stop()
             self._report("daemon", "stopped")
             await asyncio.to_thread(self._history.close)
             self._last_block.close()

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import KeyProblems, Name, Seconds, Section
+from config.schema.base import Days, KeyProblems, Name, Seconds, Section
 
 SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
 
@@ -157,6 +157,16 @@ class ReleaseConfig(Section):
     )
 
 
+class RetrainingConfig(Section):
+    """Proposals that the daemon trains by itself on its own history; releasing them is another matter."""
+
+    every_hours: float = Field(8.0, ge=0.5, le=744, description="time between proposals [h]")
+    days: Days = Field(30.0, description="so much of the history is trained on [d]")
+    model: Literal["default", "increments", "increments-b0", "ridge", "pls", "lasso"] = Field(
+        "default", description="family of models"
+    )
+
+
 class CompensationConfig(Section):
     """From estimate to command."""
 
@@ -171,6 +181,9 @@ class CompensationConfig(Section):
         description="load a model that the daemon could write or that nobody released, all the same (shown everywhere)",
     )
     release: ReleaseConfig = Field(default_factory=ReleaseConfig, description="release of thermal models")
+    retraining: RetrainingConfig | None = Field(
+        None, description="regular training of proposals on measured displacements; none: never"
+    )
     commissioning_file: Path | None = Field(
         None,
         description="record of the commissioning of this machine; without it nothing is enabled",

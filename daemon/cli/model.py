@@ -131,3 +131,31 @@ def list_command(config_path: Path, json_path: str | None) -> None:
         click.echo(
             f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.obstacle}".rstrip()
         )
+
+
+@model.command()
+@config_option
+@json_option
+def propose(config_path: Path, json_path: str | None) -> None:
+    """Train a model on the daemon's own history and put it among the proposals.
+
+    Displacements count without what the NC applied. compensation.retraining says how far back, and
+    which family; with that section the daemon does this by itself now and then.
+    """
+    from config.commissioning import CommissioningError
+    from config.schema.compensation import RetrainingConfig
+    from daemon.history import HistoryError
+    from daemon.release.retraining import propose_from_history
+    from models.dataset import DatasetError
+
+    configuration = read_configuration(config_path)
+    try:
+        made = propose_from_history(configuration, configuration.compensation.retraining or RetrainingConfig())
+    except (CommissioningError, HistoryError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{configuration.history.path.parent}: the proposal cannot be written ({error.strerror})")
+    click.echo(f"{made['path']}: {made['model_id']}, {made['hours']:g} h in {made['recordings']} stretches", err=True)
+    if made["refused"]:
+        click.echo(f"its training refuses it: {made['refused']}", err=True)
+    write_json(json_path, made)

@@ -1,0 +1,54 @@
+"""Train a model on the daemon's own history and put it among the proposals; run in a process of its own."""
+
+import math
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+from config.commissioning import load_commissioning
+from config.schema import Configuration
+from config.schema.compensation import RetrainingConfig
+from daemon.history.reader import HistoryReader
+from daemon.output.limits import commissioned_factors
+from daemon.release.past_recordings import recordings_from_history
+from daemon.release.proposing import propose
+from models.thermal.train_family import train_family
+
+DAY_S = 86400.0
+
+
+def propose_from_history(configuration: Configuration, retraining: RetrainingConfig) -> dict[str, Any]:
+    """Train on the history, write a proposal, and return what came of it.
+
+    The release's own gate judges the proposal; nothing is activated here. Raises DatasetError when the
+    history cannot be trained on, HistoryError or CommissioningError when a file cannot be read, OSError when
+    nothing can be written.
+    """
+    axes = tuple(configuration.compensation.axes)
+    um_per_unit = None
+    record_path = configuration.compensation.commissioning_file
+    if record_path is not None and record_path.is_file():
+        factors = commissioned_factors(load_commissioning(record_path), axes)
+        um_per_unit = {axis: configuration.cnc.macros.unit_um * factors.get(axis, 1.0) for axis in axes}
+    now_s = time.time()
+    with HistoryReader(configuration.history.path) as reader:
+        recordings = recordings_from_history(
+            configuration, reader, um_per_unit, from_utc_s=now_s - DAY_S * retraining.days, to_utc_s=now_s
+        )
+    trained = train_family(
+        recordings, retraining.model, sample_s=60.0, created=datetime.now(UTC).isoformat(timespec="seconds")
+    )
+    path = propose(configuration, trained.model)
+    return {
+        "path": str(path),
+        "model_id": trained.model.model_id,
+        "recordings": len(recordings),
+        "hours": round(sum(float(recording.time_s[-1]) for recording in recordings) / 3600.0, 2),
+        "channels": list(trained.model.channels),
+        "held_out_relative_rmse": _number(trained.trust.held_out_relative_rmse),
+        "refused": trained.trust.refused,
+    }
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None

@@ -1,0 +1,176 @@
+"""Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+import history_records as make
+from control_rig import SENSOR_IDS
+from installation import Installation
+
+from config.loader import load_configuration
+from config.schema import Configuration
+from config.schema.compensation import RetrainingConfig
+from daemon.app import Daemon
+from daemon.cli import main
+from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
+from daemon.release.past_recordings import recordings_from_history
+from daemon.release.retraining_job import RetrainingJob
+from drivers.clock import SystemClock
+from models.dataset import DatasetError
+from models.thermal.lagged_artifact import any_model_from_json
+from models.thermal.lags import lag_table
+
+CYCLE_MIN = 180
+CYCLES = 5
+MINUTES = CYCLES * CYCLE_MIN
+ECHO_Y, ECHO_Z = 512, 513
+
+
+def signals() -> dict[str, np.ndarray]:
+    """Spindle on and off; five temperatures; two thermal errors; a compensation that wanders on its own."""
+    rng = np.random.default_rng(1)
+    rpm = np.tile(np.r_[np.full(100, 6000.0), np.zeros(80)], CYCLES)
+    rpm *= np.repeat([1.0, 0.6, 0.8, 0.5, 0.9], CYCLE_MIN)
+    quick, slow = lag_table(np.arange(float(MINUTES)), ((rpm / 6000.0) ** 2)[:, None], (8.0, 40.0))[:, :, 0]
+    shares = np.array([[12.0, 0.0], [8.0, 3.0], [5.0, 5.0], [2.0, 9.0], [0.0, 10.0]])
+    degc = 21.0 + np.column_stack([quick, slow]) @ shares.T + rng.normal(0.0, 0.02, (MINUTES, 5))
+    error_um = np.column_stack([10.0 * quick, -30.0 * slow])
+    applied_um = np.cumsum(rng.normal(0.0, 0.6, (MINUTES, 2)), axis=0)
+    return {"rpm": rpm, "degc": degc, "error_um": error_um, "applied_um": applied_um}
+
+
+def configured(installation: Installation, **retraining: object) -> Configuration:
+    content = yaml.safe_load(installation.config_path.read_text("utf-8"))
+    content["displacements"] = {
+        "file": {"path": "/srv/logger/*.csv", "header": "time"},
+        "channels": [{"name": "Y1", "column": "Y1"}, {"name": "Z1", "column": "Z1"}],
+    }
+    content["compensation"]["retraining"] = {"model": "ridge", **retraining}
+    installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return load_configuration(installation.config_path)
+
+
+def fill(configuration: Configuration, begin_s: float) -> None:
+    layout = MachineLayout.from_configuration(configuration)
+    writer = HistoryWriter(configuration.history.path, clock=SystemClock(), machine=layout)
+    writer.start()
+    made = signals()
+    for number in range(MINUTES):
+        at_s = begin_s + 60.0 * number
+        for line, sensor_ids in layout.lines.items():
+            columns = [SENSOR_IDS.index(sensor_id) for sensor_id in sensor_ids]
+            writer.temperatures(None, make.cycle(line, number, at_s + 5.0, made["degc"][number, columns]))
+        echo = dict(zip((ECHO_Y, ECHO_Z), (made["applied_um"][number] / 1000.0).tolist(), strict=True))
+        writer.cnc_sample(make.cnc_sample(at_s + 10.0, spindle_speed_rpm=made["rpm"][number], macros=echo))
+        um = made["error_um"][number] + made["applied_um"][number]
+        writer.displacement(make.displacement(at_s + 20.0, um, source=f"/srv/logger/a.csv:{number + 2}"))
+    writer.close()
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Installation, Configuration, float]:
+    installation = Installation(tmp_path_factory.mktemp("retraining") / "here")
+    configuration = configured(installation)
+    begin_s = (time.time() - 60.0 * (MINUTES + 30)) // 60.0 * 60.0
+    fill(configuration, begin_s)
+    return installation, configuration, begin_s
+
+
+def test_training_data_are_measured_minus_applied(machine: tuple[Installation, Configuration, float]) -> None:
+    _, configuration, begin_s = machine
+    made = signals()
+    with HistoryReader(configuration.history.path) as reader:
+        (recording,) = recordings_from_history(
+            configuration, reader, {"y": 1000.0, "z": 1000.0}, from_utc_s=begin_s - 1e5, to_utc_s=begin_s + 1e5
+        )
+        (untouched,) = recordings_from_history(
+            configuration, reader, None, from_utc_s=begin_s - 1e5, to_utc_s=begin_s + 1e5
+        )
+    assert recording.displacement_names == ("Y1", "Z1")
+    assert recording.rows == MINUTES
+    assert recording.displacements_um == pytest.approx(made["error_um"], abs=0.01)
+    assert np.abs(untouched.displacements_um - made["error_um"]).max() > 3.0, "the compensation was not small"
+    assert recording.temperatures_degc == pytest.approx(made["degc"], abs=0.01)
+    assert recording.speed_rpm == pytest.approx(made["rpm"])
+    assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
+
+
+def test_a_window_of_the_history_is_a_recording_of_its_own(machine: tuple[Installation, Configuration, float]) -> None:
+    _, configuration, begin_s = machine
+    with HistoryReader(configuration.history.path) as reader:
+        (recording,) = recordings_from_history(
+            configuration, reader, None, from_utc_s=begin_s + 3600.0, to_utc_s=begin_s + 7200.0
+        )
+        assert recording.rows == 60
+        with pytest.raises(DatasetError, match="no 6 minutes in a row with displacements of Y1, Z1"):
+            recordings_from_history(configuration, reader, None, from_utc_s=begin_s - 99.0, to_utc_s=begin_s + 99.0)
+
+
+async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(
+    machine: tuple[Installation, Configuration, float],
+) -> None:
+    installation, configuration, _ = machine
+    said: list[tuple[str, str]] = []
+    retraining = configuration.compensation.retraining
+    assert retraining is not None
+    assert retraining.every_hours == 8.0
+    job = RetrainingJob(configuration, installation.config_path, retraining, lambda *words: said.append(words))
+    assert job.due(time.time())
+    await job.run_if_due()
+    ((kind, text),) = said
+    assert kind == "proposal"
+    (path,) = (installation.folder / "state/proposals").glob("*.json")
+    assert path.name in text
+    assert "14.98 h of history" in text
+    model = any_model_from_json(path.read_text("utf-8"), str(path))
+    assert model.channels == ("Y1", "Z1")
+    assert set(model.sensor_ids) <= set(SENSOR_IDS)
+    assert max(model.band_um) < 8.0, "with the compensation left in, the band would be as wide as it wandered"
+    assert not job.due(time.time())
+    assert job.due(time.time() + 8 * 3600.0 + 60.0)
+    fresh = RetrainingJob(configuration, installation.config_path, retraining, lambda *words: said.append(words))
+    assert not fresh.due(time.time()), "a restart of the daemon changes nothing"
+    await fresh.run_if_due()
+    assert len(said) == 1
+
+
+async def test_what_cannot_be_trained_is_said_once(tmp_path: Path) -> None:
+    installation = Installation(tmp_path / "here")
+    configuration = configured(installation)
+    installation.fill()
+    said: list[tuple[str, str]] = []
+    job = RetrainingJob(configuration, installation.config_path, RetrainingConfig(), lambda *words: said.append(words))
+    for _ in range(2):
+        job._attempted_utc_s = float("-inf")
+        await job.run_if_due()
+    ((kind, text),) = said
+    assert kind == "proposal"
+    assert "the history has no 6 minutes in a row with displacements of Y1, Z1" in text
+
+
+def test_a_machine_without_displacements_is_told_so(tmp_path: Path) -> None:
+    installation = Installation(tmp_path / "here")
+    installation.fill()
+    result = CliRunner().invoke(main, ["model", "propose", "--config", str(installation.config_path)])
+    assert result.exit_code == 2
+    assert "no axis follows a displacement channel that is measured" in result.output
+
+
+async def test_the_daemon_that_is_told_to_has_the_job_and_another_has_not(tmp_path: Path) -> None:
+    installation = Installation(tmp_path / "here")
+    daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
+    assert daemon._retraining is None
+    told = Daemon(configured(installation, every_hours=3.0), SystemClock(), config_path=installation.config_path)
+    assert told._retraining is not None
+    told._retraining.start()
+    told._retraining.stop()
