@@ -16,6 +16,7 @@ from daemon.estimation.contract import AnyThermalModel, OnLineModel
 from daemon.estimation.increments import IncrementsOnLine
 from daemon.estimation.lags import LagsOnLine
 from daemon.estimation.past import Past
+from daemon.estimation.since_reference import SinceReference
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
@@ -100,7 +101,9 @@ class ThermalTask:
         self._history = history
         self._telemetry = telemetry
         self._deliver = deliver
-        self._temperature_is_shown = configuration.cnc.temperature_macro is not None
+        self._temperature_is_shown = configuration.cnc.temperature_macro is not None or (
+            configuration.spindle_speed is not None
+        )
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
         self._sensor_ids = temperatures.sensor_ids
@@ -127,6 +130,9 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = -np.inf
         self._online = self._on_line(model)
+        self._since = SinceReference(history, self._sensor_ids, self._labels)
+        self._heard = np.zeros(len(position), dtype=bool)
+        self._taken_up_s = -np.inf
 
     @property
     def usable(self) -> int:
@@ -159,12 +165,15 @@ class ThermalTask:
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         else:
-            self._use_reference(item)
+            await self._take_up(item)
 
-    def _use_reference(self, reference: Reference) -> None:
-        self._reference = reference
+    async def _take_up(self, reference: Reference) -> None:
+        """Go on from a reference of before; what the store knows of it is read while everybody else goes on."""
+        self._taken_up_s = self._clock.now().monotonic_s
+        await asyncio.to_thread(self._since.take_up, reference)
         if self._online is not None:
-            self._online.refer(reference, self._clock.now().monotonic_s)
+            await asyncio.to_thread(self._online.refer, reference, self._taken_up_s, self._since.excluded)
+        self._reference = reference
 
     async def use_model(self, model: AnyThermalModel | None) -> None:
         """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
@@ -173,7 +182,7 @@ class ThermalTask:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
-                await asyncio.to_thread(online.refer, self._reference, now_s)
+                await asyncio.to_thread(online.refer, self._reference, now_s, self._since.excluded)
         self._online = online
 
     def _on_line(self, model: AnyThermalModel | None) -> OnLineModel | None:
@@ -253,7 +262,10 @@ class ThermalTask:
         if online is None:
             return None
         online.take(now_s, degc, speed_rpm)
-        answer = online.estimate(reference, now_s, degc) if reference is not None else None
+        self._heard |= np.isfinite(degc)
+        if reference is None or self._waits_for_sensors(online, reference, now_s):
+            return None
+        answer = online.estimate(reference, now_s, degc, self._since.absent)
         if answer is None:
             return None
         outcome, counted = answer
@@ -261,12 +273,13 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
-        now_labels, since_labels = self._label_means(degc), self._label_means(degc - reference.degc)
+        since_labels = self._since.label_increments(degc)
+        self._since.keep(degc, online)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=outcome.thermal_error_um,
             band_um=model.band_um.copy(),
-            label_degc=now_labels,
+            label_degc=self._label_means(degc),
             label_increment_degc=since_labels,
             in_domain=outcome.in_domain,
             confidence=outcome.confidence,
@@ -277,6 +290,15 @@ class ThermalTask:
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
         )
+
+    def _waits_for_sensors(self, online: OnLineModel, reference: Reference, now_s: float) -> bool:
+        """Whether sensors that counted before a restart have not spoken yet: none of them has left for that."""
+        if now_s - self._taken_up_s > self._rules.stale_after_s:
+            return False
+        needed = np.zeros(len(self._heard), dtype=bool)
+        for places in (*self._labels.values(), np.array([self._position[i] for i in online.model.sensor_ids])):
+            needed[places] = True
+        return bool((needed & np.isfinite(reference.degc) & ~self._since.absent & ~self._heard).any())
 
     def _label_means(self, degc: FloatArray) -> dict[str, float]:
         means = {}
@@ -306,7 +328,10 @@ class ThermalTask:
             work_offset=request.work_offset,
             power_on_count=request.power_on_count,
         )
-        self._use_reference(reference)
+        self._reference, self._taken_up_s = reference, -np.inf
+        self._since.begin(reference)
+        if self._online is not None:
+            self._online.refer(reference, now.monotonic_s)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

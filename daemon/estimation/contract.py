@@ -1,6 +1,10 @@
 """What the thermal task asks of a thermal model on line, whichever its family."""
 
+from collections.abc import Mapping
 from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
 
 from models.records import FloatArray, Reference
 from models.thermal.estimate import Estimation
@@ -28,12 +32,31 @@ class OnLineModel(Protocol):
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
         ...
 
-    def refer(self, reference: Reference, now_s: float) -> None:
-        """Count from this reference from now on."""
+    def refer(self, reference: Reference, now_s: float, excluded: Mapping[int, str] | None = None) -> None:
+        """Count from this reference from now on.
+
+        A new one admits every sensor. One that is taken up again comes with the sensors that were `excluded`
+        since (ID: sign); it may be read up in the history, which takes its time: call it in a thread then.
+        """
         ...
 
-    def estimate(self, reference: Reference, now_s: float, degc: FloatArray) -> Answer | None:
-        """Return the thermal error since the reference; None without any usable sensor."""
+    def estimate(
+        self, reference: Reference, now_s: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> Answer | None:
+        """Return the thermal error since the reference; None without any usable sensor.
+
+        `absent` says in the machine's order which sensors have been imputed until now.
+        """
+        ...
+
+    @property
+    def rebased(self) -> npt.NDArray[np.intp]:
+        """Places in the machine's order of the sensors that are set anew when they return."""
+        ...
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""
         ...
 
     def obstacle(self) -> str:

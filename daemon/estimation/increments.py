@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import structlog
 
 from daemon.estimation.contract import Answer
@@ -25,7 +26,18 @@ class IncrementsOnLine:
         self.model = model
         self._order = np.array([position[i] for i in model.sensor_ids], dtype=np.intp)
         self._estimator = linear_estimator(model, tuple(components[i] for i in self._order))
-        self._absent = np.zeros(len(self._order), dtype=bool)
+        self._excluded: dict[int, str] = {}
+        self._out = np.zeros(len(self._order), dtype=bool)
+
+    @property
+    def rebased(self) -> npt.NDArray[np.intp]:
+        """All of the model's sensors."""
+        return self._order
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """What another model has excluded since the reference; this one finds nobody."""
+        return self._excluded
 
     def prepare(self, now_s: float) -> None:
         """There are no states to fill."""
@@ -33,29 +45,31 @@ class IncrementsOnLine:
     def take(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """There are no states to advance."""
 
-    def refer(self, reference: Reference, now_s: float) -> None:
-        """Count from this reference; nobody has been away since."""
-        self._absent = np.zeros(len(self._order), dtype=bool)
+    def refer(self, reference: Reference, now_s: float, excluded: Mapping[int, str] | None = None) -> None:
+        """Count from this reference; sensors that are known to be wrong stay out until the next one."""
+        self._excluded = dict(excluded or {})
+        self._out = np.isin(self.model.sensor_ids, list(self._excluded))
 
-    def estimate(self, reference: Reference, now_s: float, degc: FloatArray) -> Answer | None:
+    def estimate(
+        self, reference: Reference, now_s: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> Answer | None:
         """Return the thermal error since the reference, which is re-based for sensors that have returned."""
         elapsed_min = max((now_s - reference.time.monotonic_s) / 60.0, 0.0)
-        now = degc[self._order]
-        reference = self._rebased(reference, now, elapsed_min)
+        now = np.where(self._out, np.nan, degc[self._order])
+        reference = self._rebased(reference, now, absent[self._order], elapsed_min)
         outcome = self._estimator.renew(now, reference.degc[self._order], elapsed_min)
-        if outcome is None:
-            return None
-        self._absent = ~np.isfinite(now)
-        return outcome, reference
+        return None if outcome is None else (outcome, reference)
 
     def obstacle(self) -> str:
         """Increments can be followed at once."""
         return ""
 
-    def _rebased(self, reference: Reference, now: FloatArray, elapsed_min: float) -> Reference:
+    def _rebased(
+        self, reference: Reference, now: FloatArray, absent: npt.NDArray[np.bool_], elapsed_min: float
+    ) -> Reference:
         """Let a sensor that returns go on from where it was imputed, so that its return moves nothing."""
         then = reference.degc[self._order]
-        back = np.isfinite(now) & (self._absent | ~np.isfinite(then))
+        back = np.isfinite(now) & (absent | ~np.isfinite(then))
         counted = rebased_reference_degc(self._estimator, now, then, back, elapsed_min)
         if counted is then:
             return reference

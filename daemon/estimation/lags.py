@@ -1,18 +1,21 @@
 """A model with lags on line: its states live from sample to sample, and are rebuilt from the history.
 
 The states need no storage of their own: the store holds every temperature, and a rebuild over four
-times the longest lag gives the same states as if the daemon had never been away.
+times the longest lag gives the same states as if the daemon had never been away. Only whom the watch
+has excluded does not follow from the temperatures; that is kept with the reference, and comes back with it.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
+import numpy.typing as npt
 import structlog
 
 from daemon.estimation.contract import Answer
 from models.records import FloatArray, Reference
 from models.thermal.lagged import LaggedEstimator, LagState
 from models.thermal.lagged_model import LaggedModel
+from models.thermal.lagged_state import blamed_again, blamed_signs
 
 log = structlog.get_logger(__name__)
 
@@ -58,16 +61,31 @@ class LagsOnLine:
         elif now_s / 60.0 - self._state.time_min >= self.model.period_min:
             self._state = self._estimator.advance(self._state, now_s / 60.0, now, speed_rpm)
 
-    def refer(self, reference: Reference, now_s: float) -> None:
+    def refer(self, reference: Reference, now_s: float, excluded: Mapping[int, str] | None = None) -> None:
         """Keep the states at the reference; those of a reference from before a restart come from the history."""
         then_s = reference.time.monotonic_s
         if now_s - then_s > LATE_PERIODS * self._period_s:
             self._reference = self._rebuilt(then_s)
         else:
             self._reference = self._now(now_s, reference.degc[self._order])
-        self._readmit()
+        if excluded is None:
+            self._readmit()
+        elif self._state is not None:
+            self._state = blamed_again(self.model, self._state, excluded)
 
-    def estimate(self, reference: Reference, now_s: float, degc: FloatArray) -> Answer | None:
+    @property
+    def rebased(self) -> npt.NDArray[np.intp]:
+        """Nobody: a sensor that returns stays out until the next reference."""
+        return np.empty(0, dtype=np.intp)
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """Whom the watch has excluded."""
+        return {} if self._state is None else blamed_signs(self.model, self._state)
+
+    def estimate(
+        self, reference: Reference, now_s: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> Answer | None:
         """Return the thermal error between the states now and at the reference."""
         state = self._now(now_s, degc[self._order])
         if state is None or self._reference is None:

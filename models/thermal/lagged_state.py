@@ -2,7 +2,8 @@
 
 import json
 import math
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,38 @@ def state_from_json(model: LaggedModel, text: str, source: str) -> LagState:
         return _state(model, content["state"])
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
+
+
+def blamed_signs(model: LaggedModel, state: LagState) -> dict[int, str]:
+    """Return the sensors that the watch excludes, by ID, each with the sign by which it was found."""
+    if state.watch is None:
+        return {}
+    return {model.sensor_ids[blame.sensor]: blame.sign for blame in reversed(state.watch.blamed)}
+
+
+def blamed_again(model: LaggedModel, state: LagState, signs: Mapping[int, str]) -> LagState:
+    """Return the state in which these sensors are excluded as well.
+
+    Parameters
+    ----------
+    model
+        The model of the state.
+    state
+        As it was rebuilt from the history, which does not tell who was excluded.
+    signs
+        IDs of sensors with the sign by which each was found, from `blamed_signs`; IDs that the model does not
+        have are passed over, and so are all of them for a model without a watch.
+
+    """
+    if state.watch is None:
+        return state
+    already = blamed_signs(model, state)
+    more = tuple(
+        Blame(sensor=model.sensor_ids.index(sensor_id), time_min=state.time_min, sign=sign)
+        for sensor_id, sign in signs.items()
+        if sensor_id in model.sensor_ids and sensor_id not in already
+    )
+    return replace(state, watch=replace(state.watch, blamed=(*state.watch.blamed, *more)))
 
 
 def _state(model: LaggedModel, content: Any) -> LagState:

@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -182,6 +183,55 @@ async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
     await shop.run(1)
     assert shop.latest.thermal_error_um == pytest.approx(before, abs=0.3)
     assert shop.latest.confidence > 0.9
+    await shop.end()
+
+
+async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_until_a_new_reference(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    reference = await shop.refer()
+    await shop.run(10)
+    row = int(shop.minute)
+    shop.degc[row + 1 :, 0] += np.minimum(np.arange(len(shop.degc) - row - 1) * 0.3, 6.0)
+    await shop.run(40)
+    assert shop.latest.imputed == (1,)
+    before, confidence = shop.latest.thermal_error_um.copy(), shop.latest.confidence
+
+    await shop.task.use_model(replace(model, model_id="loaded anew"))
+    await shop.run(1)
+    assert (shop.latest.model_id, shop.latest.imputed) == ("loaded anew", (1,))
+    assert shop.latest.thermal_error_um == pytest.approx(before, abs=1.5)
+    await shop.end()
+
+    shop.begin()
+    await shop.prepare()
+    await shop.task._take(reference)
+    await shop.run(1)
+    assert shop.latest.imputed == (1,)
+    assert shop.latest.confidence == pytest.approx(confidence, abs=0.05)
+    assert shop.latest.thermal_error_um == pytest.approx(before, abs=1.5)
+
+    await shop.refer()
+    assert shop.latest.imputed == (), "a new reference admits every sensor"
+    await shop.end()
+
+
+async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(60)
+    reference = await shop.refer()
+    await shop.run(30)
+    readers, past = [], shop.task._online._past
+
+    def noted(*span):
+        readers.append(threading.get_ident())
+        return past(*span)
+
+    shop.task._online._past = noted
+    await shop.task._take(reference)
+    assert readers and threading.get_ident() not in readers
     await shop.end()
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.thermal.estimate import LinearEstimator
-from models.thermal.rebase import rebased_reference_degc
+from models.thermal.rebase import first_mean_increment, rebased_reference_degc, renewed_mean_increment
 
 SENSORS = 6
 COMPONENTS = ("head", "head", "head", "column", "column", "column")
@@ -76,3 +76,46 @@ def test_without_any_other_sensor_nothing_is_rebased():
     family, reference = estimator(np.ones((1, SENSORS))), np.full(SENSORS, 20.0)
     now = np.full(SENSORS, 25.0)
     assert rebased_reference_degc(family, now, reference, np.ones(SENSORS, dtype=bool), 1.0) is reference
+
+
+@given(
+    reference=vectors, here=st.lists(masks, min_size=1, max_size=12), wrong=st.lists(vectors, min_size=12, max_size=12)
+)
+@settings(max_examples=200, deadline=None)
+def test_neither_leaving_nor_a_wrong_return_moves_the_mean_increment(reference, here, wrong):
+    """Sensors that stay stand still; those that come back say anything at all."""
+    mean, said, was_here = first_mean_increment(reference), reference + 3.0, np.ones(SENSORS, dtype=bool)
+    mean = renewed_mean_increment(mean, said)
+    for mask, values in zip(here, wrong, strict=False):
+        said = np.where(mask & ~was_here, values, said)
+        mean, was_here = renewed_mean_increment(mean, np.where(mask, said, np.nan)), mask
+        assert mean.mean_k == pytest.approx(3.0, abs=1e-6) if mask.any() else np.isnan(mean.mean_k)
+
+
+@given(reference=vectors, now=vectors, gone=masks, rise_k=st.floats(-5.0, 5.0))
+@settings(max_examples=200, deadline=None)
+def test_a_sensor_that_left_goes_on_with_the_others_and_keeps_its_distance_from_them(reference, now, gone, rise_k):
+    whole = renewed_mean_increment(first_mean_increment(reference), now)
+    part = renewed_mean_increment(whole, np.where(gone, np.nan, now))
+    later = renewed_mean_increment(part, np.where(gone, np.nan, now + rise_k))
+    back = renewed_mean_increment(later, np.where(gone, 99.0, now + rise_k))
+    assert whole.mean_k == pytest.approx((now - reference).mean(), abs=1e-9)
+    if gone.all():
+        assert np.isnan(later.mean_k) and back.mean_k == pytest.approx(whole.mean_k, abs=1e-6)
+    else:
+        assert later.mean_k == pytest.approx(whole.mean_k + rise_k, abs=1e-6)
+        assert back.mean_k == pytest.approx(later.mean_k, abs=1e-6)
+
+
+def test_a_sensor_missing_at_the_reference_joins_the_mean_without_a_step():
+    mean = first_mean_increment(np.array([20.0, np.nan]))
+    mean = renewed_mean_increment(mean, np.array([24.0, np.nan]))
+    assert mean.mean_k == pytest.approx(4.0)
+    mean = renewed_mean_increment(mean, np.array([24.0, 50.0]))
+    assert mean.mean_k == pytest.approx(4.0)
+    assert renewed_mean_increment(mean, np.array([24.0, 52.0])).mean_k == pytest.approx(5.0), "and then it counts"
+
+
+def test_without_any_value_at_the_reference_the_mean_is_unknown_for_good():
+    mean = renewed_mean_increment(first_mean_increment(np.full(2, np.nan)), np.array([21.0, 22.0]))
+    assert np.isnan(mean.mean_k)
