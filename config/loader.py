@@ -105,7 +105,7 @@ def _read_text(path: Path) -> str:
         content = path.read_bytes()
     except OSError as error:
         sentence = f"cannot be read: {error.strerror or error}; check the path and its permissions"
-        raise ConfigurationError([_problem(str(path), (1, 1), (), sentence)]) from None
+        raise ConfigurationError([_problem(str(path), (0, 0), (), sentence)]) from None
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """One thing that is wrong in a file. Lines and columns count from 1."""
+    """One thing that is wrong in a file. Lines and columns count from 1; 0 stands for the file as a whole."""
 
     file: str
     line: int
@@ -17,8 +17,8 @@ class Problem:
     """What was refused, why, and what the person can do."""
 
     def __str__(self) -> str:
-        """Return `file:line:column: key.path: sentence`."""
-        place = f"{self.file}:{self.line}:{self.column}"
+        """Return `file:line:column: key.path: sentence`, without what is not known."""
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
         return f"{place}: {self.key}: {self.sentence}" if self.key else f"{place}: {self.sentence}"
 
 

@@ -27,6 +27,17 @@ class Finding:
     subject: str
     passed: bool
     detail: str
+    pending: bool = False
+    """Not passed because nobody has set it up yet: the configuration does not name it."""
+
+    @property
+    def failed(self) -> bool:
+        """Something that is there, or should be, is not as it should be."""
+        return not self.passed and not self.pending
+
+    def as_json(self) -> dict[str, str | bool]:
+        """Return what stands in the JSON output."""
+        return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}
 
 
 async def probe(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
@@ -46,7 +57,8 @@ def model_finding(configuration: Configuration) -> Finding:
     """Return what the daemon's account will find of its model."""
     found = load_released(configuration, account_of_daemon(configuration.history.path))
     if found.model is None:
-        return Finding(subject="thermal model", passed=False, detail=found.obstacle)
+        pending = configuration.compensation.model_file is None
+        return Finding(subject="thermal model", passed=False, detail=found.obstacle, pending=pending)
     channels = ", ".join(found.model.channels)
     return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
 
@@ -57,7 +69,9 @@ def _record(configuration: Configuration) -> Finding:
         return Finding(
             subject="commissioning",
             passed=False,
-            detail="no record, so nothing can be switched on: run `toolpoint commission`",
+            pending=True,
+            detail="no record (compensation.commissioning_file), so nothing can be switched on: "
+            "run `toolpoint commission`",
         )
     try:
         record = load_commissioning(path)

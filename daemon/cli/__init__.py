@@ -38,6 +38,35 @@ COMMANDS = {
     "dynamics": "daemon.cli.dynamics:dynamics",
 }
 """Sub-command -> module:attribute."""
+SUMMARIES = {
+    "run": "Run the daemon until SIGTERM or Ctrl-C.",
+    "demo": "See compensation at work on a simulated machine.",
+    "simulate": "Run the simulated machine: sensors, displacements, CNC.",
+    "replay": "Play a recording on serial lines and OPC UA.",
+    "faults": "Let everything go wrong on the simulated machine.",
+    "latency": "Measure the delay from the sensor to the CNC.",
+    "check": "Check the configuration and everything it names.",
+    "doctor": "Examine this computer and the installation.",
+    "guard": "Print the NC programs for the control, or their sheet.",
+    "sample-config": "Print a commented configuration to begin with.",
+    "config-schema": "Print the JSON Schema of the configuration.",
+    "status": "Say whether compensation is on, and why not.",
+    "monitor": "Watch the daemon live in the terminal.",
+    "reference": "Set the reference by hand, after positioning.",
+    "enable": "Switch compensation on.",
+    "disable": "Switch compensation off; the offset retreats.",
+    "acknowledge": "Clear a latched FAULT after its cause is gone.",
+    "commission": "Prove sign and scale of each axis on the machine.",
+    "history": "Show what the daemon has recorded.",
+    "export": "Export records as CSV or Parquet.",
+    "backup": "Back up history, configuration, models and records.",
+    "restore": "Restore a back-up while the daemon is stopped.",
+    "thermal": "Train and evaluate thermal models.",
+    "model": "Release thermal models, and take them back.",
+    "stability": "Stability of milling: lobes and stable speeds.",
+    "dynamics": "Spindle dynamics: modes, responses, bearings.",
+}
+"""What the list of commands says of each, within one line of an 80-column terminal."""
 
 
 class LazyGroup(click.Group):
@@ -54,6 +83,11 @@ class LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands by their summaries, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, SUMMARIES[name]) for name in self.list_commands(ctx)])
+
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version("toolpoint"), prog_name="toolpoint")
@@ -61,4 +95,4 @@ def main() -> None:
     """Keep the tool point where the program says it is while the machine warms and cools."""
 
 
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "SUMMARIES", "main"]

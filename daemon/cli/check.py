@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, write_json
+from daemon.cli.common import config_option, json_option, read_configuration, show_finding, write_json
 from daemon.probe import Finding, probe
 from drivers.clock import SystemClock
 
@@ -16,7 +16,10 @@ from drivers.clock import SystemClock
 @click.option("--devices/--no-devices", default=True, help="Also open the ports, the files and the CNC (read only).")
 @json_option
 def check(config_path: Path, devices: bool, json_path: str | None) -> None:
-    """Check the configuration and everything it names; exit status 1 when something does not answer.
+    """Check the configuration and everything it names.
+
+    Exit status 1 when something that the configuration names is not there, does not answer or is refused. What it
+    does not name yet, a thermal model or a commissioning record, is marked "not yet" and is no failure.
 
     Stop the daemon first: a serial port has one reader.
     """
@@ -27,11 +30,10 @@ def check(config_path: Path, devices: bool, json_path: str | None) -> None:
         async for finding in probe(configuration, SystemClock(), devices=devices):
             findings.append(finding)
             if json_path is None:
-                mark = click.style("ok  ", fg="green") if finding.passed else click.style("FAIL", fg="red")
-                click.echo(f"{mark}  {finding.subject}: {finding.detail}")
+                show_finding(finding)
 
     if json_path is None:
-        click.echo(f"{click.style('ok  ', fg='green')}  configuration: {config_path}")
+        show_finding(Finding(subject="configuration", passed=True, detail=str(config_path)))
     asyncio.run(collect())
-    write_json(json_path, [{"subject": f.subject, "passed": f.passed, "detail": f.detail} for f in findings])
-    sys.exit(0 if all(finding.passed for finding in findings) else 1)
+    write_json(json_path, [finding.as_json() for finding in findings])
+    sys.exit(1 if any(finding.failed for finding in findings) else 0)

@@ -52,7 +52,12 @@ def _readings(
 
 @click.command()
 @config_option
-@click.option("--axis", "axes", multiple=True, help="Commission this axis (repeatable; default: every axis).")
+@click.option(
+    "--axis",
+    "axes",
+    multiple=True,
+    help="Commission this axis (repeatable; default: every axis that has a model, its `estimate`).",
+)
 @click.option(
     "--offset-um",
     type=FiniteFloat(min=-1000, max=1000),
@@ -77,7 +82,8 @@ def _readings(
     metavar="AXIS[/SEEN]=BEFORE,WITH,AFTER",
     multiple=True,
     callback=_readings,
-    help="Readings [um] while AXIS is commanded, of AXIS or of another axis SEEN (repeatable).",
+    help="Readings [um] that are to be seen while AXIS is commanded, of AXIS or of another axis SEEN (repeatable); "
+    "each is confirmed at its moment, so not with --yes.",
 )
 @click.option(
     "--patience-s",
@@ -147,8 +153,14 @@ def commission(
 ) -> None:
     """Move each axis by a small offset, take readings, and record that sign, scale and axis are right.
 
-    Stop the daemon first. Exit status 0 when the record is written, 1 when the commissioning was
-    refused, 130 when it was interrupted; the offsets go back to zero in every case.
+    Stop the daemon first, and load the programs of `toolpoint guard` into the control. Nothing moves by itself:
+    each time you are told to, have the guard called, by hand in MDI or by a program that stands at a safe point.
+    A reading is the position of the tool relative to the work along the axis [um]; it must rise when the axis is
+    jogged in plus.
+
+    Exit status 0 when the record is written, 1 when the commissioning was refused, 130 when it was interrupted.
+    After an early end the offsets go back to zero, which the guard has to be called for as well. Where that is
+    not possible (no link, a second Ctrl-C, somebody else writes the block) what is LEFT BEHIND is said.
     """
     from daemon.commissioning.procedure import Plan
     from daemon.commissioning.refusal import CommissioningRefusedError
@@ -166,12 +178,20 @@ def commission(
     named = {*axes, *channels, *accept_reversed, *accept_scale, *(axis for pair in readings for axis in pair)}
     if unknown := sorted(named - set(known)):
         refuse(f"there is no axis {', '.join(unknown)}; axes are {', '.join(known)}")
+    if yes and readings:
+        refuse(
+            "--yes does not cover --reading: what the instrument shows can only be confirmed once the axis has moved. "
+            "Leave --yes out, or read a --channel"
+        )
+    wanted = set(axes) or {name for name, axis in configuration.compensation.axes.items() if axis.estimate}
+    if not wanted and not initialise_only:
+        refuse("no axis has a model yet (compensation.axes, `estimate`); name the axes to commission with --axis")
     if record_file is None and not initialise_only:
         refuse("no place for the record: set compensation.commissioning_file, or name --record")
     if guard_program is not None:
         _compare_guard(configuration, guard_program)
     plan = Plan(
-        axes=tuple(axis for axis in known if not axes or axis in axes),
+        axes=tuple(axis for axis in known if axis in wanted),
         offset_um=offset_um,
         person=person or "",
         instrument=instrument or "",

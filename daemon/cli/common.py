@@ -6,15 +6,20 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
 from config.loader import ConfigurationError, load_configuration
 from config.schema import Configuration
 
+if TYPE_CHECKING:
+    from daemon.probe import Finding
+
 DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""
+CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
+"""Environment variable that names another."""
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 
@@ -27,7 +32,7 @@ config_option = click.option(
     type=click.Path(path_type=Path),
     default=DEFAULT_CONFIGURATION,
     show_default=True,
-    envvar="TOOLPOINT_CONFIG",
+    envvar=CONFIGURATION_VARIABLE,
     help="Configuration file.",
 )
 
@@ -75,10 +80,21 @@ def refuse(message: str) -> NoReturn:
 
 def read_configuration(path: Path) -> Configuration:
     """Load the configuration, or end with every problem it has."""
+    if not path.exists():
+        refuse(
+            f"{path}: there is no configuration. Name yours with --config FILE or the environment variable "
+            f"{CONFIGURATION_VARIABLE}; `toolpoint sample-config --output toolpoint.yaml` makes one to begin with"
+        )
     try:
         return load_configuration(path)
     except ConfigurationError as error:
         refuse(str(error))
+
+
+def show_finding(finding: "Finding") -> None:
+    """Print one line of what was tried."""
+    mark, colour = ("ok", "green") if finding.passed else ("not yet", "yellow") if finding.pending else ("FAIL", "red")
+    click.echo(f"{click.style(f'{mark:7}', fg=colour)}  {finding.subject}: {finding.detail}")
 
 
 def write_json(destination: str | None, content: Any) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import DEFAULT_CONFIGURATION, config_option, json_option, write_json
+from daemon.cli.common import DEFAULT_CONFIGURATION, config_option, json_option, show_finding, write_json
 
 
 @click.command()
@@ -20,9 +20,8 @@ def doctor(config_path: Path, json_path: str | None) -> None:
 
     machine = None if config_path == DEFAULT_CONFIGURATION and not config_path.exists() else config_path
     findings = list(examine(machine))
-    write_json(json_path, [{"subject": f.subject, "passed": f.passed, "detail": f.detail} for f in findings])
+    write_json(json_path, [finding.as_json() for finding in findings])
     if json_path is None:
         for finding in findings:
-            mark = click.style("ok  ", fg="green") if finding.passed else click.style("FAIL", fg="red")
-            click.echo(f"{mark}  {finding.subject}: {finding.detail}")
-    sys.exit(0 if all(finding.passed for finding in findings) else 1)
+            show_finding(finding)
+    sys.exit(1 if any(finding.failed for finding in findings) else 0)

@@ -15,7 +15,7 @@ from daemon.cli.rehearsing import rehearsal_folder
     type=FiniteFloat(min=0.01, max=366),
     default=1.0,
     show_default=True,
-    help="Simulated days. Every kind of fault has come once after the first.",
+    help="Simulated days, about two minutes each. Every kind of fault has come once after the first.",
 )
 @click.option(
     "--seed",
@@ -34,8 +34,10 @@ from daemon.cli.rehearsing import rehearsal_folder
 def faults(days: float, seed: int, directory: Path | None, json_path: str | None) -> None:
     """Run the daemon beside a simulated machine on which everything goes wrong, and check what must hold.
 
-    The machine is the simulated one; time passes as fast as the computer can. Progress is on standard error. Exit
-    status 0 when everything held, 1 when something did not or the run broke off, 2 for bad usage.
+    A simulated day takes about two minutes on an idle computer of two cores, several times as long on a busy one.
+    Ctrl-C ends the campaign early and reports the days so far. Time passes as fast as the computer can. Progress
+    is on standard error. Exit status 0 when everything held, 1 when something did not or the run broke off, 2 for
+    bad usage.
     """
     from daemon.cli.demo import demo_machine
     from daemon.rehearsal.campaign_result import failures, numbers, summary

@@ -143,10 +143,21 @@ class Instruments:
                 continue
             given = self._given.get((commanded, axis))
             if given is not None:
+                await self._confirm(axis, moment, given[moment])
                 readings[axis] = Reading(um=given[moment], source="given with --reading")
             elif (commanded, axis) not in self._unseen:
                 await self._ask(commanded, axis, moment, readings)
         return readings
+
+    async def _confirm(self, axis: str, moment: Moment, um: float) -> None:
+        """Have a person see now what --reading said beforehand, or it would prove a movement that nobody has seen."""
+        if not await self._dialogue.confirm_expressly(
+            f"Does the instrument along {axis} read {um:g} um {WORDS[moment]}, as --reading says?"
+        ):
+            raise CommissioningRefusedError(
+                f"axis {axis}: nobody has seen {um:g} um {WORDS[moment]}, so --reading proves nothing; leave it "
+                "out and answer with what the instrument shows, or read it from a --channel"
+            )
 
     async def _by_channel(self, axes: Sequence[str]) -> dict[str, Reading]:
         wanted = {axis: self._channels[axis] for axis in axes if axis in self._channels}

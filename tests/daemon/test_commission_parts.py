@@ -27,7 +27,7 @@ from daemon.cli.commission import commission
 from daemon.commissioning.dialogue import TerminalDialogue
 from daemon.commissioning.judgement import judge
 from daemon.commissioning.movement import GUARD_SAYS
-from daemon.commissioning.readings import Moment, Reading
+from daemon.commissioning.readings import Instruments, Moment, Reading
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.report import record_digest, report_html
 from daemon.commissioning.session import hand_over, with_secrets
@@ -283,6 +283,7 @@ def test_check_says_what_a_record_does_not_cover(tmp_path):
         (["--channel", "z", "--record", "R"], 2, "AXIS="),
         (["--channel", "z=A", "--channel", "z=B", "--record", "R"], 2, "twice"),
         ([], 2, "no place for the record"),
+        (["--reading", "z=0,5,0", "--yes", "--record", "R"], 2, "--yes does not cover --reading"),
         (["--record", "nowhere/record.json", "--yes", "--person", "A"], 1, "there is no folder"),
         (["--record", "R", "--yes"], 1, "give --person"),
         (["--record", "R", "--yes", "--person", "A"], 1, "unencrypted, anonymous connection"),
@@ -295,6 +296,34 @@ def test_what_cannot_be_done_is_said_before_anything_is_touched(tmp_path, monkey
     found = run("--config", machine_file(tmp_path), *arguments)
     assert found.exit_code == status and words in found.output, found.output
     assert not (tmp_path / "R").exists()
+
+
+def test_without_a_model_no_axis_is_moved_unless_it_is_named(tmp_path):
+    configured = machine_file(tmp_path)
+    content = yaml.safe_load(configured.read_text(encoding="utf-8"))
+    for axis in content["compensation"]["axes"].values():
+        axis.pop("estimate", None)
+        axis.pop("tool_term", None)
+    configured.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    found = run("--config", configured, "--record", tmp_path / "R", "--yes", "--person", "A")
+    assert found.exit_code == 2 and "no axis has a model yet" in found.output
+    found = run("--config", configured, "--record", tmp_path / "R", "--yes", "--person", "A", "--axis", "z")
+    assert found.exit_code == 1 and "unencrypted, anonymous connection" in found.output
+
+
+async def test_a_reading_given_beforehand_counts_only_once_a_person_has_seen_it():
+    given = {("z", "z"): (0.0, 5.0, 0.0)}
+
+    def instruments(dialogue):
+        return Instruments(dialogue, log=None, channels={}, given=given, samples=2, patience_s=1.0)
+
+    asked = answered(b"y\nn\n")
+    seen = instruments(asked)
+    assert (await seen.take("z", Moment.BEFORE, ("z",)))["z"].um == 0.0
+    with pytest.raises(CommissioningRefusedError, match="nobody has seen 5 um with the offset applied"):
+        await seen.take("z", Moment.AT_OFFSET, ("z",))
+    with pytest.raises(CommissioningRefusedError, match="nobody has seen 0 um"):
+        await instruments(answered(b"", consent=True)).take("z", Moment.BEFORE, ("z",))
 
 
 def test_secrets_come_from_a_folder_where_there_is_no_service(tmp_path):

@@ -21,6 +21,8 @@ SPEED = 30.0
 PATIENCE_S = 90.0
 READINGS = ["--reading", "x=0,5,0.1", "--reading", "y=0.3,5.2,0.3", "--reading", "z=-0.1,4.8,0"]
 
+AXES = ["--axis", "x", "--axis", "y", "--axis", "z"]
+
 
 class Standing:
     """A simulated machine that stands at a safe point, in a process of its own."""
@@ -82,10 +84,13 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Standing]:
 
 
 @pytest.mark.wires
-def test_a_script_commissions_and_the_record_is_accepted(standing: Standing) -> None:
+def test_a_person_confirms_readings_and_the_record_is_accepted(standing: Standing) -> None:
     report = standing.directory / "report.html"
-    process = standing.commission("--yes", "--person", "A. Fitter", *READINGS, "--report", str(report))
-    said, _ = process.communicate(timeout=PATIENCE_S)
+    process = standing.commission(
+        "--person", "A. Fitter", "--instrument", "i", *AXES, *READINGS, "--report", str(report)
+    )
+    # the control; per axis: in place, seen before, no instrument along the two others, seen with the offset, seen after
+    said, _ = process.communicate(input="y\n" + 3 * "y\ny\n\n\ny\ny\n", timeout=PATIENCE_S)
     assert process.returncode == 0, said
     record = load_commissioning(standing.record)
     assert (record.person, sorted(record.axes)) == ("A. Fitter", ["x", "y", "z"])

@@ -1,0 +1,66 @@
+"""What somebody meets who has never used the command: the list of commands, a missing file, a fresh sample."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from config.sample import sample_configuration
+from daemon.cli import COMMANDS, SUMMARIES, main
+
+
+def toolpoint(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], terminal_width=80)
+
+
+def test_the_list_says_of_every_command_in_one_line_what_it_does() -> None:
+    listed = toolpoint("--help").output
+    assert list(SUMMARIES) == list(COMMANDS)
+    for name, summary in SUMMARIES.items():
+        assert f"  {name} " in listed and f"{summary}\n" in listed, name
+        assert summary.endswith(".")
+    assert "..." not in listed.split("Commands:")[1]
+    assert all(len(line) <= 80 for line in listed.splitlines())
+
+
+@pytest.mark.parametrize("command", ["guard", "check", "run"])
+def test_a_missing_configuration_is_answered_with_the_ways_to_name_one(command: str, tmp_path: Path) -> None:
+    missing = tmp_path / "toolpoint.yaml"
+    found = toolpoint(command, "--config", missing)
+    assert found.exit_code == 2
+    for word in (f"{missing}: there is no configuration", "--config", "TOOLPOINT_CONFIG", "sample-config"):
+        assert word in found.output
+    assert ":1:1" not in found.output
+
+
+def test_the_sample_passes_the_check_and_says_what_is_still_to_come(tmp_path: Path) -> None:
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(sample_configuration(), encoding="utf-8")
+    found = toolpoint("check", "--no-devices", "--config", path)
+    assert found.exit_code == 0, found.output
+    assert "FAIL" not in found.output
+    assert [line.split("  ")[0].strip() for line in found.output.splitlines()] == ["ok", "not yet", "not yet"]
+    findings = json.loads(toolpoint("check", "--no-devices", "--config", path, "--json", "-").output)
+    assert [(f["subject"], f["passed"], f["pending"]) for f in findings] == [
+        ("thermal model", False, True),
+        ("commissioning", False, True),
+    ]
+
+
+@pytest.mark.parametrize("key", ["model_file", "commissioning_file"])
+def test_what_the_configuration_names_and_is_not_there_is_a_failure(key: str, tmp_path: Path) -> None:
+    content = yaml.safe_load(sample_configuration())
+    content["compensation"][key] = str(tmp_path / "missing.json")
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    found = toolpoint("check", "--no-devices", "--config", path)
+    assert found.exit_code == 1 and "FAIL" in found.output and "missing.json" in found.output
+
+
+def test_the_long_commands_say_what_they_ask_for() -> None:
+    commission = " ".join(toolpoint("commission", "--help").output.split())
+    for words in ("have the guard called", "tool relative to the work along the axis [um]", "LEFT BEHIND"):
+        assert words in commission
+    assert "about two minutes" in toolpoint("faults", "--help").output
