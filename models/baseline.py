@@ -15,6 +15,10 @@ import numpy.typing as npt
 from models.output import OutputInputs, OutputLimits, OutputMemory, ToolRest
 from models.records import FloatArray, OutputState, Phase
 
+SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
+"""States in which the output is meant to stay where the reference found it."""
+ROUNDED_UM = 1.0
+"""A control rounds what it applies to its least increment [um]."""
 SETTLED_UM = 1e-3
 """The CNC holds a value when what was read back differs by less than this [um]."""
 
@@ -80,7 +84,8 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         memory,
         tools=MappingProxyType({**memory.tools, inputs.tool_number: rest}),
         command_um=memory.command_um if memory.state is OutputState.FAULT else command,
-        settling=memory.state is not OutputState.FAULT,
+        settling=memory.state in SETTLING_STATES,
+        pending_um=inputs.written_um,
     )
 
 
@@ -239,7 +244,8 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         baseline_um=inputs.applied_um.copy(),
         offset_um=np.zeros_like(memory.offset_um),
         command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
-        settling=memory.state is not OutputState.FAULT,
+        settling=memory.state in SETTLING_STATES,
+        pending_um=inputs.written_um,
         error_um=np.zeros_like(memory.command_um),
         tools=_tools_since(memory, inputs.tool_number),
     )
@@ -260,17 +266,26 @@ def _tools_since(memory: OutputMemory, in_spindle: int) -> MappingProxyType[int,
 
 
 def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
-    if memory.state is OutputState.FAULT or not inputs.link:
-        return memory
+    if memory.state not in SETTLING_STATES or memory.to_zero or inputs.zero_first:
+        return replace(memory, settling=False)
     applied = inputs.applied_um
-    if not np.all(np.isfinite(applied)):
+    if not (inputs.link and np.all(np.isfinite(applied))):
         return memory
-    moved = np.abs(applied - memory.command_um) > SETTLED_UM
+    moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied)
     if moved.any():
         return replace(_rest_at(memory, inputs, moved), command_um=np.where(moved, applied, memory.command_um))
     held = inputs.written_um is None or bool(np.all(np.abs(inputs.written_um - memory.command_um) <= SETTLED_UM))
-    silent = memory.state is OutputState.OFF
-    return replace(memory, settling=not (held or silent))
+    return replace(memory, settling=not held)
+
+
+def _on_the_way(memory: OutputMemory, applied_um: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return on which axes the guard has gone from the baseline towards what the block held at the reference."""
+    if memory.pending_um is None:
+        return np.ones(len(applied_um), dtype=np.bool_)
+    pending = np.where(np.isfinite(memory.pending_um), memory.pending_um, memory.command_um)
+    lowest, highest = np.minimum(memory.command_um, pending), np.maximum(memory.command_um, pending)
+    on_the_way: npt.NDArray[np.bool_] = (applied_um >= lowest - ROUNDED_UM) & (applied_um <= highest + ROUNDED_UM)
+    return on_the_way
 
 
 def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.bool_]) -> OutputMemory:

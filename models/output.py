@@ -123,6 +123,8 @@ class OutputMemory:
     limits_hit: tuple[str, ...] = field(default=())
     weight: float = 1.0
     """Multiplies the estimate since the reference; changes only between cuts."""
+    pending_um: FloatArray | None = None
+    """What the block held when the reference was set [um]."""
     settling: bool = False
     """A reference was set, and the CNC does not hold its value yet."""
     error_um: FloatArray | None = None

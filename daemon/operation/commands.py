@@ -37,10 +37,27 @@ class CommandDesk:
                 self._submit(OperatorRequest(acknowledge=True), person)
             case "reference":
                 if refusal := self._control.request_reference(person):
-                    raise RequestError(refusal)
+                    raise self._refusal("reference", refusal, person)
+                await self._reference_by_hand()
             case other:
                 raise RequestError(f"there is no command {other!r}")
         return await self._outcome()
+
+    async def _reference_by_hand(self) -> None:
+        """Wait until the reference is in force; raises RequestError with the reason when it is refused."""
+        try:
+            async with asyncio.timeout(DECISION_S):
+                while (refusal := self._control.reference_by_hand) is None:
+                    await self._control.requests.carried_out()
+        except TimeoutError:
+            return
+        if refusal:
+            raise RequestError(refusal)
+
+    def _refusal(self, what: str, why: str, person: str) -> RequestError:
+        """Record a refusal of the desk itself; the control task records its own."""
+        self._control.journal.event("refused", f"{what}: {why}", person)
+        return RequestError(why)
 
     async def _outcome(self) -> dict[str, Any]:
         """Return where the output stands when the request has been decided on, or that it has not been yet."""

@@ -60,6 +60,7 @@ class StatusBoard:
             "model": self.model,
             "estimate": self._estimate(),
             "cnc": self._cnc(),
+            "spindle_speed": control.side.speed.picture(),
             "links": [
                 {"name": h.name, "up": h.up, "problem": h.problem, "attempts": h.attempts, "failures": h.failures}
                 for h in self._links
@@ -81,7 +82,7 @@ class StatusBoard:
         control, memory = self._control, self._control.memory
         return {
             "state": memory.state.value if memory else "OFF",
-            "reason": memory.reason if memory else "the CNC has not been reached yet",
+            "reason": memory.reason if memory else control.not_begun,
             "since_s": now_s - memory.since_s if memory else None,
             "alarm": control.journal.alarm,
             "phase": control.phase.value,

@@ -80,11 +80,21 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append(f"\n{output['notices'][-1]}", style="dim")
     if problem := picture["model"].get("problem"):
         line.append(f"\nmodel refused: {problem}", style="red")
+    if speed := picture.get("spindle_speed"):
+        line.append(f"\nspindle speed {speed_in_words(speed)}", style="bold red" if speed["alarm"] else "dim")
     if output["insecure_writes"]:
         line.append("\nwrites go over an insecure connection (allow_insecure_writes)", style="yellow")
     if output["writable_model_directory"]:
         line.append("\nany model is loaded, released or not (allow_writable_model_directory)", style="yellow")
     return Panel(line, title=f"Toolpoint · {picture['machine']}", title_align="left")
+
+
+def speed_in_words(speed: Mapping[str, Any]) -> str:
+    """Return the state of the spindle speed's tuning in one line."""
+    words = f"{speed['state']}: {speed['alarm'] or speed['reason']}"
+    if speed["commanded_rpm"] is None:
+        return words
+    return f"S{speed['commanded_rpm']:.0f} for S{speed['programmed_rpm']:.0f}, {words}"
 
 
 def _axes(axes: Mapping[str, Mapping[str, Any]]) -> Table:

@@ -15,6 +15,7 @@ from config.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.output.alarm import alarm_of
+from daemon.output.beginning import Beginning
 from daemon.output.block_writer import BlockWriter
 from daemon.output.cadence import Cadence, woken
 from daemon.output.cnc_link import CncLink
@@ -23,23 +24,24 @@ from daemon.output.echo_watch import EchoWatch
 from daemon.output.guard_watch import GuardWatch
 from daemon.output.handshake import Handshake
 from daemon.output.journal import Journal
-from daemon.output.limits import axis_sources, commissioned_factors, echo_slack_um, output_limits
+from daemon.output.limits import axis_sources, commissioned_factors, echo_slack_um, guard_programs, output_limits
+from daemon.output.measured_by_nc import MeasuredByNc
 from daemon.output.permission import Permission, in_words
 from daemon.output.probing import judged_probe
 from daemon.output.references import References
 from daemon.output.request_desk import RequestDesk
 from daemon.output.requests import Requests
-from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
+from daemon.output.resume import ResumePoint
 from daemon.output.settling import settle_unsettled
+from daemon.output.side_macros import SideMacros
 from daemon.output.skill_watch import SkillWatch
-from daemon.output.temperature_macro import TemperatureMacro
 from daemon.output.tool_in_spindle import ToolInSpindle
 from daemon.telemetry import Telemetry
 from daemon.thermal import Delivery, ReferenceEnded, ReferenceRebased, ReferenceRequest
 from drivers.clock import Clock
-from drivers.contract import DriverError, LinkError
+from drivers.contract import DriverError, FatalDriverError, LinkError
 from models.axis_map import nose_errors_um
-from models.compensation import initial_memory, step, why_not_ready
+from models.compensation import step, why_not_ready
 from models.output import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
     CncSample,
@@ -84,9 +86,6 @@ class ControlTask:
         self._telemetry = telemetry
         self._echo_watch = EchoWatch(telemetry, echo_slack_um(configuration))
         self._permission = Permission(configuration, clock, commissioning, model_obstacle)
-        self._resume = resume
-        self._model_id = model_id
-        self._ask_reference = ask_reference
         self._on_tick = on_tick
         self._on_sample = on_sample
         self.limits = output_limits(
@@ -96,8 +95,8 @@ class ControlTask:
         self._unknown = np.full(len(self.limits.axes), np.nan)
         self._tool = ToolInSpindle(self._sources, history)
         self.skill = SkillWatch(self._sources, configuration)
-        self._tool_setting: tuple[bool, ...] | None = None
-        self._probe_um: FloatArray | None = None
+        self._measured = MeasuredByNc(history, self.skill)
+        self._asked_by_hand = ""
         self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
         self._stopping = False
@@ -118,14 +117,24 @@ class ControlTask:
             self.journal.say,
             handshake,
             macros.safe_flag,
+            guard_programs(configuration),
         )
         self._desk = RequestDesk(
             handshake, self._references, self.journal.say, self._set_tool, self._change_tool, self._take_probe
         )
         self._output = configuration.compensation.output
         self._guard_watch = GuardWatch()
-        self._temperature = TemperatureMacro(configuration, telemetry, self.journal, self._permission)
-        self._needs_person = ""
+        self.side = SideMacros(configuration, clock, telemetry, self.journal, self._permission, lambda: self.phase)
+        self._beginning = Beginning(
+            resume,
+            self._references,
+            self._tool,
+            self.journal,
+            ask_reference,
+            self.limits.axes,
+            model_id=model_id,
+            max_outage_s=configuration.compensation.reference.max_outage_s,
+        )
         self.writer = BlockWriter(
             clock,
             telemetry,
@@ -139,19 +148,20 @@ class ControlTask:
         if isinstance(item, ThermalErrorEstimate):
             self._estimate = self._fresh = item
         elif isinstance(item, MachineTemperatures):
-            self._temperature.take(item)
+            self.side.take(item)
         elif isinstance(item, Reference):
             self._adopt_reference(item)
         elif isinstance(item, ReferenceRebased):
             self._references.rebase(item.reference)
         else:
             self._desk.refused(item.reference_id, item.why)
+            self._references.refused(item.reference_id, item.why)
             self.journal.notice(item.why)
         self._wake.set()
 
     def request(self, request: OperatorRequest, person: str) -> str:
         """Queue what a person asks for; return why it is refused, '' when it is taken."""
-        refusal = self._permission.objection(request, self.session, reached=self.memory is not None)
+        refusal = self._permission.objection(request, self.session, unknown=self._beginning.unknown)
         if refusal:
             self.journal.event("refused", f"{in_words(request)}: {refusal}", person)
             return refusal
@@ -164,8 +174,18 @@ class ControlTask:
         sample = self.session.sample if self.session else None
         if sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
-        self._references.ask_for(f"hand: {person}", sample)
+        self._asked_by_hand = self._references.ask_for(f"hand: {person}", sample, positioning=False)
         return ""
+
+    @property
+    def reference_by_hand(self) -> str | None:
+        """What became of the latest reference by hand: '' in force, else why not; None while nobody knows."""
+        return self._references.outcomes.get(self._asked_by_hand)
+
+    @property
+    def not_begun(self) -> str:
+        """Why nothing has begun, or the FAULT of the previous run."""
+        return f"FAULT: {self.journal.fault}" if self.journal.fault else self._beginning.unknown
 
     @property
     def guard_silent_s(self) -> float:
@@ -215,7 +235,7 @@ class ControlTask:
             estimate, self._fresh = self._fresh, None
             if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
-            await self._guarded(self._temperature.show(self.session))
+            await self._guarded(self.side.show(self.session))
             if poll.due(now_s):
                 await self._guarded(self._poll())
             if ticked := tick.due(now_s):
@@ -224,7 +244,7 @@ class ControlTask:
                 await self._guarded(self._act(None))
 
     async def _sleep_until(self, until_s: float) -> None:
-        if not (self._fresh or self.requests or self._stopping or self._temperature.due):
+        if not (self._fresh or self.requests or self._stopping or self.side.due):
             self._wake.clear()
             await woken(self._wake, (until_s - self._clock.now().monotonic_s) / self._clock.speed)
 
@@ -256,7 +276,7 @@ class ControlTask:
         await self._desk.look(session)
         if self.memory is None:
             settle_unsettled(self._history, sample, session.echo, self._clock.now())
-            self._start_from(session)
+            self.memory = self._beginning.begin(session, self._clock.now().monotonic_s)
 
     def _adopt_reference(self, reference: Reference) -> None:
         still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
@@ -264,15 +284,15 @@ class ControlTask:
             self._desk.refused(reference.reference_id, refusal)
             self.journal.notice(refusal)
 
-    def _set_tool(self, axis: str, tool_number: int) -> str:
+    def _set_tool(self, axis: str) -> str:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
         if self.memory is None or self.reference is None:
             return "a tool setting counts from the work's reference, and there is none: position the work first"
         if self._estimate is None or self._estimate.reference_id != self.reference.reference_id:
             return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
-        self._tool_setting = tuple(name == axis for name in self.limits.axes)
-        self._tool.begin(tool_number, self._estimate)
-        self.journal.say("tool", f"T{tool_number} set on axis {axis}")
+        self._measured.tool_setting = tuple(name == axis for name in self.limits.axes)
+        self._tool.begin(self._tool.number, self._estimate)
+        self.journal.say("tool", f"T{self._tool.number} set on axis {axis}")
         return ""
 
     def _change_tool(self, tool_number: int) -> None:
@@ -293,41 +313,7 @@ class ControlTask:
             deviation_um=deviation_um,
             now=self._clock.now(),
         )
-        self._history.probe(sample)
-        if sample.accepted and self.memory is not None:
-            self._probe_um = deviations
-            self.skill.probe(sample, self.memory)
-        return sample.reason
-
-    def _start_from(self, session: CncSession) -> None:
-        """Begin from the CNC's echo, not from zero and not from the store."""
-        assert session.echo is not None
-        wanted, self._needs_person = wanted_at_start(self._resume, session.echo.applied_um)
-        try:
-            self.memory = initial_memory(
-                now_s=self._clock.now().monotonic_s,
-                applied_um=session.echo.applied_um,
-                wanted=wanted,
-            )
-        except ValueError as error:
-            self.journal.alarm = str(error)
-            return
-        self.journal.say("start", f"{self.memory.state.value}: {self.memory.reason}")
-        sample = session.sample
-        reference = self._resume.reference
-        if reference is None or sample is None:
-            return
-        if ended := self._references.take_up(reference, sample):
-            self.journal.notice(f"the reference of {reference.source} is not taken up again: {ended}")
-            return
-        try:
-            self.memory = with_rest(self.memory, self._resume.rest, self.limits.axes, reference, self._model_id)
-        except ValueError as error:
-            self._references.end(str(error))
-            return
-        self._tool.take_up(reference.reference_id)
-        self._ask_reference(reference)
-        self.journal.say("reference", f"taken up again: {reference.source}")
+        return self._measured.probed(sample, deviations)
 
     # --- deciding and writing ------------------------------------------------------------
 
@@ -346,10 +332,20 @@ class ControlTask:
         self.journal.watch(before, self.memory, alarm)
         if session is not None and command.write:
             await self.writer.write_when_due(session, command, estimate)
+        if lost := self._measured.settle(inputs, self.memory):
+            self._desk.fail(lost)
         if session is not None and self.session is session and inputs.link and not self.journal.fault:
-            await self._desk.answer(session, self.memory)
+            await self._answer(session, self.memory)
         self._telemetry.output(command, inputs.applied_um)
         self.requests.decided()
+
+    async def _answer(self, session: CncSession, memory: OutputMemory) -> None:
+        try:
+            wrong = await self._desk.answer(session, memory)
+        except FatalDriverError as error:
+            wrong = str(error)
+        if wrong:
+            self.journal.raise_fault(f"an answer to the NC program could not be written: {wrong}")
 
     def _inputs(self) -> OutputInputs:
         session = self.session
@@ -358,11 +354,7 @@ class ControlTask:
             self.journal.event("request", in_words(request), person)
         if request.acknowledge and self.journal.fault is not None and session is not None:
             self.journal.forgive("; ".join(session.forgive()))
-        if request.enable or request.disable or request.zero:
-            self._needs_person = ""
-        inputs = self._inputs_now(request)
-        self._tool_setting = self._probe_um = None
-        return inputs
+        return self._inputs_now(self._beginning.heed(request))
 
     def _inputs_now(self, request: OperatorRequest) -> OutputInputs:
         session, estimate = self.session, self._estimate
@@ -389,11 +381,11 @@ class ControlTask:
             request=request,
             zero_first=self._references.zero_first,
             tool_number=self._tool.number,
-            tool_setting=self._tool_setting,
-            probe_um=self._probe_um,
+            tool_setting=self._measured.tool_setting,
+            probe_um=self._measured.probe_um,
         )
 
     def _refusals(self, asked: frozenset[str]) -> tuple[str, ...]:
         wanted = self.memory.wanted if self.memory is not None else ()
         refusals = self._permission.refusals(self.session, asked.union(compress(self.limits.axes, wanted)))
-        return tuple(why for why in (*refusals, self._needs_person, self.skill.obstacle()) if why)
+        return tuple(why for why in (*refusals, self._beginning.obstacle(), self.skill.obstacle()) if why)

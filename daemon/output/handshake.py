@@ -54,11 +54,6 @@ class Handshake:
         return tuple(self._macros.model_dump().values()) if self._macros is not None else ()
 
     @property
-    def in_use(self) -> bool:
-        """Whether the NC program has ever asked for something."""
-        return bool(self.counter)
-
-    @property
     def acknowledge(self) -> int:
         """Number of the macro that takes the answer."""
         assert self._macros is not None

@@ -26,7 +26,9 @@ class Journal:
         self.alarm = ""
 
     def event(self, kind: str, text: str, person: str) -> None:
-        """Record something that happened, and who did it."""
+        """Record something that happened, and who did it; a refusal is shown in status too."""
+        if kind == "refused":
+            self.notices = [*self.notices[1 - NOTICES_KEPT :], f"refused: {text}"]
         log.info(f"output.{kind}", text=text, person=person)
         self._history.event(kind, text, person)
 
@@ -62,7 +64,11 @@ class Journal:
             after.baseline_um is not before.baseline_um
             or after.offset_um is not before.offset_um
             or after.tools is not before.tools
+            or after.weight != before.weight
         )
+        if before.tools and not after.tools:
+            numbers = ", ".join(f"T{number}" for number in sorted(before.tools))
+            self.notice(f"the tool settings of {numbers} have ended with the reference; set these tools again")
         if after.reference_id is not None and counts_anew:
             self._history.put_state("rest", rest_to_state(after, self._axes))
         if alarm and alarm.partition(":")[0] != self.alarm.partition(":")[0]:

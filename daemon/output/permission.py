@@ -64,14 +64,14 @@ class Permission:
                 "or set cnc.opcua.allow_insecure_writes: true"
             )
 
-    def objection(self, request: OperatorRequest, session: CncSession | None, *, reached: bool) -> str:
-        """Return why a person's request is refused, '' when it may be taken."""
-        if not reached:
-            return "the CNC has not been reached yet, so what it applies is unknown"
+    def objection(self, request: OperatorRequest, session: CncSession | None, *, unknown: str) -> str:
+        """Return why a person's request is refused, '' when it may be taken; `unknown`: why nothing has begun."""
+        if unknown:
+            return unknown
         if request.acknowledge and session is None:
             return "there is no link to the CNC, so what it holds is unknown; acknowledge again when the link is back"
-        if unknown := sorted((request.enable | request.disable) - set(self._axes)):
-            return f"there is no axis {', '.join(unknown)}; axes are {', '.join(self._axes)}"
+        if strange := sorted((request.enable | request.disable) - set(self._axes)):
+            return f"there is no axis {', '.join(strange)}; axes are {', '.join(self._axes)}"
         if without := sorted(request.enable - self.modelled):
             return (
                 f"axis {', '.join(without)} has no model (compensation.axes.{without[0]}.estimate is not set), "

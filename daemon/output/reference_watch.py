@@ -55,6 +55,11 @@ def clock_restarted(advance_s: float, elapsed_s: float) -> bool:
     return advance_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
 
 
+def clocks_differ(advance_s: float, elapsed_s: float) -> bool:
+    """Whether the CNC's clock went on by less or by more than the time that has passed here."""
+    return abs(advance_s - elapsed_s) > max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * abs(elapsed_s))
+
+
 def end_of_reference(reference: Reference, sample: CncSample) -> str:
     """Return why a reference no longer holds, '' while it does."""
     if sample.power_on_count != reference.power_on_count:

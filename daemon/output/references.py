@@ -1,7 +1,9 @@
 """The reference in force: when it is set, when it ends, and what a restart makes of it."""
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from typing import Any
 
 import structlog
 
@@ -9,7 +11,7 @@ from config.schema.compensation import OutputConfig, ReferenceConfig
 from daemon.history.writer import HistoryWriter
 from daemon.output.handshake import Handshake
 from daemon.output.reference_watch import (
-    clock_restarted,
+    clocks_differ,
     end_of_reference,
     phase_of,
     positioning_passed,
@@ -24,7 +26,18 @@ log = structlog.get_logger(__name__)
 
 LONGEST_GAP_REAL_S = 0.5
 """A gap between polls shorter than this is this computer's, not the link's [s of the wall clock]."""
+SEEN_PERIOD_REAL_S = 10.0
+"""The store is told this often what the CNC said [s of the wall clock]."""
 IDLE = (CncRun.RESET, CncRun.STOP)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """A reference that was asked for and has not come yet."""
+
+    positioning: bool
+    """The work was positioned; False: a person asked."""
+    handshake: bool
 
 
 class References:
@@ -40,6 +53,7 @@ class References:
         say: Callable[[str, str], None],
         handshake: Handshake,
         safe_flag: int | None,
+        guard_programs: Collection[int] = (),
     ) -> None:
         self._config = reference
         self._safe_sequence_numbers = frozenset(output.safe_sequence_numbers)
@@ -49,9 +63,16 @@ class References:
         self._say = say
         self._handshake = handshake
         self._safe_flag = safe_flag
+        self._guard_programs = frozenset(guard_programs)
         self._previous: CncSample | None = None
         self._passed = False
         self._retreating = False
+        self._asked: dict[str, _Asked] = {}
+        self._by_handshake = False
+        self._seen_before: dict[str, Any] | None = history.get_state("cnc_seen")
+        self._seen_real_s = float("-inf")
+        self.outcomes: dict[str, str] = {}
+        """What became of the references that were asked for: '' in force, else why not."""
         self.current: Reference | None = None
         self.phase = Phase.CUTTING
 
@@ -60,20 +81,28 @@ class References:
         """The offset is to be taken out before the next positioning."""
         return self._config.policy == "zero_first" and self._retreating
 
-    def follow(self, sample: CncSample) -> None:
+    @property
+    def sample(self) -> CncSample | None:
+        """The latest poll, with the part program's block while a program of the guard runs."""
+        return self._previous
+
+    def follow(self, polled: CncSample) -> None:
         """Take one poll of the CNC: a positioning may have passed, or the reference have ended."""
-        previous, self._previous = self._previous, sample
+        previous, sample = self._previous, self._of_part_program(polled)
+        self._previous = sample
         self.phase = phase_of(sample, self._safe_sequence_numbers, self._safe_flag)
+        self._remember(sample)
+        self._retreat_block(sample)
         if self.current is not None and (ended := self._end(self.current, previous, sample)):
             self.end(ended)
-        numbers = self._config.sequence_numbers
-        if positioning_passed(previous, sample, self._config.program, numbers):
+        if positioning_passed(previous, sample, self._config.program, self._config.sequence_numbers):
             self._passed = True
-            self.ask_for(f"O{sample.program} N{sample.sequence_number}", sample)
+            self.ask_for(f"O{sample.program} N{sample.sequence_number}", sample, positioning=True)
 
-    def ask_for(self, source: str, sample: CncSample) -> str:
+    def ask_for(self, source: str, sample: CncSample, *, positioning: bool, handshake: bool = False) -> str:
         """Ask the thermal task for a reference now; return its identity."""
         identity = uuid.uuid4().hex[:12]
+        self._asked[identity] = _Asked(positioning=positioning, handshake=handshake)
         self._ask(
             ReferenceRequest(
                 reference_id=identity,
@@ -92,21 +121,27 @@ class References:
         self._passed = False
 
     def adopt(self, reference: Reference, applied_um: float) -> str:
-        """Take a reference into force; return why the policy refuses it, '' when it holds."""
-        if self._config.policy == "zero_first" and applied_um > 0.0:
-            self._retreating = True
-            return (
-                f"reference of {reference.source} refused: the policy is zero_first and {applied_um:.1f} um are still "
-                "applied; let the program wait at its retreat block until the offset is out"
-            )
-        if self._previous is not None and (ended := end_of_reference(reference, self._previous)):
-            return f"reference of {reference.source} refused: meanwhile {ended}"
+        """Take a reference into force; return why it is refused, '' when it holds."""
+        asked = self._asked.pop(reference.reference_id, None)
+        if refusal := self._objection(reference, asked, applied_um):
+            self._refuse(reference.reference_id, asked, refusal)
+            return refusal
         self._retreating = False
         self.current = reference
+        self._by_handshake = asked is not None and asked.handshake
+        self.outcomes = {reference.reference_id: ""}
         self._history.reference(reference)
         self.keep()
         self._say("reference", f"set by {reference.source}")
         return ""
+
+    def refused(self, reference_id: str, why: str) -> None:
+        """The thermal task cannot set a reference that was asked for; work that was positioned has none then."""
+        self._refuse(reference_id, self._asked.pop(reference_id, None), why)
+
+    def forget(self, reference_id: str) -> None:
+        """Nobody waits for this reference any more."""
+        self._asked.pop(reference_id, None)
 
     def rebase(self, reference: Reference) -> None:
         """Keep the reference whose temperatures of returned sensors were set anew."""
@@ -114,59 +149,123 @@ class References:
             self.current = reference
             self.keep()
 
-    def take_up(self, reference: Reference, sample: CncSample) -> str:
+    def away_s(self, sample: CncSample) -> float:
+        """Return how long before this poll the previous run of the daemon last polled the CNC [s]; inf: never."""
+        seen = self._seen_before
+        return float("inf") if seen is None else float(sample.time.utc_s - seen["utc_s"])
+
+    def take_up(self, reference: Reference) -> str:
         """Return why a reference of the previous run no longer holds, '' when it is in force again."""
-        ended = end_of_reference(reference, sample)
+        assert self._previous is not None
         stored = self._history.get_state("reference") or {}
-        elapsed_s = sample.time.utc_s - stored.get("cnc_seen_utc_s", sample.time.utc_s)
-        clock_s = stored.get("cnc_clock_s")
-        if not ended and clock_s is not None and clock_restarted(sample.clock_s - clock_s, elapsed_s):
-            ended = "the CNC's clock shows that it was switched off and on while the daemon was away"
-        if not ended and stored.get("request_counter") != self._handshake.counter:
-            ended = "the NC program asked for something while the daemon was away"
-        if not ended:
-            self.current = reference
-        return ended
+        ended = end_of_reference(reference, self._previous) or self._away(self._previous, stored)
+        if ended:
+            self._history.put_state("reference", None)
+            return ended
+        self.current = reference
+        self._by_handshake = bool(stored.get("by_handshake"))
+        return ""
 
     def keep(self) -> None:
-        """Hand the reference in force to the store, with what tells that the CNC went on without a break."""
+        """Hand the reference in force to the store, with what tells that the NC program went on without a break."""
         if self.current is None:
             self._history.put_state("reference", None)
             return
-        state = reference_to_state(self.current)
-        if self._previous is not None:
-            state |= {"cnc_clock_s": self._previous.clock_s, "cnc_seen_utc_s": self._previous.time.utc_s}
-        self._history.put_state("reference", state | {"request_counter": self._handshake.counter})
+        counts = {"request_counter": self._handshake.counter, "by_handshake": self._by_handshake}
+        self._history.put_state("reference", reference_to_state(self.current) | counts)
 
     def end(self, why: str) -> None:
-        """End the reference in force."""
+        """End the reference in force, and what was asked for before."""
+        self._asked.clear()
         if self.current is not None:
             self._say("notice", f"reference ended: {why}")
             self._ask(ReferenceEnded(reference_id=self.current.reference_id))
             self.current = None
             self.keep()
 
+    def _objection(self, reference: Reference, asked: _Asked | None, applied_um: float) -> str:
+        what = f"reference of {reference.source} refused"
+        if asked is None:
+            return f"{what}: nobody waits for it any more"
+        if self._config.policy == "zero_first" and applied_um > 0.0:
+            return (
+                f"{what}: the policy is zero_first and {applied_um:.1f} um are still applied; let the program wait at "
+                "its retreat block until the offset is out"
+            )
+        if self._previous is not None and (ended := end_of_reference(reference, self._previous)):
+            return f"{what}: meanwhile {ended}"
+        return ""
+
+    def _refuse(self, reference_id: str, asked: _Asked | None, why: str) -> None:
+        self.outcomes = {reference_id: why}
+        self._ask(ReferenceEnded(reference_id=reference_id))
+        if asked is not None and asked.positioning:
+            self.end(f"the work was positioned again, and that set none ({why})")
+        elif self.current is not None:
+            self._ask(self.current)
+
+    def _of_part_program(self, polled: CncSample) -> CncSample:
+        """Return a poll as the part program stands in it: the guard's own programs are no other program."""
+        if self._previous is None or polled.program not in self._guard_programs:
+            return polled
+        return replace(polled, program=self._previous.program, sequence_number=self._previous.sequence_number)
+
+    def _remember(self, sample: CncSample) -> None:
+        if sample.time.real_s - self._seen_real_s < SEEN_PERIOD_REAL_S:
+            return
+        self._seen_real_s = sample.time.real_s
+        seen = {"utc_s": sample.time.utc_s, "clock_s": sample.clock_s, "sequence_number": sample.sequence_number}
+        self._history.put_state("cnc_seen", seen | {"idle": sample.run in IDLE})
+
+    def _retreat_block(self, sample: CncSample) -> None:
+        """Under zero_first, the retreat block ends what there is and takes the offset out, reference or not."""
+        if self._config.policy != "zero_first" or sample.run is not CncRun.START:
+            return
+        of_program = self._config.program in (None, sample.program)
+        if of_program and sample.sequence_number in self._config.retreat_sequence_numbers and not self._retreating:
+            self._retreating = True
+            self.end(f"N{sample.sequence_number} takes the offset out before the next positioning")
+
     def _end(self, reference: Reference, previous: CncSample | None, sample: CncSample) -> str:
         if ended := end_of_reference(reference, sample):
             return ended
         if power_cycled(previous, sample):
             return "the CNC's clock went back: it was switched off and on"
-        if self._config.policy == "zero_first" and sample.sequence_number in self._config.retreat_sequence_numbers:
-            self._retreating = True
-            return f"N{sample.sequence_number} takes the offset out before the next positioning"
         return self._missed(previous, sample)
 
     def _missed(self, previous: CncSample | None, sample: CncSample) -> str:
         """Return why a positioning may have been missed between two polls, '' when none can have been."""
-        if previous is None or not self._config.sequence_numbers or self._handshake.in_use:
+        if previous is None:
             return ""
         gap_s = sample.time.monotonic_s - previous.time.monotonic_s
-        if gap_s <= max(self._config.max_gap_s, LONGEST_GAP_REAL_S * self._clock.speed):
+        if gap_s <= LONGEST_GAP_REAL_S * self._clock.speed:
             return ""
-        stood = previous.run in IDLE and sample.run in IDLE and sample.sequence_number == previous.sequence_number
+        return self._may_be_missed(gap_s, previous.run in IDLE, previous.sequence_number, sample, self._by_handshake)
+
+    def _may_be_missed(
+        self, gap_s: float, idle_before: bool, sequence_before: int, sample: CncSample, by_handshake: bool
+    ) -> str:
+        if gap_s <= self._config.max_gap_s or not self._config.sequence_numbers or by_handshake:
+            return ""
+        stood = idle_before and sample.run in IDLE and sample.sequence_number == sequence_before
         if stood or (self._config.program is not None and sample.program != self._config.program):
             return ""
         return (
             f"the CNC could not be polled for {gap_s:.0f} s while the program ran, so a positioning may have been "
             "missed; pass the positioning again or set the reference by hand (`toolpoint reference`)"
         )
+
+    def _away(self, sample: CncSample, stored: dict[str, Any]) -> str:
+        """Return what may have happened while nobody polled the CNC that ends a stored reference."""
+        seen, away_s = self._seen_before, self.away_s(sample)
+        if seen is None or away_s > self._config.max_outage_s:
+            return f"the CNC was not polled for longer than {self._config.max_outage_s:g} s (reference.max_outage_s)"
+        if clocks_differ(sample.clock_s - seen["clock_s"], away_s):
+            return (
+                "the CNC's clock and this computer's calendar went on differently while the daemon was away: the "
+                "control was switched off and on, or a clock was set"
+            )
+        if stored.get("request_counter") != self._handshake.counter:
+            return "the NC program asked for something while the daemon was away"
+        by_handshake = bool(stored.get("by_handshake"))
+        return self._may_be_missed(away_s, seen["idle"], seen["sequence_number"], sample, by_handshake)

@@ -7,6 +7,7 @@ from daemon.output.cnc_session import CncSession
 from daemon.output.handshake import Handshake, NcRequest, RequestError, RequestKind
 from daemon.output.references import References
 from models.output import OutputMemory
+from models.records import WriteOutcome
 
 HANDSHAKE_CAUSE = "handshake"
 """Cause of an answer in the audit."""
@@ -32,7 +33,7 @@ class RequestDesk:
         handshake: Handshake,
         references: References,
         say: Callable[[str, str], None],
-        set_tool: Callable[[str, int], str],
+        set_tool: Callable[[str], str],
         change_tool: Callable[[int], None],
         probe: Callable[[str, float], str],
     ) -> None:
@@ -62,29 +63,39 @@ class RequestDesk:
             return
         if lost:
             self._references.end(f"{lost} request(s) of the NC program were missed")
-        self._serve(request, session)
+        self._serve(request)
+        self._references.keep()
 
     def refused(self, reference_id: str, why: str) -> None:
         """Take the refusal of a reference that was asked for."""
         if self._pending is not None and self._pending.reference_id == reference_id:
             self._pending.refusal = why
 
-    async def answer(self, session: CncSession, memory: OutputMemory) -> None:
-        """Write the answer as soon as what was asked for is done, or refused."""
+    def fail(self, why: str) -> None:
+        """What was asked for did not take effect."""
+        if self._pending is not None and self._pending.reference_id is None and not self._pending.refusal:
+            self._pending.refusal = why
+
+    async def answer(self, session: CncSession, memory: OutputMemory) -> str:
+        """Write the answer as soon as what was asked for is done, or refused; return what the read-back shows wrong.
+
+        A lost link leaves the answer to the next session; the request stays until it is written.
+        """
         pending = self._pending
         if pending is None:
-            return
+            return ""
         if not pending.refusal:
             if pending.reference_id is not None and memory.reference_id != pending.reference_id:
-                return
+                return ""
             if pending.settles and memory.settling:
-                return
-        self._pending = None
+                return ""
         counter = pending.request.counter
         value = float(-counter if pending.refusal else counter)
+        receipt = await session.write_one(self._handshake.acknowledge, value, cause=HANDSHAKE_CAUSE)
+        self._pending = None
         if pending.refusal:
             self._say("refused", f"{pending.request}: {pending.refusal}")
-        await session.write_one(self._handshake.acknowledge, value, cause=HANDSHAKE_CAUSE)
+        return "" if receipt.outcome is WriteOutcome.VERIFIED else receipt.detail
 
     def _begin(self, session: CncSession) -> None:
         assert session.sample is not None
@@ -103,16 +114,17 @@ class RequestDesk:
 
     def _watch_withdrawal(self, session: CncSession) -> None:
         pending, sample = self._pending, session.sample
-        if pending is None or sample is None or pending.refusal:
+        if pending is None or sample is None:
             return
-        if self._handshake.withdrawn(sample.macros):
+        if self._handshake.withdrawn(sample.macros) and pending.request.kind is not RequestKind.WITHDRAWN:
             self._pending = None
             self._say("notice", f"{pending.request}: the program no longer waits for the answer")
             if pending.reference_id is not None:
+                self._references.forget(pending.reference_id)
                 self._references.end("the NC program gave up waiting for its reference")
 
-    def _serve(self, request: NcRequest, session: CncSession) -> None:
-        sample = session.sample
+    def _serve(self, request: NcRequest) -> None:
+        sample = self._references.sample
         assert sample is not None
         pending = self._pending = _Pending(request=request)
         match request.kind:
@@ -121,11 +133,11 @@ class RequestDesk:
                 self._references.end(f"{request} was withdrawn before it could be answered")
             case RequestKind.REFERENCE if request.axis is None:
                 self._references.handshake_positioned()
-                pending.reference_id = self._references.ask_for(str(request), sample)
+                pending.reference_id = self._references.ask_for(str(request), sample, positioning=True, handshake=True)
                 pending.settles = True
             case RequestKind.REFERENCE:
                 pending.settles = True
-                pending.refusal = self._set_tool(request.axis or "", sample.tool_number)
+                pending.refusal = self._set_tool(request.axis or "")
             case RequestKind.PROBE if request.axis is None:
                 pending.refusal = "a probe value needs one axis, not 0 (all)"
             case RequestKind.PROBE:

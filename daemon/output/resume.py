@@ -34,16 +34,14 @@ class ResumePoint:
     """Where the output stood when the reference was set, from `rest_to_state`."""
 
 
-def wanted_at_start(resume: ResumePoint, applied_um: FloatArray) -> tuple[tuple[bool, ...], str]:
-    """Return which axes are switched on at the start, and why a person must speak before they follow.
+def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
+    """Return which axes stay switched on at the first contact with the CNC.
 
-    After too long an outage only what still carries an offset stays switched on, and is held.
+    After too long an outage that is only what still carries an offset: it is held until a person speaks.
     """
-    if resume.resumable:
-        return resume.wanted, ""
-    carried = tuple(bool(abs(um) > ECHO_SLACK_UM) for um in applied_um)
-    why = "the daemon was away too long to go on by itself: `toolpoint enable` or `toolpoint disable`"
-    return carried, why if any(carried) else ""
+    if resume.resumable and in_time:
+        return resume.wanted
+    return tuple(bool(abs(um) > ECHO_SLACK_UM) for um in applied_um)
 
 
 def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
@@ -53,6 +51,7 @@ def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
         "model_id": memory.model_id,
         "baseline_um": dict(zip(axes, memory.baseline_um.tolist(), strict=True)),
         "offset_um": dict(zip(axes, memory.offset_um.tolist(), strict=True)),
+        "weight": memory.weight,
         "tools": {
             str(number): {
                 "baseline_um": [None if np.isnan(um) else um for um in tool.baseline_um.tolist()],
@@ -94,6 +93,7 @@ def with_rest(
         model_id=rest["model_id"],
         baseline_um=np.array([rest["baseline_um"][axis] for axis in axes]),
         offset_um=np.array([rest["offset_um"][axis] for axis in axes]),
+        weight=rest.get("weight", memory.weight),
         tools=MappingProxyType(
             {int(number): _tool_rest(kept) for number, kept in rest.get("tools", {}).items()}
             if list(rest["baseline_um"]) == list(axes)

@@ -78,7 +78,7 @@ async def test_a_restart_does_not_clear_a_fault(bench):
 
 async def test_another_model_does_not_take_the_old_reference_up(bench):
     async with running(bench.rig()) as rig:
-        await rig.active()
+        await rig.active(handshake=True)
         await rig.follow(0.0, -10.0, 30)
         rest = rig.history.get_state("rest")
         rig.history.put_state("rest", rest | {"model_id": "another"})

@@ -155,7 +155,7 @@ async def test_a_vacant_echo_at_the_start_is_an_alarm_and_nothing_is_written(ben
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert "echo" in rig.control.journal.alarm
-        assert "not been reached" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        assert "echo is vacant" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
         await rig.turn()
         assert bench.nc.written == []
         bench.nc.macros.set(513, 0.0)
@@ -211,8 +211,8 @@ async def test_a_foreign_value_is_still_seen_after_a_lost_write(rig, bench):
     assert rig.state == "FAULT" and bench.nc.written == []
 
 
-async def lose_the_link(rig, bench):
-    await rig.active()
+async def lose_the_link(rig, bench, *, handshake):
+    await rig.active(handshake=handshake)
     await rig.follow(0.0, -8.0, 20)
     bench.nc.reachable = False
     await rig.follow(0.0, -20.0, 20)
@@ -223,9 +223,7 @@ async def lose_the_link(rig, bench):
 
 
 async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
-    bench.nc.macros.set(520, 1.0)
-    bench.nc.macros.set(524, 1.0)
-    value = await lose_the_link(rig, bench)
+    value = await lose_the_link(rig, bench, handshake=True)
     await rig.turn(rig.estimate(0.0, -20.0))
     assert abs(bench.nc.macros.get(Z) - value) * 1000 <= 0.51
     await rig.follow(0.0, -20.0, 40)
@@ -236,7 +234,9 @@ async def test_without_the_link_the_output_holds_and_then_goes_on(rig, bench):
 async def test_a_positioning_may_have_been_missed_while_the_link_was_down_and_no_handshake_proves_the_contrary(
     rig, bench
 ):
-    value = await lose_the_link(rig, bench)
+    bench.nc.macros.set(520, 1.0)
+    bench.nc.macros.set(524, 1.0)
+    value = await lose_the_link(rig, bench, handshake=False)
     await rig.follow(0.0, -20.0, 20)
     assert rig.state == "HOLD" and rig.control.reference is None
     assert any("may have been missed" in notice for notice in rig.control.journal.notices)

@@ -34,7 +34,7 @@ async def rig(bench):
 async def leave(bench, error_um=-10.0):
     """Run until the output is active with an offset, then end as a crash would: without a word."""
     async with running(bench.rig()) as rig:
-        await rig.active()
+        await rig.active(handshake=True)
         rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
         await rig.follow(0.0, error_um, 60)
         assert rig.state == "ACTIVE"
@@ -187,3 +187,73 @@ async def test_an_intent_that_a_crash_left_without_an_outcome_is_settled_by_read
     assert records[int(lost)].outcome is WriteOutcome.FAILED
     assert records[int(arrived)].outcome is WriteOutcome.VERIFIED
     assert "ended while writing" in records[int(lost)].detail
+
+
+async def leave_with_y_off(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        await rig.follow(-11.0, -12.0, 60)
+        rig.control.request(OperatorRequest(disable=frozenset({"y"})), "p")
+        await rig.turn()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    bench.clock.monotonic_s += 3600.0
+
+
+async def test_an_axis_that_was_switched_off_stays_so_over_a_long_outage(bench):
+    await leave_with_y_off(bench)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.state == "HOLD" and "away too long" in rig.control.memory.reason
+        rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        await rig.turn()
+        assert rig.control.memory.wanted == (False, False, True)
+        rig.set_reference("r9")
+        before = rig.applied["y"]
+        for _ in range(20):
+            await rig.turn(rig.estimate(-19.0, 0.0))
+        assert rig.applied["y"] <= before
+
+
+async def test_who_speaks_for_one_axis_lets_the_others_wait(bench):
+    await leave_with_y_off(bench)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        rig.control.request(OperatorRequest(disable=frozenset({"y"})), "p")
+        await rig.turn()
+        rig.set_reference("r9")
+        for _ in range(10):
+            await rig.turn(rig.estimate(0.0, -17.0))
+        assert rig.state == "HOLD" and "toolpoint enable z" in rig.control.memory.reason
+
+
+async def test_a_cnc_that_is_reached_late_is_no_short_outage(bench):
+    await leave(bench)
+    bench.nc.reachable = False
+    async with running(bench.rig(), connect=False) as rig:
+        await rig.turn()
+        bench.clock.monotonic_s += 8 * 3600.0
+        bench.nc.reachable = True
+        await rig.connected()
+        await rig.turn()
+        assert rig.state == "HOLD" and rig.control.reference is None
+
+
+async def test_without_the_handshake_a_restart_while_the_program_ran_may_have_missed_a_positioning(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -10.0, 60)
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    bench.clock.monotonic_s += 300.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        assert any("may have been missed" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_calendar_that_was_set_back_takes_no_reference_up(bench):
+    await leave(bench)
+    bench.nc.clock_zero_s += 7200.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        assert any("calendar" in notice for notice in rig.control.journal.notices)

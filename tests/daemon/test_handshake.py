@@ -61,7 +61,7 @@ async def test_a_reference_is_answered_only_when_it_is_in_force_and_the_cnc_hold
     assert rig.control.memory.baseline_um[2] == pytest.approx(before * 1000.0)
 
 
-async def test_a_refused_reference_is_answered_with_minus_and_leaves_the_old_one(rig, bench):
+async def test_a_refused_reference_is_answered_with_minus_and_ends_the_old_one(rig, bench):
     await rig.active()
     ask(bench, 1, REFERENCE)
     await rig.turn()
@@ -69,7 +69,8 @@ async def test_a_refused_reference_is_answered_with_minus_and_leaves_the_old_one
     rig.control.deliver(ReferenceRefused(reference_id=asked.reference_id, why="no temperature has arrived"))
     await rig.turn()
     assert answer(bench) == -1.0
-    assert rig.control.reference.reference_id == "r1"
+    assert rig.control.reference is None, "the work lies elsewhere now"
+    assert rig.state == "HOLD"
     assert any("no temperature" in notice for notice in rig.control.journal.notices)
 
 
@@ -117,7 +118,7 @@ async def test_a_tool_setting_moves_nothing_and_a_tool_change_selects_it(rig, be
     await rig.follow(0.0, -8.0, 4)
     assert answer(bench) == 2.0
     assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
-    assert list(rig.control.memory.tools) == [1], "the tool is the one that the CNC reports"
+    assert list(rig.control.memory.tools) == [2], "the tool that the program named"
 
 
 async def test_a_tool_setting_without_a_reference_of_the_work_is_refused(rig, bench):
@@ -243,6 +244,9 @@ async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -8.0, 40)
+        rig.set_reference("by hand", positioning=False)
+        await rig.turn(rig.estimate(0.0, -8.0))
+        assert rig.state == "ACTIVE" and rig.control.reference.reference_id == "r1", "by hand it only refuses"
         bench.nc.sequence_number = 50
         await rig.turn(rig.estimate(0.0, -8.0))
         assert rig.state == "RETREAT" and rig.control.reference is None

@@ -86,9 +86,11 @@ def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed)
     point = load_resume_point(configuration, history_of(configuration, clock), clock, block_of(configuration))
     assert point.wanted == (False, True, True)
     assert point.resumable == resumed
-    carried, why = wanted_at_start(point, np.array([0.0, 0.0, 5.0]))
-    assert carried == ((False, True, True) if resumed else (False, False, True))
-    assert (why == "") == resumed
+    applied_um = np.array([0.0, 0.0, 5.0])
+    assert wanted_at_start(point, applied_um, in_time=True) == (
+        (False, True, True) if resumed else (False, False, True)
+    )
+    assert wanted_at_start(point, applied_um, in_time=False) == (False, False, True)
     assert (point.reference is not None) == resumed
 
 

@@ -115,6 +115,32 @@ def test_a_reference_that_settled_is_followed_again():
     assert machine.applied == pytest.approx([2.0, 22.0], abs=0.02)
 
 
+def test_zero_is_reached_although_a_reference_arrives_on_the_way_and_the_control_rounds():
+    slow = replace(LIMITS, slew_um_per_min=np.array([4.0, 4.0]))
+    machine = Machine(limits=slow).set(thermal_error_um=np.array([0.0, -12.0])).step(request=ON).step(400)
+    machine.step(request=OperatorRequest(zero=True))
+    for minute in range(12):
+        if minute == 1:
+            new = {"reference_id": "r2", "estimate_reference_id": "r2", "thermal_error_um": np.zeros(2)}
+            machine.set(**new)
+        machine.step(60, guard=False)
+        machine.guard()
+        machine.applied = np.round(machine.applied / 0.1) * 0.1
+    assert machine.memory.state is OutputState.OFF and not machine.applied.any()
+
+
+def test_a_guard_that_goes_elsewhere_than_the_block_said_moves_no_baseline():
+    machine = Machine().following()
+    before = machine.applied.copy()
+    machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2))
+    machine.now_s += 1.0
+    machine.memory, _ = step(machine.memory, machine.inputs(), LIMITS)
+    machine.applied = before - 8.0
+    machine.step(60)
+    assert machine.memory.baseline_um == pytest.approx(before)
+    assert machine.applied == pytest.approx(before, abs=0.02)
+
+
 # --- tools -------------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ from daemon.output.control import ControlTask
 from daemon.output.last_block import LastBlock
 from daemon.output.limits import commissioned_factors
 from daemon.output.macro_block import MacroBlock
+from daemon.output.references import _Asked
 from daemon.output.resume import ResumePoint, load_resume_point
 from daemon.supervisor import Backoff, keep_alive
 from daemon.telemetry import Telemetry
@@ -209,9 +210,12 @@ class Rig:
         }
         return ThermalErrorEstimate(**(content | changes))
 
-    def set_reference(self, reference_id: str = "r1") -> None:
-        """Answer as the thermal task does."""
+    def set_reference(self, reference_id: str = "r1", *, positioning: bool = True, handshake: bool = False) -> None:
+        """Answer as the thermal task does, to a question of the control task or to one made up here."""
         nc = self.nc
+        asked = self.control._references._asked
+        if reference_id not in asked:
+            asked[reference_id] = _Asked(positioning=positioning, handshake=handshake)
         self.control.deliver(
             Reference(
                 reference_id=reference_id,
@@ -235,10 +239,10 @@ class Rig:
         assert refusal == ""
         await self.turn()
 
-    async def active(self) -> None:
+    async def active(self, *, handshake: bool = False) -> None:
         """Go to ACTIVE with a reference and no error."""
         await self.turn()
-        self.set_reference()
+        self.set_reference(handshake=handshake)
         await self.switch_on()
         await self.follow(0.0, 0.0, 2)
         assert self.state == "ACTIVE", self.control.memory
@@ -266,12 +270,13 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def running(rig: Rig) -> AsyncIterator[Rig]:
+async def running(rig: Rig, *, connect: bool = True) -> AsyncIterator[Rig]:
     """Keep the rig's link and history alive."""
     rig.history.start()
     keeper = asyncio.create_task(keep_alive(rig.link.health, rig.link.attempt, Backoff(0.001, 0.002)))
     try:
-        await rig.connected()
+        if connect:
+            await rig.connected()
         yield rig
     finally:
         keeper.cancel()
