@@ -73,10 +73,11 @@ def read_recordings(
     recordings: list[Recording] = []
     warnings: list[str] = []
     for number, path in enumerate(paths, start=1):
-        recording = read_recording(path, recording_map)
-        warnings += [f"{recording.name}: {finding}" for finding in recording.require_usable()]
-        recordings.append(recording)
+        recordings.append(read_recording(path, recording_map))
         progress("reading", number, len(paths))
+    together = sum(recording.rows for recording in recordings)
+    for recording in recordings:
+        warnings += [f"{recording.name}: {finding}" for finding in recording.require_usable(together)]
     require_same_columns(recordings)
     return recordings, tuple(warnings)
 

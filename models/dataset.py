@@ -198,17 +198,16 @@ class Recording:
         bounds.append(self.rows)
         return [self.part(a, b) for a, b in itertools.pairwise(bounds) if b > a]
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self, rows_together: int | None = None) -> tuple[Finding, ...]:
         """Return everything that is wrong or noteworthy, errors first (see `require_usable`)."""
-        found = [*self._row_findings(), *self._column_findings(), *self._unit_findings()]
+        found = [*self._row_findings(rows_together), *self._column_findings(), *self._unit_findings()]
         return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
 
-    def _row_findings(self) -> list[Finding]:
+    def _row_findings(self, rows_together: int | None) -> list[Finding]:
         variables = len(self.temperature_names)
-        if self.rows <= variables:
-            sentence = (
-                f"{self.rows} rows cannot determine {variables} variables; record longer or choose fewer temperatures"
-            )
+        rows = self.rows if rows_together is None else rows_together
+        if rows <= variables:
+            sentence = f"{rows} rows cannot determine {variables} variables; record longer or choose fewer temperatures"
             return [Finding(severity="error", column="", row=None, sentence=sentence)]
         runs = contiguous_runs(self.time_s, self.sample_s)
         return [
@@ -275,8 +274,14 @@ class Recording:
             found.append(Finding(severity="error", column=name, row=None, sentence=sentence))
         return found
 
-    def require_usable(self) -> tuple[Finding, ...]:
+    def require_usable(self, rows_together: int | None = None) -> tuple[Finding, ...]:
         """Return the warnings of a recording that training may use.
+
+        Parameters
+        ----------
+        rows_together
+            Rows of all recordings that are used together with this one, which have to be more than the
+            variables; None: it is used alone.
 
         Returns
         -------
@@ -290,7 +295,7 @@ class Recording:
             cannot be right.
 
         """
-        found = self.findings()
+        found = self.findings(rows_together)
         if errors := [finding for finding in found if finding.severity == "error"]:
             raise DatasetError("\n".join(f"{self.name}: {finding}" for finding in errors))
         return found

@@ -79,10 +79,12 @@ def train(
 
     """
     _require_same_columns(recordings)
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable())
+    together = sum(recording.rows for recording in recordings)
+    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
     averaged = [recording.downsampled(choices.sample_s) for recording in recordings]
+    together = sum(recording.rows for recording in averaged)
     for recording in averaged:
-        recording.require_usable()
+        recording.require_usable(together)
     period_s = _common_period_s(averaged)
     cleansed = [_cleansed(recording, choices).downsampled(choices.sample_s) for recording in recordings]
     folds = make_folds(averaged, cleansed, choices, period_s)

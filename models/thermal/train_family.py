@@ -83,7 +83,8 @@ def train_family(
         When the recordings do not fit together or cannot support the model.
 
     """
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable())
+    together = sum(recording.rows for recording in recordings)
+    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
     kept = [name for name in plain.sensor_names if name not in left_out]

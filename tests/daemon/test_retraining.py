@@ -109,10 +109,10 @@ def test_a_window_of_the_history_is_a_recording_of_its_own(machine: tuple[Instal
     _, configuration, begin_s = machine
     with HistoryReader(configuration.history.path) as reader:
         (recording,) = recordings_from_history(
-            configuration, reader, None, from_utc_s=begin_s + 3600.0, to_utc_s=begin_s + 7200.0
+            configuration, reader, None, from_utc_s=begin_s + 3600.0, to_utc_s=begin_s + 7 * 3600.0
         )
-        assert recording.rows == 60
-        with pytest.raises(DatasetError, match="no 6 minutes in a row with displacements of Y1, Z1"):
+        assert recording.rows == 360, "in pieces of the history that are joined"
+        with pytest.raises(DatasetError, match="no 120 minutes in a row with displacements of Y1, Z1"):
             recordings_from_history(configuration, reader, None, from_utc_s=begin_s - 99.0, to_utc_s=begin_s + 99.0)
 
 
@@ -155,7 +155,7 @@ async def test_what_cannot_be_trained_is_said_once(tmp_path: Path) -> None:
         await job.run_if_due()
     ((kind, text),) = said
     assert kind == "proposal"
-    assert "the history has no 6 minutes in a row with displacements of Y1, Z1" in text
+    assert "the history has no 120 minutes in a row with displacements of Y1, Z1" in text
 
 
 def test_a_machine_without_displacements_is_told_so(tmp_path: Path) -> None:

@@ -126,3 +126,12 @@ def test_stretches_of_constant_speed() -> None:
     assert [part.rows for part in parts] == [5, 1, 54]
     with pytest.raises(DatasetError, match="needs a speed column"):
         replace(recording(), speed_rpm=None).split_at_speed_changes()
+
+
+def test_rows_of_recordings_that_are_used_together_count_together() -> None:
+    short = recording(rows=20, sensors=30)
+    with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
+        short.require_usable()
+    with pytest.raises(DatasetError, match="30 rows cannot determine 30 variables"):
+        short.require_usable(30)
+    short.require_usable(40)
