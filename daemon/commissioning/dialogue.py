@@ -111,7 +111,7 @@ class TerminalDialogue:
             if not data:
                 raise CommissioningRefusedError(
                     f"nobody answered {prompt.strip()!r}: standard input has ended. Answer on a terminal, or with "
-                    "--yes, --person, --instrument, --channel and --reading"
+                    "--yes, --person, --instrument and --channel"
                 )
             self._unread += data
         line, _, self._unread = self._unread.partition(b"\n")
