@@ -10,6 +10,7 @@ from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
 from config.schema.guard import PROGRAM_LABELS
 from config.schema.service import HistoryConfig, ServiceConfig
+from config.schema.spindle_speed import SpindleSpeedConfig
 from config.schema.temperatures import TemperaturesConfig
 
 
@@ -23,6 +24,9 @@ class Configuration(Section):
     )
     cnc: CncConfig = Field(description="the CNC")
     compensation: CompensationConfig = Field(description="what may move the machine")
+    spindle_speed: SpindleSpeedConfig | None = Field(
+        None, description="the spindle speed follows the stability pockets; none: off"
+    )
     history: HistoryConfig = Field(default_factory=HistoryConfig, description="the store")
     service: ServiceConfig = Field(default_factory=ServiceConfig, description="socket, metrics, log, retry")
 
@@ -52,9 +56,26 @@ class Configuration(Section):
                 f"valid for {believed_s:g} s or longer (cnc.guard.look_ahead_s): it would never move anything"
             )
             problems.append((("compensation", "output", "validity_s"), sentence))
+        problems += self._speed_macros()
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def _speed_macros(self) -> list[tuple[KeyPath, str]]:
+        """Return what is wrong with the macros of the spindle speed beside those of the compensation."""
+        if self.spindle_speed is None:
+            return []
+        cnc, macros = self.cnc, self.spindle_speed.macros
+        taken = {*cnc.macros.block, *cnc.guard.memory_of(len(cnc.macros.values))}
+        taken |= {cnc.temperature_macro.macro} if cnc.temperature_macro is not None else set()
+        problems: list[tuple[KeyPath, str]] = []
+        for key, number in macros.model_dump().items():
+            at: KeyPath = ("spindle_speed", "macros", key)
+            if number in taken:
+                problems.append((at, f"#{number} belongs to the compensation, the guard or the temperature already"))
+            elif number in macros.ours and number not in cnc.macros.allowed:
+                problems.append((at, f"#{number} lies outside `writable` ({', '.join(cnc.macros.writable)})"))
+        return problems
 
     def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""

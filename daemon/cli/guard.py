@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     default=None,
     help="Write the commissioning sheet to this new file (.html or .md) instead of printing the programs.",
 )
-def guard(config_path: Path, policy: str | None, program: int | None, output: Path | None, sheet: Path | None) -> None:
+@click.option("--speed", is_flag=True, help="Print the speed program (spindle_speed) instead.")
+def guard(
+    config_path: Path, policy: str | None, program: int | None, output: Path | None, sheet: Path | None, speed: bool
+) -> None:
     """Print the NC programs of this machine: the guard macro, and what belongs to it.
 
     The text holds the macro numbers, limits and time limit of the configuration. Load it into the
@@ -39,14 +42,19 @@ def guard(config_path: Path, policy: str | None, program: int | None, output: Pa
     """
     from config.guard import GuardTextError, guard_program
     from config.guard.sheet import sheet_html, sheet_markdown
+    from config.guard.speed_text import speed_program
 
     configuration = _with_changes(read_configuration(config_path), policy, program)
     if sheet is not None and output is not None:
         refuse("--sheet writes the sheet and --output the programs; give one of them")
     if sheet is not None and sheet.suffix not in (".html", ".md"):
         refuse(f"{sheet}: the sheet is .html or .md")
+    if speed and (sheet is not None or policy is not None or program is not None):
+        refuse("--speed prints the speed program, whose number and limits stand in spindle_speed; leave the others out")
     try:
-        if sheet is None:
+        if speed:
+            deliver(speed_program(configuration), output)
+        elif sheet is None:
             deliver(guard_program(configuration), output)
         else:
             deliver((sheet_html if sheet.suffix == ".html" else sheet_markdown)(configuration), sheet)

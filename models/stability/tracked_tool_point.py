@@ -7,9 +7,13 @@ import numpy as np
 from models.records import FloatArray
 from models.stability.response import ComplexArray, SampledResponse
 from models.stability.tool_point import EstimatedToolPoint
+from models.thermomechanics.history import TemperatureHistory
+from models.thermomechanics.resonance import peaks
 from models.thermomechanics.tool_point import ENDS_STAND_HZ, AxisDynamics, ToolPointDynamics, ToolPointTracker
 
 AXES = ("x", "y")
+FAR_HZ = 20.0
+"""A peak this far off after one step of a sensor is another one [Hz]."""
 
 
 class TrackedToolPoint:
@@ -35,19 +39,59 @@ class TrackedToolPoint:
             raise ValueError(f"no sensor carries the label {', '.join(missing)}, which {tracker.model.model_id} needs")
         self._tracker = tracker
         self._indices = [np.array(labels[signal], dtype=np.intp) for signal in signals]
+        self._history = TemperatureHistory(tracker.model.intervals_min)
+        self.known: EstimatedToolPoint | None = None
         self._ends: tuple[dict[str, float], tuple[str, ...], tuple[EstimatedToolPoint | None, ...]] = ({}, (), ())
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
         """Return the dynamics at a reading of all sensors [degC], shape (n,); None before every signal had a value."""
-        dynamics = self._tracker.renew_from(time_s, np.array([_mean(degc[each]) for each in self._indices]))
+        signals = np.array([_mean(degc[each]) for each in self._indices])
+        self._history.add(time_s, signals)
+        dynamics = self._tracker.renew_from(time_s, signals)
         if dynamics is None:
             return None
-        return EstimatedToolPoint(
-            response=_response(dynamics, {}),
+        self.known = EstimatedToolPoint(
+            response=_response(dynamics.frequency_hz, _receptances(dynamics)),
             resonance_hz=dynamics.resonance_hz,
             flagged_ends=self._flagged_ends(dynamics),
             doubt=dynamics.doubt,
         )
+        return self.known
+
+    def stepped(self, step_k: float) -> dict[str, EstimatedToolPoint]:
+        """Return, for each signal, the dynamics if it read one step [K] more now; nothing is kept.
+
+        A reading that changes at once also changes the difference terms. Empty before `renew` has answered.
+        """
+        now, known = self._history.mean_degc(), self.known
+        if now is None or known is None or not np.isfinite(now).all():
+            return {}
+        past = {minutes: self._history.mean_degc(minutes) for minutes in self._history.intervals_min}
+        differences = {
+            minutes: np.zeros(len(now)) if then is None or not np.isfinite(then).all() else now - then
+            for minutes, then in past.items()
+        }
+        signals = self._tracker.model.signals
+        return {
+            signal: self._moved(known, now, differences, step_k * np.eye(len(now))[place])
+            for place, signal in enumerate(signals)
+        }
+
+    def _moved(
+        self, known: EstimatedToolPoint, degc: FloatArray, differences: Mapping[float, FloatArray], step_k: FloatArray
+    ) -> EstimatedToolPoint:
+        receptances, resonance_hz = {}, {}
+        frequency_hz, names = self._tracker.frequency_hz, self._tracker.model.signals
+        for axis, tracker in self._tracker.axes.items():
+            columns = [names.index(signal) for signal in tracker.regression.signals]
+            changes = {minutes: (change + step_k)[columns] for minutes, change in differences.items()}
+            properties = tracker.regression.estimate((degc + step_k)[columns], changes)
+            receptances[axis] = tracker.receptance(tracker.parameters(properties))
+            found = [peak.frequency_hz for peak in peaks(frequency_hz, receptances[axis])]
+            before_hz = known.resonance_hz[axis]
+            distance_hz, nearest_hz = min(((abs(each - before_hz), each) for each in found), default=(0.0, before_hz))
+            resonance_hz[axis] = nearest_hz if distance_hz < FAR_HZ else before_hz
+        return EstimatedToolPoint(response=_response(frequency_hz, receptances), resonance_hz=resonance_hz)
 
     def _flagged_ends(self, dynamics: ToolPointDynamics) -> tuple[EstimatedToolPoint | None, ...]:
         """Return the responses at the ends; the same objects as long as neither resonances nor flags have changed."""
@@ -76,9 +120,9 @@ class TrackedToolPoint:
                     found.append(None)
                 elif value != parameters[ends.name]:
                     receptance = tracker.receptance({**parameters, ends.name: value})
-                    resonance_hz = {**dynamics.resonance_hz, axis: at_hz}
+                    response = _response(dynamics.frequency_hz, {**_receptances(dynamics), axis: receptance})
                     found.append(
-                        EstimatedToolPoint(response=_response(dynamics, {axis: receptance}), resonance_hz=resonance_hz)
+                        EstimatedToolPoint(response=response, resonance_hz={**dynamics.resonance_hz, axis: at_hz})
                     )
         return found
 
@@ -88,10 +132,14 @@ def _mean(values: FloatArray) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def _response(dynamics: ToolPointDynamics, instead: Mapping[str, ComplexArray]) -> SampledResponse:
+def _receptances(dynamics: ToolPointDynamics) -> dict[str, ComplexArray]:
+    return {axis: each.receptance_m_per_n for axis, each in dynamics.axes.items()}
+
+
+def _response(frequency_hz: FloatArray, receptances: Mapping[str, ComplexArray]) -> SampledResponse:
     """Return the matrix of receptances; an axis that is not modelled is rigid."""
-    matrix = np.zeros((len(dynamics.frequency_hz), 2, 2), dtype=np.complex128)
+    matrix = np.zeros((len(frequency_hz), 2, 2), dtype=np.complex128)
     for place, axis in enumerate(AXES):
-        if axis in dynamics.axes:
-            matrix[:, place, place] = instead.get(axis, dynamics.axes[axis].receptance_m_per_n)
-    return SampledResponse(frequency_hz=dynamics.frequency_hz, receptance=matrix)
+        if axis in receptances:
+            matrix[:, place, place] = receptances[axis]
+    return SampledResponse(frequency_hz=frequency_hz, receptance=matrix)

@@ -41,6 +41,10 @@ class MacroControl:
         """M codes that end the reading ahead on this control and do nothing else."""
         self.alarm: tuple[int, str] | None = None
         """Number and text of the alarm that has stopped the program, by #3000."""
+        self.spindle_rpm = 0.0
+        """Commanded by S [1/min]."""
+        self.feed_mm_min = 0.0
+        """Commanded by F [mm/min]."""
         self.messages: deque[str] = deque(maxlen=MESSAGES_KEPT)
         """Latest texts at which the program has stopped for the operator, by #3006."""
         self.messages_shown = 0

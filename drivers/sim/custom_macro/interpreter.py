@@ -136,6 +136,10 @@ class Interpreter:
     def _auxiliary(self, given: dict[str, float]) -> None:
         if set(given) == {"M"} and given["M"] in self.control.waiting_m_codes:
             return
+        if given and set(given) <= {"S", "F"}:
+            self.control.spindle_rpm = given.get("S", self.control.spindle_rpm)
+            self.control.feed_mm_min = given.get("F", self.control.feed_mm_min)
+            return
         if given != {"M": 99.0}:
             raise MacroError(f"{' '.join(f'{letter}{value:g}' for letter, value in given.items())} is not known here")
         self._levels.pop()

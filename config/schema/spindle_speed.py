@@ -1,0 +1,150 @@
+"""Tuning of the spindle speed: for which operations, within what, and through which macro variables."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from config.schema.base import KeyPath, KeyProblems, MacroNumber, Seconds, Section
+
+
+class SpeedMacrosConfig(Section):
+    """The block that carries speed and feed to the CNC, and what the NC program says of its operation."""
+
+    sequence_a: MacroNumber = Field(description="written first; equal to sequence_b: whole", examples=[530])
+    for_speed: MacroNumber = Field(description="programmed speed that the pair belongs to [1/min]", examples=[531])
+    speed: MacroNumber = Field(description="spindle speed to take [1/min]", examples=[532])
+    feed: MacroNumber = Field(description="feed that belongs to it [mm/min]", examples=[533])
+    valid_until: MacroNumber = Field(
+        description="CNC clock until which the pair is valid [s]; must lie where power-off clears it (100-199)",
+        examples=[121],
+    )
+    enable: MacroNumber = Field(description="1: the pair counts; 0: the programmed one does", examples=[534])
+    sequence_b: MacroNumber = Field(description="written last", examples=[535])
+    calls: MacroNumber = Field(description="raised by the NC with each call of the speed program", examples=[540])
+    called_speed: MacroNumber = Field(description="programmed speed of the operation [1/min]", examples=[541])
+    called_feed: MacroNumber = Field(description="its programmed feed [mm/min]", examples=[542])
+    called_depth: MacroNumber = Field(description="its axial depth [mm]; 0: the configured one", examples=[543])
+    called_radial: MacroNumber = Field(description="its radial depth [mm]; 0: that of the case", examples=[544])
+    wanted: MacroNumber = Field(description="1: the program wants the operation tuned", examples=[545])
+    echo_speed: MacroNumber = Field(description="speed that the NC has taken [1/min]", examples=[546])
+    echo_feed: MacroNumber = Field(description="feed that the NC has taken [mm/min]", examples=[547])
+    echo_status: MacroNumber = Field(description="what the speed program did: 0 the pair, else why not", examples=[548])
+
+    @property
+    def ours(self) -> tuple[int, ...]:
+        """Macros that the daemon writes, in order."""
+        return (
+            self.sequence_a,
+            self.for_speed,
+            self.speed,
+            self.feed,
+            self.valid_until,
+            self.enable,
+            self.sequence_b,
+        )
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """All macros: ours first."""
+        return tuple(self.model_dump().values())
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "SpeedMacrosConfig":
+        problems: list[tuple[KeyPath, str]] = []
+        seen: dict[int, str] = {}
+        for key, number in self.model_dump().items():
+            if number in seen:
+                problems.append(((key,), f"#{number} is used twice: it is {seen[number]} already"))
+            seen.setdefault(number, key)
+            if not (100 <= number <= 199 or 500 <= number <= 999):
+                problems.append(((key,), f"only common variables (#100-#199, #500-#999) are ours, not #{number}"))
+        if not 100 <= self.valid_until <= 199:
+            problems.append((("valid_until",), "must be one of #100-#199, which power-off clears"))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+
+class SpeedOperationConfig(Section):
+    """One tool whose speed may be tuned, with what it cuts."""
+
+    tool_number: int = Field(ge=1, description="tool in the spindle, as the CNC numbers it", examples=[7])
+    program: int | None = Field(None, ge=1, description="O number; none: any program", examples=[1000])
+    spindles: dict[Literal["x", "y"], Path] = Field(
+        min_length=1,
+        description="spindle file with holder and tool, per machine axis; an axis that is left out is rigid",
+        examples=[{"x": "/etc/toolpoint/spindle_x.yaml", "y": "/etc/toolpoint/spindle_y.yaml"}],
+    )
+    case: Path = Field(
+        description="cutting case (YAML): teeth, engagement, coefficients, feed direction; its x and y are not used",
+        examples=["/etc/toolpoint/case.yaml"],
+    )
+    depth_mm: float | None = Field(
+        None, gt=0, description="axial depth where the NC program does not say it [mm]", examples=[4.5]
+    )
+    highest_rpm: float | None = Field(None, gt=0, description="highest speed of the tool [1/min]", examples=[12000.0])
+
+
+class SpindleSpeedConfig(Section):
+    """The spindle speed follows the stability pockets. Limits, hysteresis and step have no defaults."""
+
+    program: int = Field(9020, ge=1, le=9999, description="O number of the speed program that the CNC runs")
+    macros: SpeedMacrosConfig = Field(description="macro variables; those that are written, within `writable`")
+    thermomechanical_model: Path = Field(
+        description="bearing properties from temperatures (JSON), as `toolpoint dynamics campaign` writes it",
+        examples=["/var/lib/toolpoint-models/bearings.json"],
+    )
+    operations: list[SpeedOperationConfig] = Field(min_length=1, description="tools whose speed may be tuned")
+    lowest_rpm: float = Field(gt=0, description="lowest speed of the machine [1/min]", examples=[2000.0])
+    highest_rpm: float = Field(gt=0, description="highest speed of the machine [1/min]", examples=[12000.0])
+    within_percent: float = Field(
+        gt=0, le=50, description="greatest change against the programmed speed [%]", examples=[15.0]
+    )
+    hysteresis_rpm: float = Field(
+        gt=0, description="a wish nearer to the command than this changes nothing [1/min]", examples=[50.0]
+    )
+    step_rpm: float = Field(
+        gt=0, description="greatest change at one safe block inside a pocket [1/min]", examples=[200.0]
+    )
+    dwell_s: float = Field(20.0, ge=0, description="a wish must last this long [s]")
+    filter_s: float = Field(0.0, ge=0, description="time constant that smooths the wish inside a pocket [s]; 0: none")
+    keep_feed_per_tooth: bool = Field(True, description="the feed follows the speed; else the programmed feed stays")
+    offset_hz: float | None = Field(
+        None,
+        description="signed f_o of equation 5-9 [Hz]: only its speeds are candidates; none: every speed",
+        examples=[20.0],
+    )
+    margin_percent: float = Field(20.0, ge=0, le=500, description="limiting depth over the programmed one [%]")
+    tolerance_percent: float = Field(2.0, ge=0, le=20, description="it holds this far to both sides of the speed [%]")
+    sensor_step_k: float = Field(
+        0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"
+    )
+    read_period_s: Seconds = Field(1.0, description="time between two looks at the operation")
+    stale_after_s: Seconds = Field(60.0, description="without newer dynamics for this long the speed is frozen")
+    validity_s: Seconds = Field(30.0, description="how far valid_until lies ahead of the CNC's clock")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "SpindleSpeedConfig":
+        problems: list[tuple[KeyPath, str]] = []
+        if self.lowest_rpm >= self.highest_rpm:
+            problems.append((("lowest_rpm",), "must be below highest_rpm"))
+        for index, operation in enumerate(self.operations):
+            if operation.highest_rpm is not None and operation.highest_rpm <= self.lowest_rpm:
+                problems.append((("operations", index, "highest_rpm"), "must be above lowest_rpm"))
+        keys = [(operation.tool_number, operation.program) for operation in self.operations]
+        for index, key in enumerate(keys):
+            if key in keys[:index]:
+                problems.append((("operations", index, "tool_number"), f"T{key[0]} is there already"))
+        if self.validity_s <= 3.0 * self.read_period_s:
+            problems.append((("validity_s",), "must exceed three read_period_s, or the pair expires between two looks"))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    def operation_of(self, tool_number: int, program: int) -> SpeedOperationConfig | None:
+        """Return the operation of a tool in a program; one that names the program goes before one that does not."""
+        fitting = [
+            each for each in self.operations if each.tool_number == tool_number and each.program in (None, program)
+        ]
+        return min(fitting, key=lambda each: each.program is None, default=None)

@@ -1,0 +1,142 @@
+"""Builds, for each configured operation, what plans its speed: spindle, bearings over temperature, cutting case."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from config.problems import ConfigurationError
+from config.schema import Configuration
+from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
+from config.spindle import Rotary
+from config.stability_case import ALL_DIRECTIONS, StabilityCase, load_stability_case
+from daemon.dynamics.spindle_files import read_spindle
+from models.dynamics.assembly import SpindleAssembly
+from models.dynamics.response_fit import IdentificationError
+from models.stability.errors import StabilityError
+from models.stability.lobes import StabilityLobes
+from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.milling import Cut
+from models.stability.response import ToolPointResponse
+from models.stability.speed_planner import MillingOperation, SpeedPlanner
+from models.stability.spindle_speed import SpeedDemand, SpeedLimits
+from models.stability.tracked_tool_point import TrackedToolPoint
+from models.thermal.model import ModelError
+from models.thermomechanics.artifact import model_from_json
+from models.thermomechanics.regression import ThermomechanicalModel
+from models.thermomechanics.tool_point import ToolPointTracker
+
+SPEEDS = 401
+"""Speeds among which one is chosen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalledOperation:
+    """What the NC program says of the operation that it begins."""
+
+    tool_number: int
+    program: int
+    speed_rpm: float
+    feed_mm_min: float
+    depth_mm: float
+    """0: the configured one."""
+    radial_mm: float
+    """0: that of the case."""
+
+
+class OperationPlanning:
+    """Everything slow about one configured operation; used by one thread at a time."""
+
+    def __init__(
+        self,
+        tuning: SpindleSpeedConfig,
+        operation: SpeedOperationConfig,
+        model: ThermomechanicalModel,
+        labels: Mapping[str, Sequence[int]],
+    ) -> None:
+        """Read spindles and case; raises ConfigurationError, and StabilityError where model and machine do not fit."""
+        self._tuning, self._operation = tuning, operation
+        self._case = load_stability_case(operation.case)
+        rotary: Rotary = "published" if model.rigid_rotary_inertia == "published" else "correct"
+        assemblies: dict[str, SpindleAssembly] = {
+            axis: read_spindle(path, rotary).assembly() for axis, path in operation.spindles.items()
+        }
+        try:
+            tracker = ToolPointTracker(model, assemblies, labels)
+            self.estimator = TrackedToolPoint(tracker, labels)
+        except (ValueError, IdentificationError) as error:
+            raise StabilityError(f"{tuning.thermomechanical_model}: {error}") from error
+
+    def planner(self, called: CalledOperation) -> SpeedPlanner:
+        """Return what plans the speed of an operation; raises StabilityError where it cannot be planned."""
+        tuning, case = self._tuning, self._case
+        depth_mm = called.depth_mm or self._operation.depth_mm
+        if not depth_mm:
+            raise StabilityError(
+                f"neither the call (D) nor depth_mm of T{called.tool_number} says how deep it cuts; say one of them"
+            )
+        if called.radial_mm:
+            case = _with_radial(case, called.radial_mm)
+        limits = SpeedLimits(
+            machine_lowest_rpm=tuning.lowest_rpm,
+            machine_highest_rpm=tuning.highest_rpm,
+            tool_highest_rpm=self._operation.highest_rpm or tuning.highest_rpm,
+            within_fraction=tuning.within_percent / 100.0,
+        )
+        demand = SpeedDemand(
+            programmed_rpm=called.speed_rpm,
+            depth_mm=depth_mm,
+            margin_fraction=tuning.margin_percent / 100.0,
+            tolerance_fraction=tuning.tolerance_percent / 100.0,
+        )
+        operation = MillingOperation(
+            demand=demand,
+            feed_mm_min=called.feed_mm_min,
+            teeth=case.teeth,
+            range_rpm=limits.range_rpm(called.speed_rpm),
+            offset_hz=tuning.offset_hz,
+        )
+        lobes_of = partial(_lobes, cut=case.cut(), operation=operation, feed_deg=case.feed_deg)
+        return SpeedPlanner(operation, lobes_of)
+
+
+def _with_radial(case: StabilityCase, radial_mm: float) -> StabilityCase:
+    milling = "slot" if radial_mm >= case.diameter_mm else case.milling
+    if milling == "slot" and radial_mm < case.diameter_mm:
+        raise StabilityError(f"the call says E{radial_mm:g}, and the case is a slot of {case.diameter_mm:g} mm")
+    return case.model_copy(update={"radial_depth_mm": min(radial_mm, case.diameter_mm), "milling": milling})
+
+
+def _lobes(
+    response: ToolPointResponse, *, cut: Cut, operation: MillingOperation, feed_deg: float | str
+) -> StabilityLobes:
+    reach = 1.0 + operation.demand.tolerance_fraction
+    low, high = operation.range_rpm[0] / reach, operation.range_rpm[1] * reach
+    if feed_deg == ALL_DIRECTIONS:
+        return lowest_over_feed_directions(response, cut, from_rpm=low, to_rpm=high, points=SPEEDS)
+    return zeroth_order_lobes(response, cut, from_rpm=low, to_rpm=high, points=SPEEDS, feed_deg=float(feed_deg))
+
+
+def open_planning(configuration: Configuration) -> tuple[dict[int, OperationPlanning], str]:
+    """Return the planning of each configured operation by its place, or why there is none."""
+    tuning = configuration.spindle_speed
+    if tuning is None:
+        return {}, ""
+    try:
+        model = _model(tuning.thermomechanical_model)
+        labels = configuration.temperatures.labels
+        return {
+            place: OperationPlanning(tuning, operation, model, labels)
+            for place, operation in enumerate(tuning.operations)
+        }, ""
+    except (ConfigurationError, StabilityError, ModelError) as error:
+        return {}, str(error)
+
+
+def _model(path: Path) -> ThermomechanicalModel:
+    try:
+        return model_from_json(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise StabilityError(f"{path}: the model cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise StabilityError(f"{path}: is no model: byte {error.start} is not UTF-8 text") from error

@@ -1,0 +1,268 @@
+"""The tuning of the spindle speed in the daemon, on a CNC in this process that runs the shipped speed program."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import HandClock, Rig, record_for, running
+from memory_cnc import MemoryNc
+from speed_machine import MACROS, bearing_model, speed_machine
+
+from config.guard.speed_text import SpeedStatus, speed_program
+from config.loader import parse_yaml_model
+from config.problems import ConfigurationError
+from config.schema.spindle_speed import SpindleSpeedConfig
+from daemon.history.reader import HistoryReader
+from daemon.operation.view import speed_in_words
+from drivers.sim.custom_macro import Interpreter, compile_programs
+from models.records import MachineTemperatures, Trace, WriteOutcome
+from models.thermomechanics.artifact import model_to_json
+
+CUT, SAFE = 200, 900
+
+
+class SpeedRig:
+    """A rig with the speed program on its NC."""
+
+    def __init__(self, folder: Path, *, model: Any = None, **changes: Any) -> None:
+        (folder / "bearings.json").write_text(model_to_json(model or bearing_model()), encoding="utf-8")
+        configuration, clock = speed_machine(folder, **changes), HandClock()
+        self.nc = MemoryNc(configuration, clock)
+        self.rig = Rig(configuration, self.nc, clock, record=record_for(configuration))
+        self.clock = clock
+        self.control = self.nc.guard.control
+        self.program = Interpreter(compile_programs(speed_program(configuration)), self.control)
+        self.speed = self.rig.control.side.speed
+        self.degc = 28.0
+
+    async def pass_by(self, seconds: float, sequence_number: int, *, temperatures: bool = True) -> None:
+        """Let time pass in a block of the part program, second by second."""
+        self.nc.sequence_number = sequence_number
+        for second in range(round(seconds)):
+            if temperatures and second % 5 == 0:
+                self.rig.control.deliver(self.cycle())
+            await self.rig.turn(after_s=1.0, safe=False)
+            await self.rig.control._guarded(self.rig.control.side.show(self.rig.link.session))
+            await self.speed.worker.settled()
+
+    def call(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
+        """Let the part program call the speed program at a safe block; return what the NC then turns at."""
+        self.control.common, self.control.clock_s = self.nc.macros, self.nc.clock_s
+        self.program.run(9020, **({"S": 9000.0, "F": 1800.0, "D": 2.0} | arguments))
+        status = SpeedStatus(round(self.nc.macros.get(MACROS.echo_status) or 0.0))
+        return self.control.spindle_rpm, self.control.feed_mm_min, status
+
+    async def operation(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
+        """Call, wait at the safe block until the daemon has decided, and call again."""
+        self.nc.sequence_number = SAFE
+        self.call(**arguments)
+        await self.pass_by(8.0, SAFE)
+        return self.call(**arguments)
+
+    def cycle(self) -> MachineTemperatures:
+        now, codes = self.clock.now(), np.zeros(5, dtype=np.uint8)
+        return MachineTemperatures(
+            line="spindle",
+            measured_degc=np.full(5, self.degc),
+            degc=np.full(5, self.degc),
+            quality=codes,
+            reason=codes.copy(),
+            age_s=np.zeros(5),
+            trace=Trace(first_byte=now, last_byte=now, cleansed=now),
+        )
+
+    def written(self) -> list[float]:
+        return [value for number, value in self.nc.written if number == MACROS.speed]
+
+    def picture(self) -> dict[str, Any]:
+        picture = self.speed.picture()
+        assert picture is not None
+        return picture
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> Any:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        yield bench
+
+
+async def test_an_operation_is_tuned_at_its_safe_block_and_the_nc_takes_the_pair(bench: SpeedRig) -> None:
+    speed_rpm, feed_mm_min, status = await bench.operation()
+    assert status is SpeedStatus.APPLIED
+    assert speed_rpm != 9000.0
+    assert 7200.0 <= speed_rpm <= 10800.0
+    assert feed_mm_min == pytest.approx(1800.0 * speed_rpm / 9000.0, abs=0.06)
+    await bench.pass_by(1.0, SAFE)
+    picture = bench.picture()
+    assert picture["state"] == "TUNED"
+    assert picture["commanded_rpm"] == picture["applied_rpm"] == speed_rpm
+    assert picture["limiting_depth_mm"] >= 2.0
+    assert picture["change_per_sensor_step_rpm"]["A"] < 25.0
+    await bench.pass_by(3.0, CUT)
+    await bench.rig.history.flushed()
+    with HistoryReader(bench.rig.configuration.history.path) as reader:
+        audit = [record for record in reader.writes(0.0, 1e12) if record.cause == "spindle speed"]
+    assert audit
+    assert all(record.outcome is WriteOutcome.VERIFIED for record in audit)
+    assert bench.rig.control.journal.fault is None
+
+
+async def test_nothing_changes_within_a_cut_and_the_pair_stays_valid(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    bench.degc = 36.0
+    await bench.pass_by(60.0, CUT)
+    assert set(bench.written()[-3:]) == {speed_rpm}
+    assert bench.call()[0] == speed_rpm
+    await bench.pass_by(3.0, SAFE)
+    assert bench.call()[0] != speed_rpm
+
+
+async def test_lost_temperatures_freeze_and_a_lost_daemon_expires(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    bench.degc = 36.0
+    await bench.pass_by(90.0, SAFE, temperatures=False)
+    assert bench.call()[0] == speed_rpm
+    assert "old; the speed is frozen" in bench.picture()["alarm"]
+    bench.clock.monotonic_s += 40.0
+    assert bench.call() == (9000.0, 1800.0, SpeedStatus.EXPIRED)
+
+
+async def test_a_flagged_property_blocks(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path, model=bearing_model(flagged="ct_12"))
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[:2] == (9000.0, 1800.0)
+        assert bench.picture()["state"] == "HOLD"
+        assert "flagged property" in bench.picture()["alarm"]
+        assert set(bench.written()) <= {0.0, 9000.0}
+
+
+async def test_no_stable_speed_is_the_programmed_one_and_an_alarm(bench: SpeedRig) -> None:
+    assert (await bench.operation(D=15.0))[:2] == (9000.0, 1800.0)
+    assert bench.picture()["state"] == "NO_STABLE_SPEED"
+    assert "cut less deep or widen the limits" in bench.picture()["alarm"]
+
+
+async def test_k0_and_other_tools_are_left_alone(bench: SpeedRig, tmp_path: Path) -> None:
+    assert await bench.operation(K=0.0) == (9000.0, 1800.0, SpeedStatus.NOT_WANTED)
+    assert bench.picture()["state"] == "OFF"
+    other = tmp_path / "other"
+    other.mkdir()
+    configuration = speed_machine(other)
+    assert configuration.spindle_speed is not None
+    assert configuration.spindle_speed.operation_of(2, 1000) is None
+
+
+async def test_another_operation_does_not_inherit_the_speed(bench: SpeedRig) -> None:
+    await bench.operation()
+    assert bench.call(S=8000.0, F=1600.0) == (8000.0, 1600.0, SpeedStatus.ANOTHER)
+    await bench.pass_by(2.0, CUT)
+    assert bench.call(S=8000.0, F=1600.0)[2] is SpeedStatus.DISABLED
+
+
+async def test_a_foreign_value_is_a_fault_and_nothing_more_is_written(bench: SpeedRig) -> None:
+    await bench.operation()
+    bench.nc.macros.set(MACROS.speed, 11000.0)
+    await bench.pass_by(2.0, CUT)
+    assert "macro #532 holds 11000" in str(bench.rig.control.journal.fault)
+    count = len(bench.written())
+    await bench.pass_by(30.0, SAFE)
+    assert len(bench.written()) == count
+
+
+async def test_a_write_that_is_not_taken_is_a_fault(bench: SpeedRig) -> None:
+    bench.nc.forgets = MACROS.feed
+    await bench.operation()
+    assert "read-back of the spindle speed differs" in str(bench.rig.control.journal.fault)
+
+
+async def test_a_lost_link_begins_anew(bench: SpeedRig) -> None:
+    first, *_ = await bench.operation()
+    bench.degc = 36.0
+    bench.nc.reachable = False
+    await bench.pass_by(2.0, CUT)
+    bench.nc.reachable = True
+    await bench.rig.connected()
+    await bench.pass_by(5.0, CUT)
+    await bench.pass_by(40.0, SAFE)
+    assert bench.rig.control.journal.fault is None
+    assert bench.call()[2] is SpeedStatus.APPLIED
+    assert bench.call()[0] != first
+
+
+async def test_without_a_model_it_says_so_and_stays_programmed(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path, thermomechanical_model=tmp_path / "missing.json")
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[:2] == (9000.0, 1800.0)
+        assert "missing.json: the model cannot be read" in bench.picture()["alarm"]
+
+
+async def test_the_monitor_shows_it(bench: SpeedRig) -> None:
+    await bench.operation()
+    words = speed_in_words(bench.picture())
+    assert "for S9000, TUNED" in words
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.integers(1, 12),
+        st.sampled_from([CUT, SAFE, SAFE]),
+        st.booleans(),
+        st.floats(20.0, 45.0),
+        st.sampled_from([{}, {}, {"S": 8000.0, "F": 1500.0}, {"K": 0.0}]),
+    ),
+    min_size=1,
+    max_size=6,
+)
+
+
+@settings(max_examples=12, deadline=None)
+@given(EVENTS)
+async def test_whatever_happens(tmp_path_factory: pytest.TempPathFactory, events: list) -> None:
+    bench = SpeedRig(tmp_path_factory.mktemp("speed"))
+    async with running(bench.rig):
+        await bench.rig.turn()
+        for seconds, sequence_number, temperatures, degc, arguments in events:
+            before = len(bench.written())
+            holding = bench.nc.macros.get(MACROS.speed)
+            same = (arguments.get("S", 9000.0), "K" in arguments) == (
+                bench.nc.macros.get(MACROS.called_speed),
+                bench.nc.macros.get(MACROS.wanted) == 0.0,
+            )
+            bench.degc = degc
+            if sequence_number == SAFE:
+                speed_rpm, feed_mm_min, _ = bench.call(**arguments)
+                programmed = arguments.get("S", 9000.0)
+                assert abs(speed_rpm - programmed) <= 0.2 * programmed + 0.5
+                assert feed_mm_min == pytest.approx(arguments.get("F", 1800.0) * speed_rpm / programmed, rel=1e-3)
+            await bench.pass_by(seconds, sequence_number, temperatures=temperatures)
+            if sequence_number == CUT and same:
+                assert set(bench.written()[before:]) <= {holding, 0.0}
+            if sequence_number == SAFE:
+                assert len({value for value in bench.written()[before:] if value}) <= 2
+        assert bench.rig.control.journal.fault is None
+
+
+def test_the_section_says_what_is_wrong_with_it(tmp_path: Path) -> None:
+    good = speed_machine(tmp_path).spindle_speed
+    assert good is not None
+    content = good.model_dump(mode="json") | {"lowest_rpm": 13000.0, "validity_s": 2.0}
+    content["macros"] = content["macros"] | {"feed": 532}
+    with pytest.raises(ConfigurationError) as caught:
+        parse_yaml_model(yaml.safe_dump(content), SpindleSpeedConfig, "speed.yaml")
+    assert "#532 is used twice" in str(caught.value)
+    with pytest.raises(ValueError, match="lies outside `writable`"):
+        speed_machine(tmp_path, macros=good.macros.model_copy(update={"sequence_a": 600}))
+    with pytest.raises(ValueError, match="belongs to the compensation"):
+        speed_machine(tmp_path, macros=good.macros.model_copy(update={"sequence_a": 500}))

@@ -1,0 +1,107 @@
+"""A machine whose spindle speed is tuned: the rig's, with a section `spindle_speed` on the simulated spindle."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from control_rig import machine
+
+from config.schema import Configuration
+from config.schema.spindle_speed import SpeedMacrosConfig, SpeedOperationConfig, SpindleSpeedConfig
+from config.thermomechanics import load_bounds
+from models.dynamics.bearings import PARAMETERS
+from models.thermomechanics.regression import AxisRegression, PropertyRegression, ThermomechanicalModel
+
+CASE = """\
+teeth: 4
+diameter_mm: 10
+radial_depth_mm: 5
+milling: down
+kt_n_per_m2: 8.0e8
+kr_ratio: 0.3
+x: {modes: [{frequency_hz: 620, damping_ratio: 0.02, stiffness_n_per_m: 6.0e6}]}
+y: rigid
+feed_deg: 0
+"""
+MACROS = SpeedMacrosConfig(
+    sequence_a=530,
+    for_speed=531,
+    speed=532,
+    feed=533,
+    valid_until=121,
+    enable=534,
+    sequence_b=535,
+    calls=540,
+    called_speed=541,
+    called_feed=542,
+    called_depth=543,
+    called_radial=544,
+    wanted=545,
+    echo_speed=546,
+    echo_feed=547,
+    echo_status=548,
+)
+
+COLD = {
+    "ct_12": 300.0,
+    "kr_12": 3.0e6,
+    "kt_34": 1.0e8,
+    "kt_5": 5.0e7,
+    "ct_5": 500.0,
+    "kr_5": 1.0e5,
+}
+"""Bearings at 20 degC."""
+
+
+def bearing_model(*, stiffening_per_k: float = 0.02, flagged: str = "") -> ThermomechanicalModel:
+    """Bearings that stiffen with label A; the property `flagged` is regressed to below its range."""
+    bounds = load_bounds()
+    properties = []
+    for name, cold in COLD.items():
+        slope = cold * stiffening_per_k if name.startswith("k") else 0.0
+        level = -cold if name == flagged else cold - 20.0 * slope
+        properties.append(
+            PropertyRegression(name=name, interval_min=0.0, coefficients=np.array([level, slope]), bounds=bounds[name])
+        )
+    fixed = {name: 1e-5 for name in PARAMETERS if name not in COLD}
+    axes = {axis: AxisRegression(axis=axis, signals=("A",), properties=tuple(properties), fixed=fixed) for axis in "xy"}
+    return ThermomechanicalModel(
+        model_id="made-up",
+        source="a test",
+        created="2026-01-01",
+        rigid_rotary_inertia="correct",
+        spindle_sha256="",
+        axes=axes,
+    )
+
+
+def speed_machine(folder: Path, **changes: Any) -> Configuration:
+    """The rig's machine; T1 is tuned. `changes` go to the section."""
+    case = folder / "case.yaml"
+    case.write_text(CASE, encoding="utf-8")
+    content: dict[str, Any] = {
+        "macros": MACROS,
+        "thermomechanical_model": folder / "bearings.json",
+        "operations": [
+            SpeedOperationConfig(
+                tool_number=1,
+                spindles={"x": Path("simulated_machine"), "y": Path("simulated_machine")},
+                case=case,
+                depth_mm=0.4,
+            )
+        ],
+        "lowest_rpm": 2000.0,
+        "highest_rpm": 12000.0,
+        "within_percent": 20.0,
+        "hysteresis_rpm": 50.0,
+        "step_rpm": 200.0,
+    }
+    base = machine(folder)
+    macros = base.cnc.macros.model_copy(update={"writable": [*base.cnc.macros.writable, "121", "530-535"]})
+    document = base.model_copy(
+        update={
+            "cnc": base.cnc.model_copy(update={"macros": macros}),
+            "spindle_speed": SpindleSpeedConfig(**(content | changes)),
+        }
+    )
+    return Configuration.model_validate(document.model_dump())
