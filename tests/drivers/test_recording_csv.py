@@ -7,7 +7,7 @@ import pytest
 
 from config.problems import ConfigurationError
 from config.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
-from drivers.recording_csv import RecordingFileError, read_header, read_recording
+from drivers.recording_csv import RecordingFileError, read_header, read_metadata, read_recording, write_recording
 
 MAP = RecordingMap(time="t", speed="rpm", temperatures=["t*"], displacements=["c*"])
 GOOD = "t,rpm,c1,t1,t2\n0,0,0.5,20,21\n15,1250,0.75,20.5,21.25\n"
@@ -142,3 +142,25 @@ def test_a_map_is_yaml_with_errors_by_line_and_key(tmp_path: Path) -> None:
     text = str(raised.value)
     assert "bad.yaml:4:" in text and "time_unit" in text
     assert "bad.yaml:5:1: colour" in text
+
+
+def test_metadata_before_the_header_are_read_apart_and_change_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    columns = {"t": (np.array([0.0, 60.0]), 0), "t1": (np.array([20.5, np.nan]), 2), "c1": (np.array([-1.0, 2.0]), 1)}
+    write_recording(path, {"machine": "mill 7", "note": "two\nlines: one", "seed": 3}, columns)
+    assert read_metadata(path) == {"machine": "mill 7", "note": "two lines: one", "seed": "3"}
+    found = read_recording(path)
+    assert found.temperatures_degc[:, 0] == pytest.approx([20.5, np.nan], nan_ok=True)
+    assert found.displacements_um[:, 0].tolist() == [-1.0, 2.0]
+    assert not list(tmp_path.glob(".*")), "nothing is left beside it"
+
+
+def test_metadata_alone_are_no_recording_and_errors_count_their_lines(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    path.write_text("# machine: mill 7\n", encoding="utf-8")
+    with pytest.raises(RecordingFileError, match="no header row"):
+        read_recording(path)
+    path.write_text("# machine: mill 7\n# a\nt,t1,c1\n0,20,1\n60,warm,1\n", encoding="utf-8")
+    with pytest.raises(RecordingFileError, match=r"day\.csv:5: column t1: 'warm' is not a number"):
+        read_recording(path)
+    assert read_metadata(path) == {"machine": "mill 7", "a": ""}
