@@ -1,0 +1,170 @@
+"""Sensors that leave, return and are excluded: over a restart, another model, and in the means of labels."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import SENSOR_IDS
+from thermal_rig import Task, model
+
+from daemon.thermal import ReferenceRebased
+from models.thermal.model import TestVector
+
+
+@pytest.fixture
+def task(tmp_path):
+    task = Task(tmp_path, model())
+    task.history.start()
+    yield task
+    task.history.close()
+
+
+async def _away(task):
+    """Bring it so far that sensor 1 is away while the others have risen by 2 K; return the estimate and the label."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=22.0, column=22.0)
+    await task.minutes(4, spindle=[np.nan, 22.0, 22.0], column=22.0)
+    assert task.estimates[-1].imputed == (1,)
+    return task.estimates[-1]
+
+
+def assert_unmoved(task, before):
+    """No estimate of this daemon is another than the one before."""
+    assert task.estimates[-1].imputed == ()
+    for estimate in task.estimates:
+        assert estimate.thermal_error_um == pytest.approx(before.thermal_error_um, abs=1e-9)
+        assert estimate.label_increment_degc["A"] == pytest.approx(before.label_increment_degc["A"], abs=1e-9)
+
+
+async def test_a_sensor_that_returns_after_a_restart_moves_nothing_either(task):
+    before, reference = await _away(task), task.references[-1]
+    again = task.restarted(model())
+    try:
+        again.clock.monotonic_s += 300.0
+        await again.task._take(reference)
+        await again.minutes(3, spindle=[30.0, 22.0, 22.0], column=22.0)
+        assert_unmoved(again, before)
+        await again.minutes(2, spindle=[30.5, 22.0, 22.0], column=22.0)
+        assert again.estimates[-1].thermal_error_um == pytest.approx(before.thermal_error_um + 1.0), "then it counts"
+    finally:
+        again.history.close()
+
+
+async def test_a_sensor_that_returns_after_the_model_was_loaded_anew_moves_nothing_either(task):
+    before = await _away(task)
+    task.delivered.clear()
+    await task.task.use_model(model(model_id="another"))
+    await task.minutes(3, spindle=[30.0, 22.0, 22.0], column=22.0)
+    assert_unmoved(task, before)
+
+
+async def test_a_sensor_that_returned_under_a_model_without_it_is_set_anew_by_the_next(task):
+    before = await _away(task)
+    vector = TestVector(
+        degc=np.full(4, 21.0), reference_degc=np.full(4, 20.0), elapsed_min=1.0, thermal_error_um=np.array([1.0])
+    )
+    without = model(
+        model_id="without 1",
+        sensor_ids=SENSOR_IDS[1:],
+        sensor_names=tuple(f"t{i}" for i in SENSOR_IDS[1:]),
+        coefficients_um_per_k=np.array([[0.0, 0.0, 1.0, 0.0]]),
+        lowest_increment_k=np.full(4, -20.0),
+        highest_increment_k=np.full(4, 20.0),
+        test_vectors=(vector,),
+    )
+    await task.task.use_model(without)
+    await task.minutes(2, spindle=[30.0, 22.0, 22.0], column=22.0)
+    await task.task.use_model(model())
+    task.delivered.clear()
+    await task.minutes(2, spindle=[30.0, 22.0, 22.0], column=22.0)
+    assert_unmoved(task, before)
+
+
+async def test_after_a_restart_a_line_that_speaks_later_than_the_others_has_not_been_away(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=20.0, column=23.0)
+    before, reference = task.estimates[-1], task.references[-1]
+    assert before.thermal_error_um == pytest.approx([3.0])
+    again = task.restarted(model())
+    try:
+        await again.task._take(reference)
+        await again.cycle("spindle", 20.0)
+        assert again.estimates == []
+        await again.minutes(2, spindle=20.0, column=23.0)
+        assert_unmoved(again, before)
+    finally:
+        again.history.close()
+
+
+async def test_after_a_restart_a_line_that_stays_silent_is_imputed_once_it_would_be_stale(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(1)
+    again = task.restarted(model())
+    try:
+        await again.task._take(task.references[-1])
+        await again.minutes(1, column=None)
+        assert again.estimates == []
+        await again.minutes(0.5, column=None)
+        assert again.estimates[-1].imputed == (11, 12)
+    finally:
+        again.history.close()
+
+
+async def test_what_is_known_since_another_reference_is_not_taken_over(task):
+    await _away(task)
+    await task.ask("r2")
+    other = replace(task.references[0], reference_id="r0")
+    again = task.restarted(model())
+    try:
+        await again.task._take(other)
+        await again.minutes(2, spindle=22.0, column=22.0)
+        assert again.estimates[-1].thermal_error_um == pytest.approx([6.0])
+    finally:
+        again.history.close()
+
+
+async def test_the_label_of_a_tool_does_not_jump_when_a_sensor_leaves_or_returns(tmp_path):
+    """Sensor 12 is in the label, and the model does not know it."""
+    chosen = SENSOR_IDS[:4]
+    vector = TestVector(
+        degc=np.full(4, 21.0), reference_degc=np.full(4, 20.0), elapsed_min=1.0, thermal_error_um=np.array([3.0])
+    )
+    small = model(
+        sensor_ids=chosen,
+        sensor_names=tuple(f"t{i}" for i in chosen),
+        coefficients_um_per_k=np.array([[2.0, 0.0, 0.0, 1.0]]),
+        lowest_increment_k=np.full(4, -20.0),
+        highest_increment_k=np.full(4, 20.0),
+        test_vectors=(vector,),
+    )
+    task = Task(tmp_path, small)
+    task.history.start()
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=22.0, column=[22.0, 27.0])
+    assert task.estimates[-1].label_increment_degc["A"] == pytest.approx(3.0)
+    task.delivered.clear()
+    await task.minutes(4, spindle=22.0, column=[22.0, np.nan])
+    await task.minutes(4, spindle=22.0, column=[22.0, 42.0])
+    assert {round(estimate.label_increment_degc["A"], 9) for estimate in task.estimates} == {3.0}
+    await task.minutes(4, spindle=22.0, column=[22.0, np.nan])
+    reference = next((item for item in reversed(task.delivered) if isinstance(item, ReferenceRebased)), None)
+    assert reference is None, "the model has no sensor that returned"
+    kept = task.task._reference
+    again = task.restarted(small)
+    try:
+        await again.task._take(kept)
+        await again.minutes(4, spindle=22.0, column=[22.0, 10.0])
+        assert {round(estimate.label_increment_degc["A"], 9) for estimate in again.estimates} == {3.0}
+        await again.minutes(2, spindle=22.0, column=[22.0, 11.0])
+        assert again.estimates[-1].label_increment_degc["A"] == pytest.approx(3.2)
+    finally:
+        again.history.close()
