@@ -50,7 +50,7 @@ class OpcUaNodesConfig(Section):
     mode: str = Field("s=Mode", description="operating mode: 0 MDI, 1 MEM, 3 EDIT, 4 HND, 5 JOG, 10 RMT")
     run: str = Field("s=RunState", description="0 reset, 1 stop, 2 hold, 3 start, 4 start (MSTR)")
     alarm: str = Field("s=Alarm", description="not zero: an alarm is active")
-    program: str = Field("s=Program", description="O number of the main program, where the server has it; else of the running one")
+    program: str = Field("s=Program", description="O number of the main program, else of the running one")
     sequence_number: str = Field("s=SequenceNumber", description="last N number passed")
     spindle_speed: str = Field("s=SpindleSpeed", description="actual spindle speed [1/min]")
     motor_temperature: str = Field("s=SpindleMotorTemperature", description="spindle motor [degC]")

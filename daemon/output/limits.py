@@ -90,7 +90,8 @@ def echo_slack_um(configuration: Configuration) -> float:
     return max(ECHO_SLACK_UM, um_from_mm(ROUNDING * configuration.cnc.guard.increment_mm))
 
 
-def guard_programs(configuration: Configuration) -> range:
-    """Return the O numbers of the NC programs that belong to the guard, whichever of them runs."""
+def guard_programs(configuration: Configuration) -> frozenset[int]:
+    """Return the O numbers of the NC programs that part programs call for us: the guard's, and the speed program."""
     first = configuration.cnc.guard.program
-    return range(first, first + GUARD_PROGRAMS)
+    speed = configuration.spindle_speed
+    return frozenset(range(first, first + GUARD_PROGRAMS)) | ({speed.program} if speed is not None else set())

@@ -10,7 +10,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from control_rig import machine, record_for
 
 from config.commissioning import CommissionedAxis
-from daemon.output.limits import commissioned_factors, echo_slack_um, output_limits
+from config.schema.spindle_speed import SpindleSpeedConfig
+from daemon.output.limits import commissioned_factors, echo_slack_um, guard_programs, output_limits
 
 
 def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path):
@@ -45,6 +46,13 @@ def test_what_was_measured_to_move_stays_within_the_configured_limits(
     assert found.absolute_bound_um == pytest.approx(plain.absolute_bound_um * [1.0, 1.0, bound_share])
     assert found.step_um == pytest.approx(plain.step_um * [1.0, 1.0, bound_share])
     assert found.slew_um_per_min == pytest.approx(plain.slew_um_per_min * [1.0, 1.0, slew_share])
+
+
+def test_the_programs_that_are_no_part_program(tmp_path):
+    configuration = machine(tmp_path)
+    assert guard_programs(configuration) == {9010, 9011, 9012, 9013, 9014}
+    speed = SpindleSpeedConfig.model_construct(program=9020)
+    assert guard_programs(configuration.model_copy(update={"spindle_speed": speed})) == {*range(9010, 9015), 9020}
 
 
 def test_the_slack_of_the_echo_is_half_an_increment_of_the_control(tmp_path):
