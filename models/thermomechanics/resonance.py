@@ -1,8 +1,9 @@
 """Follows one resonance of the tool point by mode continuity while the bearings change (Figs 5-18, 5-19).
 
 The highest peak is not followed: as the spindle warms, another mode becomes the highest, and the frequency would jump.
-Between two states of the bearings the way is divided until the peak moves so little that no other peak can be
-taken for it. Two peaks that melt into one are one peak; a peak that vanishes is lost, and said to be.
+Between two states of the bearings the way is divided into steps that change no parameter by much, and further until
+no other peak can be taken for the one that is followed. Two peaks that melt into one are one peak; a peak that vanishes
+is lost, and said to be.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,14 +18,19 @@ from models.records import FloatArray
 Receptance = Callable[[Mapping[str, float]], ComplexArray]
 """Values of the twelve bearing parameters -> receptance [m/N], shape (n,)."""
 
-SMALL_MOVE = 0.004
-"""A peak that moves by less than this share of its frequency is the same one."""
+LARGEST_CHANGE = 0.05
+"""A step changes no parameter by more than this share."""
+NOTHING_SHARE = 0.02
+"""A parameter below this share of the larger end of its way counts as about nothing."""
+MOST_STEPS = 64
 CLEARANCE = 3.0
-"""Nor is there doubt when every other peak is this many times further away."""
+"""A peak is the same one when every other is this many times further away, or when it hardly moved:"""
+SMALL_MOVE = 0.002
+"""Share of its frequency by which a peak hardly moves."""
 LARGEST_MOVE = 0.03
-"""A peak that moves by more than this share within the smallest step is not the same one."""
-MOST_DIVISIONS = 5
-"""The way between two states is divided into at most 2^this steps."""
+"""A peak that moves by more than this share within a step is not the same one."""
+MOST_DIVISIONS = 4
+"""A step is halved at most this many times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +52,9 @@ class Resonance:
 
 
 def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[Peak]:
-    """Return the resonances by ascending frequency, between the lines by a parabola through three logarithms.
+    """Return the resonances by ascending frequency, between the lines by a parabola through 1/|H|^2.
+
+    Of a single mode 1/|H|^2 is a parabola in the square of the frequency, so the peak does not lean towards a line.
 
     Parameters
     ----------
@@ -56,15 +64,15 @@ def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[Peak]:
         [m/N], shape (n,).
 
     """
-    size = np.log(np.abs(receptance))
-    inside = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1
+    inverse = 1.0 / (receptance.real**2 + receptance.imag**2)
+    inside = np.flatnonzero((inverse[1:-1] < inverse[:-2]) & (inverse[1:-1] <= inverse[2:])) + 1
     found = []
     for k in inside:
-        left, middle, right = size[k - 1], size[k], size[k + 1]
+        left, middle, right = inverse[k - 1], inverse[k], inverse[k + 1]
         shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
         frequency = frequency_hz[k] + shift * (frequency_hz[k + 1] - frequency_hz[k])
-        height = middle - 0.25 * (left - right) * shift
-        found.append(Peak(frequency_hz=float(frequency), magnitude_m_per_n=float(np.exp(height))))
+        least = max(middle - 0.25 * (left - right) * shift, 1e-3 * middle)
+        found.append(Peak(frequency_hz=float(frequency), magnitude_m_per_n=float(least**-0.5)))
     return found
 
 
@@ -90,6 +98,8 @@ class ResonanceFollower:
         receptance: Receptance,
         start: Mapping[str, float],
         near_hz: float | None = None,
+        *,
+        between: tuple[FloatArray, Receptance] | None = None,
     ) -> None:
         """Choose the resonance.
 
@@ -103,6 +113,8 @@ class ResonanceFollower:
             Bearing parameters at which the resonance is chosen; after a loss it is followed anew from here.
         near_hz
             The resonance nearest to this is followed [Hz]; None: the highest.
+        between
+            Fewer frequencies and the response at them, for the steps on the way; None: all frequencies.
 
         Raises
         ------
@@ -112,6 +124,7 @@ class ResonanceFollower:
         """
         self.frequency_hz = frequency_hz
         self._receptance = receptance
+        self._between_hz, self._between = between or (frequency_hz, receptance)
         self._start = dict(start)
         peak = first_peak(frequency_hz, receptance(start), near_hz)
         self._first = Resonance(
@@ -151,19 +164,26 @@ class ResonanceFollower:
     ) -> Resonance:
         """Return a resonance that is known with some parameters as it is with others; nothing is kept."""
         response = self._receptance(parameters) if response is None else response
-        return self._walk(begin, known, parameters, response, 0)
+        steps = min(MOST_STEPS, max(1, int(np.ceil(_distance(begin, parameters) / LARGEST_CHANGE))))
+        before, at = begin, known
+        for step in range(1, steps):
+            after = _between(begin, parameters, step / steps)
+            at = self._walk(before, at, after, peaks(self._between_hz, self._between(after)), 0)
+            if not at.continuous:
+                return at
+            before = after
+        return self._walk(before, at, parameters, peaks(self.frequency_hz, response), 0)
 
     def _walk(
         self,
         begin: Mapping[str, float],
         known: Resonance,
         end: Mapping[str, float],
-        response: ComplexArray,
+        found: list[Peak],
         division: int,
     ) -> Resonance:
         if not known.continuous:
             return known
-        found = peaks(self.frequency_hz, response)
         last = division == MOST_DIVISIONS
         if peak := _same(known.frequency_hz, found, last=last):
             return Resonance(frequency_hz=peak.frequency_hz, magnitude_m_per_n=peak.magnitude_m_per_n, continuous=True)
@@ -171,9 +191,28 @@ class ResonanceFollower:
             return Resonance(
                 frequency_hz=known.frequency_hz, magnitude_m_per_n=known.magnitude_m_per_n, continuous=False
             )
-        middle = {name: 0.5 * (begin[name] + end[name]) for name in end}
-        half = self._walk(begin, known, middle, self._receptance(middle), division + 1)
-        return self._walk(middle, half, end, response, division + 1)
+        middle = _between(begin, end, 0.5)
+        passed = peaks(self._between_hz, self._between(middle))
+        half = self._walk(begin, known, middle, passed, division + 1)
+        return self._walk(middle, half, end, found, division + 1)
+
+
+def _logarithms(begin: Mapping[str, float], end: Mapping[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the parameters at both ends on scales on which equal steps change them by equal shares."""
+    first = np.array([begin[name] for name in end])
+    last = np.array(list(end.values()))
+    floor = NOTHING_SHARE * np.maximum(np.abs(first), np.abs(last)) + 1e-300
+    return np.log(first + floor), np.log(last + floor), floor
+
+
+def _distance(begin: Mapping[str, float], end: Mapping[str, float]) -> float:
+    first, last, _ = _logarithms(begin, end)
+    return float(np.max(np.abs(last - first)))
+
+
+def _between(begin: Mapping[str, float], end: Mapping[str, float], share: float) -> dict[str, float]:
+    first, last, floor = _logarithms(begin, end)
+    return dict(zip(end, (np.exp(first + share * (last - first)) - floor).clip(min=0.0).tolist(), strict=True))
 
 
 def _same(frequency_hz: float, found: list[Peak], *, last: bool) -> Peak | None:

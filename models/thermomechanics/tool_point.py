@@ -22,7 +22,7 @@ SOURCE_BAND_HZ = (300.0, 2500.0)
 SOURCE_STEP_HZ = 12800.0 / 16384.0
 """Band and spacing of the source's analyser: 2817 frequencies."""
 COARSE = 4
-"""The ends of physical ranges are looked at on every fourth frequency."""
+"""Steps between two states, and the ends of physical ranges, are looked at on every fourth frequency."""
 ENDS_STAND_HZ = 0.5
 """They are looked at again when the resonance has moved by this [Hz], or other properties are flagged."""
 REFERENCE_DEGC = 20.0
@@ -134,10 +134,13 @@ class AxisTracker:
         self._condensed = CondensedAssembly(assembly, frequency_hz)
         self._coarse = CondensedAssembly(assembly, frequency_hz[::COARSE])
         start = self.parameters(self._reference())
-        self._follower = ResonanceFollower(frequency_hz, self.receptance, start, near_hz)
+        few_hz = frequency_hz[::COARSE]
+        self._follower = ResonanceFollower(
+            frequency_hz, self.receptance, start, near_hz, between=(few_hz, self._coarse_receptance)
+        )
         chosen_hz = self._follower.resonance.frequency_hz
         self._ends: tuple[float, tuple[RangeEnds, ...]] = (np.inf, ())
-        self._coarse_follower = ResonanceFollower(frequency_hz[::COARSE], self._coarse_receptance, start, chosen_hz)
+        self._coarse_follower = ResonanceFollower(few_hz, self._coarse_receptance, start, chosen_hz)
 
     def _reference(self) -> tuple[EstimatedProperty, ...]:
         count, seen = len(self.regression.signals), self.regression.fitted_range
@@ -216,7 +219,7 @@ class AxisTracker:
 
 
 STEP_K = 0.0625
-"""Resolution of the contact sensors [K]."""
+"""Step of the slopes [K]: the resolution of the contact sensors."""
 
 
 class ToolPointTracker:

@@ -225,36 +225,56 @@ def test_a_series_is_exact_on_responses_of_known_bearings() -> None:
 
 
 def two_modes(parameters: Mapping[str, float]) -> np.ndarray:
-    """Return two modes; `stiff` moves the first up and makes the second the higher one."""
+    """Return two modes; `hz` moves the first, which makes the second the higher one."""
     s = 2j * np.pi * FREQUENCY_HZ
     total = np.zeros(len(s), dtype=np.complex128)
-    for hz, mass in ((500.0 + parameters["stiff"], 1.0 + 0.05 * parameters["stiff"]), (900.0, 1.0)):
+    lower = parameters["hz"]
+    for hz, mass in ((lower, 1.0 + 0.05 * abs(lower - 500.0)), (900.0, 1.0)):
         w = 2.0 * np.pi * hz
         total += 1.0 / (mass * (s**2 + 2.0 * 0.01 * w * s + w**2))
     return total
 
 
 def test_the_mode_is_followed_when_another_becomes_the_highest() -> None:
-    follower = ResonanceFollower(FREQUENCY_HZ, two_modes, {"stiff": 0.0})
+    follower = ResonanceFollower(FREQUENCY_HZ, two_modes, {"hz": 500.0})
     assert follower.resonance.frequency_hz == pytest.approx(500.0, abs=1.0)
-    found = follower.follow({"stiff": 150.0})
-    highest = max(peaks(FREQUENCY_HZ, two_modes({"stiff": 150.0})), key=lambda peak: peak.magnitude_m_per_n)
+    found = follower.follow({"hz": 650.0})
+    highest = max(peaks(FREQUENCY_HZ, two_modes({"hz": 650.0})), key=lambda peak: peak.magnitude_m_per_n)
     assert highest.frequency_hz == pytest.approx(900.0, abs=1.0)
     assert found.continuous
     assert found.frequency_hz == pytest.approx(650.0, abs=2.0)
-    assert follower.follow({"stiff": 0.0}).frequency_hz == pytest.approx(500.0, abs=1.0)
+    assert follower.follow({"hz": 500.0}).frequency_hz == pytest.approx(500.0, abs=1.0)
+
+
+def approaching_modes(parameters: Mapping[str, float]) -> np.ndarray:
+    """Return two modes 45 Hz apart that both grow with the root of `kt`."""
+    s = 2j * np.pi * FREQUENCY_HZ
+    total = np.zeros(len(s), dtype=np.complex128)
+    for hz in (580.0, 640.0):
+        w = 2.0 * np.pi * hz * np.sqrt(parameters["kt"])
+        total += 1.0 / (s**2 + 2.0 * 0.008 * w * s + w**2)
+    return total
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.17, 1.21, 1.3])
+def test_a_jump_onto_the_place_of_another_mode_does_not_deceive(factor: float) -> None:
+    """At a factor of 1.21 the lower mode stands where the upper one was (638 of 640 Hz)."""
+    follower = ResonanceFollower(FREQUENCY_HZ, approaching_modes, {"kt": 1.0}, 640.0)
+    found = follower.follow({"kt": factor})
+    assert found.continuous
+    assert found.frequency_hz == pytest.approx(640.0 * np.sqrt(factor), abs=3.0)
 
 
 def test_another_resonance_is_followed_when_asked_for() -> None:
-    assert ResonanceFollower(FREQUENCY_HZ, two_modes, {"stiff": 0.0}, 880.0).resonance.frequency_hz == pytest.approx(
+    assert ResonanceFollower(FREQUENCY_HZ, two_modes, {"hz": 500.0}, 880.0).resonance.frequency_hz == pytest.approx(
         900.0, abs=1.0
     )
 
 
 def test_a_mode_that_leaves_the_band_is_lost_and_found_again() -> None:
-    follower = ResonanceFollower(FREQUENCY_HZ, two_modes, {"stiff": 0.0})
-    assert not follower.follow({"stiff": -350.0}).continuous
-    back = follower.follow({"stiff": 20.0})
+    follower = ResonanceFollower(FREQUENCY_HZ, two_modes, {"hz": 500.0})
+    assert not follower.follow({"hz": 150.0}).continuous
+    back = follower.follow({"hz": 520.0})
     assert back.continuous
     assert back.frequency_hz == pytest.approx(520.0, abs=1.0)
 
