@@ -38,6 +38,8 @@ class ReportChoices:
     """Largest drift in it [um]."""
     settled_h: float
     """Standstill after a rotation that does not count for the environment [h]."""
+    standing: bool
+    """The spindle stood all the time, although no speed was recorded."""
     ambient: tuple[str, ...]
     """Names or patterns of the temperatures of the air."""
     chiller_kw: float
@@ -77,7 +79,9 @@ def thermal_report(recording: Recording, model: AnyThermalModel | None, choices:
     """Return the report; raises DatasetError when the recording or the model does not allow it."""
     series = _Series(recording, model)
     turns = [] if recording.speed_rpm is None else rotations(recording.speed_rpm)
-    stands = settled_stretches(series.time_min, recording.speed_rpm, 60.0 * choices.settled_h)
+    stands: list[Stretch] = []
+    if recording.speed_rpm is not None or choices.standing:
+        stands = settled_stretches(series.time_min, recording.speed_rpm, 60.0 * choices.settled_h)
     channels = {name: _channel(series, name, turns, stands, choices) for name in recording.displacement_names}
     return {
         "standard": "ISO 230-3",
@@ -180,7 +184,9 @@ def _environment(
             }
         )
     why = None
-    if not stands:
+    if recording.speed_rpm is None and not choices.standing:
+        why = "no spindle speed was recorded; --standing says that the spindle stood all the time"
+    elif not stands:
         why = f"the spindle never stood still for longer than {choices.settled_h:g} h after a rotation"
     return {"ambient": names, "settled_hours": choices.settled_h, "stretches": stretches, "why_not": why}
 

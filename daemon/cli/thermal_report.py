@@ -29,6 +29,7 @@ NOT_NEGATIVE = FiniteFloat(min=0.0)
     show_default=True,
     help="Standstill after a rotation that does not count for the environment [h].",
 )
+@click.option("--standing", is_flag=True, help="The spindle stood all the time; for recordings without speed.")
 @click.option("--ambient", help="Temperatures of the air: names or patterns, separated by commas.")
 @click.option("--chiller-kw", type=NOT_NEGATIVE, default=1.2, show_default=True, help="Power of the chiller [kW].")
 @click.option("--cut-kwh", type=NOT_NEGATIVE, help="Energy that cutting one part takes [kWh] (eq. 1-1).")
@@ -43,6 +44,7 @@ def report(
     ahead_min: float,
     tolerance_um: float,
     settled_hours: float,
+    standing: bool,
     ambient: str | None,
     chiller_kw: float,
     cut_kwh: float | None,
@@ -74,6 +76,7 @@ def report(
             ahead_min=ahead_min,
             tolerance_um=tolerance_um,
             settled_h=settled_hours,
+            standing=standing,
             ambient=() if ambient is None else tuple(name.strip() for name in ambient.split(",") if name.strip()),
             chiller_kw=chiller_kw,
             process=_process(cut_kwh, motor_kwh, process_min),

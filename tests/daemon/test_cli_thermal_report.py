@@ -99,6 +99,17 @@ def test_estimates_from_any_row_are_the_difference_of_two_estimates(recording: P
     assert part == pytest.approx(whole[200:] - whole[200], abs=1e-9)
 
 
+def test_without_speed_nobody_knows_whether_the_spindle_stood(recording: Path, tmp_path: Path) -> None:
+    without_speed = tmp_path / "map.yaml"
+    without_speed.write_text('time: t\ntemperatures: ["T*"]\ndisplacements: [Z1]\n', encoding="utf-8")
+    found = report(recording, "--map", without_speed)
+    assert found["environment"]["why_not"].startswith("no spindle speed was recorded")
+    assert found["channels"]["Z1"]["worst_without"]["environmental_temperature_variation_error_um"] is None
+    assert found["energy"]["chiller_kwh"]["idle_reduction"] is None
+    standing = report(recording, "--map", without_speed, "--standing")
+    assert standing["channels"]["Z1"]["worst_without"]["environmental_temperature_variation_error_um"] > 25.0
+
+
 def test_energy_with_the_chiller_on_reduced_and_off(recording: Path) -> None:
     energy = report(recording, "--cut-kwh", 0.3, "--motor-kwh", 0.9, "--process-min", 30)["energy"]
     assert energy["chiller_kwh"]["idle_reduction"] == pytest.approx(1.2 * 2.0)
