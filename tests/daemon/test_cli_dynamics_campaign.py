@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,33 @@ def test_twelve_and_seven_parameters_and_columns_without_labels(few: Path) -> No
     assert min(shares.values()) < 0.5, "one response does not determine twelve parameters"
 
 
+def test_dates_and_several_days(few: Path, tmp_path: Path) -> None:
+    begin = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
+    rows = np.genfromtxt(few / "temperatures.csv", delimiter=",", names=True)
+    stamps = [(begin + timedelta(seconds=t)).isoformat() for t in rows["t"].tolist()]
+    lines = [f"{stamp},{nose:.4f},{housing:.4f}" for stamp, nose, housing in zip(
+        stamps, rows["T301"].tolist(), rows["T56"].tolist(), strict=True)]  # fmt: skip
+    (few / "dated.csv").write_text("\n".join(["utc,nose,housing", *lines]) + "\n")
+    head, *index = (few / "impacts.csv").read_text().splitlines()
+    dated = [f"{row.rpartition(',')[0]},{begin + timedelta(seconds=float(row.rpartition(',')[2]))}" for row in index]
+    other = tmp_path / "other"
+    shutil.copytree(few, other)
+    np.savetxt(
+        other / "own.csv", np.column_stack([rows["t"], rows["T301"], rows["T56"]]), "%.4f", ",",
+        header="t,nose,housing", comments="",
+    )  # fmt: skip
+    (few / "impacts.csv").write_text("\n".join([head, *dated]) + "\n")
+    result = call(
+        "campaign", few, other, "--temperatures", few / "dated.csv", "--temperatures", other / "own.csv",
+        "--signals", "nose,housing", "--only-five", "--json", "-",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    first, second = json.loads(result.stdout)["axes"]["x"]["series"]["5"]
+    assert (first["run"], second["run"]) == ("few", "other")
+    assert first["time_min"] == pytest.approx(second["time_min"])
+    assert first["values"]["kt_34"] == pytest.approx(second["values"]["kt_34"])
+
+
 def spoil(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text
@@ -118,6 +146,7 @@ def test_missing_files_and_bad_choices(few: Path, tmp_path: Path) -> None:
     recording = few / "temperatures.csv"
     assert "as many recordings" in refusal(few, few, "--temperatures", recording)
     assert "impacts.csv" in refusal(tmp_path, "--temperatures", recording, "--spindle", few / "spindle.yaml")
+    assert "none.csv: cannot be opened" in refusal(few, "--temperatures", tmp_path / "none.csv")
     assert "no recording has the signal Q" in refusal(
         few, "--temperatures", recording, "--only-five", "--signals", "Q,T56"
     )
