@@ -107,7 +107,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("cnc.opcua.nodes.macro", "s=Macro", "cnc.opcua.nodes.macro", "must contain {number}"),
         ("cnc.stale_after_s", 0.5, "cnc.stale_after_s", "longer than poll_period_s"),
         ("cnc.macros.values.z", 120, "cnc.macros.values.z", "#120 is used twice: it is valid_until already"),
-        ("cnc.macros.enable", 600, "cnc.macros.enable", "#600 lies outside `writable` (120, 500-549)"),
+        ("cnc.macros.enable", 600, "cnc.macros.enable", "#600 lies outside `writable` (120-121, 500-549)"),
         ("cnc.macros.valid_until", 520, "cnc.macros.valid_until", "one of #100-#199"),
         ("cnc.macros.echo_applied", {"y": 520}, "cnc.macros.echo_applied", "the same axes as `values`"),
         ("cnc.macros.writable", ["500 to 549"], "cnc.macros.writable[0]", 'such as "120" or "500-549"'),
