@@ -44,7 +44,14 @@ def guard(
     from config.guard.sheet import sheet_html, sheet_markdown
     from config.guard.speed_text import speed_program
 
-    configuration = _with_changes(read_configuration(config_path), policy, program)
+    unchanged = read_configuration(config_path)
+    configuration = _with_changes(unchanged, policy, program)
+    if configuration.cnc.guard != unchanged.cnc.guard:
+        click.echo(
+            f"This is not the guard that {config_path} describes. Say the same there (cnc.guard.on_expiry, program) "
+            "before you load it: the daemon tells by it what the guard may do, and takes anything else for a FAULT",
+            err=True,
+        )
     if sheet is not None and output is not None:
         refuse("--sheet writes the sheet and --output the programs; give one of them")
     if sheet is not None and sheet.suffix not in (".html", ".md"):
