@@ -13,6 +13,7 @@ from daemon import registry
 from daemon.output.macro_block import MacroBlock
 from daemon.release.loading import load_released
 from daemon.release.reach import account_of_daemon
+from daemon.stability.tool_points import open_planning
 from drivers.clock import Clock
 from drivers.contract import DriverError
 
@@ -44,6 +45,8 @@ async def probe(configuration: Configuration, clock: Clock, *, devices: bool) ->
     """Try everything; nothing is written to the CNC."""
     yield model_finding(configuration)
     yield _record(configuration)
+    if configuration.spindle_speed is not None:
+        yield _spindle_speed(configuration)
     if not devices:
         return
     for line in configuration.temperatures.lines:
@@ -61,6 +64,13 @@ def model_finding(configuration: Configuration) -> Finding:
         return Finding(subject="thermal model", passed=False, detail=found.obstacle, pending=pending)
     channels = ", ".join(found.model.channels)
     return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
+
+
+def _spindle_speed(configuration: Configuration) -> Finding:
+    """Return whether spindles, bearings' model and cases of the tuned operations can be read and fit together."""
+    planning, obstacle = open_planning(configuration)
+    detail = obstacle or f"{len(planning)} operation(s) can be tuned"
+    return Finding(subject="spindle speed", passed=not obstacle, detail=detail)
 
 
 def _record(configuration: Configuration) -> Finding:

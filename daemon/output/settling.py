@@ -26,6 +26,8 @@ def settle_unsettled(history: HistoryWriter, sample: CncSample, echo: Echo, now:
         )
         outcome = WriteOutcome.VERIFIED if whole else WriteOutcome.FAILED
         how = "it arrived whole" if whole else "the CNC holds other values"
+        if any(number not in sample.macros for number, _ in record.macros):
+            how = "these macros are not polled; whoever owns them writes them anew"
         receipt = Receipt(
             sequence=record.sequence or 0,
             macros=record.macros,

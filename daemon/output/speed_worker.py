@@ -11,7 +11,6 @@ from daemon.stability.tool_points import CalledOperation, OperationPlanning, ope
 from models.records import FloatArray
 from models.stability.errors import StabilityError
 from models.stability.speed_planner import SpeedPlan, SpeedPlanner
-from models.stability.tool_point import EstimatedToolPoint
 
 log = structlog.get_logger(__name__)
 
@@ -44,6 +43,7 @@ class SpeedWorker:
         self._tuning = configuration.spindle_speed
         self._planning, self.obstacle = open_planning(configuration)
         self._readings: deque[tuple[float, FloatArray]] = deque(maxlen=MOST_READINGS)
+        self._last_s: float | None = None
         self._task: asyncio.Task[PlannedSpeed | None] | None = None
         self._planner: tuple[CalledOperation, SpeedPlanner] | None = None
         self._sensitivity: tuple[CalledOperation, float, dict[str, float]] | None = None
@@ -53,6 +53,7 @@ class SpeedWorker:
         """Take a reading of all sensors [degC]."""
         if self._planning:
             self._readings.append((time_s, degc))
+            self._last_s = time_s
 
     def look(self, called: CalledOperation | None, place: int | None) -> None:
         """Take up what is done, and begin with what waits; returns at once."""
@@ -65,10 +66,11 @@ class SpeedWorker:
                 self._planning, self.obstacle = {}, f"unexpected {type(error).__name__} in the planning: {error}"
                 return
             self.latest = task.result() or self.latest
-        if self._readings:
+        unplanned = called is not None and place is not None and (self.latest is None or self.latest.called != called)
+        if self._last_s is not None and (self._readings or unplanned):
             readings = list(self._readings)
             self._readings.clear()
-            self._task = asyncio.create_task(asyncio.to_thread(self._compute, readings, called, place))
+            self._task = asyncio.create_task(asyncio.to_thread(self._compute, readings, self._last_s, called, place))
 
     async def settled(self) -> None:
         """Wait for what is being computed."""
@@ -76,21 +78,19 @@ class SpeedWorker:
             await asyncio.wait([self._task])
 
     def _compute(
-        self, readings: list[tuple[float, FloatArray]], called: CalledOperation | None, place: int | None
+        self, readings: list[tuple[float, FloatArray]], now_s: float, called: CalledOperation | None, place: int | None
     ) -> PlannedSpeed | None:
         """Feed every estimator, and plan the speed of the operation under way."""
         planned: PlannedSpeed | None = None
         for number, planning in self._planning.items():
-            known: EstimatedToolPoint | None = None
             for time_s, degc in readings:
-                known = planning.estimator.renew(time_s, degc)
+                planning.estimator.renew(time_s, degc)
             if number == place and called is not None:
-                planned = self._planned(planning, called, readings[-1][0], known)
+                planned = self._planned(planning, called, now_s)
         return planned
 
-    def _planned(
-        self, planning: OperationPlanning, called: CalledOperation, time_s: float, known: EstimatedToolPoint | None
-    ) -> PlannedSpeed:
+    def _planned(self, planning: OperationPlanning, called: CalledOperation, time_s: float) -> PlannedSpeed:
+        known = planning.estimator.known
         plan, problem, changes = None, "no temperatures yet", dict[str, float]()
         if known is not None:
             problem = known.doubt
@@ -122,7 +122,9 @@ class SpeedWorker:
             return kept[2]
         assert self._tuning is not None
         known, changes = planning.estimator.known, dict[str, float]()
-        for steps in (1, MANY_STEPS) if known is not None else ():
+        if known is None:
+            return changes
+        for steps in (1, MANY_STEPS):
             moved = planning.estimator.stepped(steps * self._tuning.sensor_step_k)
             for signal, change_rpm in planner.change_per_step_rpm(known, moved).items():
                 changes[signal] = max(changes.get(signal, 0.0), change_rpm / steps)

@@ -41,6 +41,7 @@ class TrackedToolPoint:
         self._indices = [np.array(labels[signal], dtype=np.intp) for signal in signals]
         self._history = TemperatureHistory(tracker.model.intervals_min)
         self.known: EstimatedToolPoint | None = None
+        """The latest answer of `renew`."""
         self._ends: tuple[dict[str, float], tuple[str, ...], tuple[EstimatedToolPoint | None, ...]] = ({}, (), ())
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:

@@ -13,13 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
+from config.thermomechanics import published_model
+from daemon.dynamics.spindle_files import read_spindle
 from models.stability.lobes_sdm import spectral_radius_chart
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
 from models.stability.semi_discretisation import semi_discretisation, spectral_radius
+from models.stability.speed_planner import MillingOperation, SpeedPlanner
 from models.stability.spindle_speed import SpeedDemand, choose_speed
 from models.stability.state_space import state_space
+from models.stability.tracked_tool_point import TrackedToolPoint
+from models.thermomechanics.tool_point import ToolPointTracker
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from milling_cases import OFF_BOUNDARY, random_cases
@@ -65,6 +70,33 @@ def lobes_from_an_frf() -> None:
             ),
             40,
         )
+
+
+def new_speed_from_temperatures() -> None:
+    """The published regressions on the simulated machine's spindle, X and Y, 2817 lines, 401 speeds."""
+    labels = {"IR": [0], "A": [1], "F": [2], "Room": [3]}
+    assembly = read_spindle(Path("simulated_machine")).assembly()
+    estimator = TrackedToolPoint(ToolPointTracker(published_model(), {"x": assembly, "y": assembly}, labels), labels)
+    operation = MillingOperation(
+        demand=SpeedDemand(programmed_rpm=9000.0, depth_mm=0.3),
+        feed_mm_min=1800.0,
+        teeth=4,
+        range_rpm=(7200.0, 10800.0),
+    )
+    planner = SpeedPlanner(
+        operation,
+        lambda response: zeroth_order_lobes(response, cut("down", 5.0, 4), from_rpm=7100.0, to_rpm=10900.0, points=401),
+    )
+    cycle = iter(range(10_000))
+
+    def work() -> None:
+        number = next(cycle)
+        degc = np.array([25.0, 22.0, 23.0, 20.0]) + 0.01 * number
+        known = estimator.renew(10.0 * number, degc)
+        assert known is not None
+        planner.plan(known)
+
+    timed("temperatures to speed, flagged ends looked at when the resonance has moved", work, 120)
 
 
 def new_speed() -> None:
@@ -134,6 +166,7 @@ def main() -> None:
     arguments = parser.parse_args()
     lobes_from_an_frf()
     new_speed()
+    new_speed_from_temperatures()
     chart()
     convergence()
     referee(arguments.cases)

@@ -22,6 +22,7 @@ from config.problems import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.history.reader import HistoryReader
 from daemon.operation.view import speed_in_words
+from daemon.probe import probe
 from drivers.sim.custom_macro import Interpreter, compile_programs
 from models.records import MachineTemperatures, Trace, WriteOutcome
 from models.thermomechanics.artifact import model_to_json
@@ -117,6 +118,14 @@ async def test_an_operation_is_tuned_at_its_safe_block_and_the_nc_takes_the_pair
     assert bench.rig.control.journal.fault is None
 
 
+async def test_a_new_operation_is_planned_at_once_with_what_is_known(bench: SpeedRig) -> None:
+    await bench.pass_by(6.0, CUT)
+    bench.call()
+    await bench.pass_by(3.0, SAFE, temperatures=False)
+    assert bench.call()[2] is SpeedStatus.APPLIED
+    assert bench.control.spindle_rpm != 9000.0
+
+
 async def test_nothing_changes_within_a_cut_and_the_pair_stays_valid(bench: SpeedRig) -> None:
     speed_rpm, *_ = await bench.operation()
     bench.degc = 36.0
@@ -200,12 +209,36 @@ async def test_a_lost_link_begins_anew(bench: SpeedRig) -> None:
     assert bench.call()[0] != first
 
 
+async def test_an_intent_that_a_crash_left_is_settled_at_the_start(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        bench.rig.history.write_intent(None, ((MACROS.speed, 9400.0),), "spindle speed")
+        await bench.rig.history.flushed()
+        await bench.rig.turn()
+        await bench.rig.history.flushed()
+        with HistoryReader(bench.rig.configuration.history.path) as reader:
+            (record,) = [each for each in reader.writes(0.0, 1e12) if each.cause == "spindle speed"]
+            assert reader.unsettled_writes() == []
+    assert record.outcome is WriteOutcome.FAILED
+    assert "these macros are not polled" in str(record.detail)
+
+
 async def test_without_a_model_it_says_so_and_stays_programmed(tmp_path: Path) -> None:
     bench = SpeedRig(tmp_path, thermomechanical_model=tmp_path / "missing.json")
     async with running(bench.rig):
         await bench.rig.turn()
         assert (await bench.operation())[:2] == (9000.0, 1800.0)
         assert "missing.json: the model cannot be read" in bench.picture()["alarm"]
+
+
+async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
+    configuration = speed_machine(tmp_path)
+    for there in (False, True):
+        if there:
+            (tmp_path / "bearings.json").write_text(model_to_json(bearing_model()), encoding="utf-8")
+        found = {each.subject: each async for each in probe(configuration, HandClock(), devices=False)}
+        assert found["spindle speed"].passed is there
+        assert ("bearings.json" in found["spindle speed"].detail) is not there
 
 
 async def test_the_monitor_shows_it(bench: SpeedRig) -> None:
