@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
@@ -11,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from speed_machine import MACROS, speed_machine
 
 from config.guard.speed_text import SpeedStatus, speed_program
+from config.machines import shipped_file
 from daemon.cli import main
 from daemon.output.speed_block import DISABLED, SpeedBlock, SpeedPair
 from drivers.sim.custom_macro import Interpreter, MacroControl, compile_programs
@@ -127,9 +129,19 @@ def test_inch_mode_is_an_alarm_and_modals_are_restored(bench: SpeedBench) -> Non
     assert bench.control.alarm[0] == 131
 
 
-def test_the_command_refuses_a_machine_without_tuning() -> None:
-    from config.machines import shipped_file
+def test_the_command_prints_the_program_of_the_machine(tmp_path: Path) -> None:
+    configuration = speed_machine(tmp_path)
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(configuration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    result = CliRunner().invoke(main, ["guard", "--config", str(path), "--speed"])
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout == speed_program(configuration)
+    refused = CliRunner().invoke(main, ["guard", "--config", str(path), "--speed", "--policy", "zero"])
+    assert refused.exit_code == 2
+    assert "leave the others out" in refused.stderr
 
+
+def test_the_command_refuses_a_machine_without_tuning() -> None:
     result = CliRunner().invoke(main, ["guard", "--config", str(shipped_file("cfrpmt.yaml")), "--speed"])
     assert result.exit_code == 2
     assert "no section spindle_speed" in result.stderr
