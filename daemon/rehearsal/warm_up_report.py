@@ -76,11 +76,11 @@ def warm_up_picture(path: Path, runs: Sequence[WarmUpRun], request: WarmUpReques
     ]
     panels = [
         Panel(lines=limits, x_label="", y_label="limiting depth [mm]"),
-        Panel(lines=chatter, x_label="", y_label="share with chatter so far"),
+        Panel(lines=chatter, x_label="", y_label="chatter so far"),
         Panel(lines=speeds, x_label="", y_label="speed [1/min]"),
         Panel(lines=_resonances(runs[-1]), x_label="time of milling [min]", y_label="resonance [Hz]"),
     ]
-    save(path, panels, "Milling through warm-up", heights=(3, 2, 3, 2))
+    save(path, panels, "Milling through warm-up", heights=(3, 2, 3, 3))
 
 
 def _limits(run: WarmUpRun) -> Line:
