@@ -135,8 +135,8 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     memory, command
         The new memory, and what is to be written. `command.compensation_um` is finite, never
         leaves the absolute bound by moving, and moves by at most the slew rate [um], except that
-        it returns at once to what the guard has applied when a reference is set, when the output
-        is armed and when a fault is acknowledged (the tool is already there).
+        it returns at once to what the guard has applied when a reference is set and when a fault
+        is acknowledged (the tool is already there).
 
     """
     memory = _heed_requests(memory, inputs, limits)
@@ -244,7 +244,7 @@ def _enter(
         Condition.HELD_TOO_LONG: f"held too long: {memory.reason}",
     }.get(condition, str(condition))
     entered = replace(memory, state=target, since_s=inputs.now_s, reason=reason)
-    if target is OutputState.ARMED or memory.state is OutputState.FAULT:
+    if memory.state is OutputState.FAULT:
         entered = replace(entered, command_um=inputs.applied_um.copy())
     if condition is Condition.HELD_TOO_LONG:
         entered = replace(entered, wanted=(False,) * len(memory.wanted))

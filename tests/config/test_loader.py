@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
 
@@ -219,6 +219,7 @@ values: st.SearchStrategy[Any] = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(values)
 def test_what_a_yaml_writer_wrote_is_read_as_it_was_meant(value: Any) -> None:
     document = read_yaml(yaml.safe_dump(value, allow_unicode=True))
@@ -237,6 +238,7 @@ def test_any_text_ends_in_problems_with_places_inside_the_text(text: str) -> Non
         assert problem.sentence
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_a_sample_with_one_character_changed_never_ends_in_another_error(data: st.DataObject) -> None:
     text = sample_configuration()
