@@ -179,8 +179,8 @@ def _show(found: dict[str, Any]) -> None:
         return
     click.echo(f"left out in turn: {', '.join(held_out['folds'])}", err=True)
     click.echo(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]", err=True)
-    for channel, figures in held_out["channels"].items():
-        without, remaining = figures["without"], figures["with"]
+    for channel, reached in held_out["channels"].items():
+        without, remaining = reached["without"], reached["with"]
         click.echo(
             f"{channel:10} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
             f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}",
