@@ -82,6 +82,7 @@ def identify_contact(
     free = [name for name in CONTACT if name not in kept]
 
     def model(values: Mapping[str, float]) -> tuple[ComplexArray, dict[str, ComplexArray]]:
+        """Return response and slopes with the fitted contact in the place of the first one."""
         return interface.response({**begin, **values})
 
     if method == "nelder-mead":

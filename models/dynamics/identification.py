@@ -85,9 +85,11 @@ def identify_bearings(
     begin = {**INITIAL, **told, **kept}
 
     def model(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
+        """Return the nose's response and its slopes [m/N] for fitted parameters beside the kept ones."""
         return shaft.nose_receptance_and_derivatives(properties_from_parameters({**begin, **values}))
 
     def response(values: Mapping[str, float]) -> ComplexArray:
+        """Return the nose's response [m/N] for fitted parameters beside the kept ones."""
         return shaft.nose_receptance(properties_from_parameters({**begin, **values}))
 
     two_stages = parameters == 12 and {"12", "34"} <= set(shaft.groups)
@@ -156,6 +158,7 @@ def _tied(model: Model) -> Model:
     """Return the model in which all front bearings are equal."""
 
     def tied(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
+        """Return response and slopes with parameters that share one value moved together."""
         computed, slopes = model(_untied(values))
         summed = {
             name: slope + slopes[name.replace("_12", "_34")] if name.endswith("_12") else slope

@@ -233,6 +233,7 @@ def nelder_mead(
     size = float(np.sum(np.abs(measured)))
 
     def cost(log_values: FloatArray) -> float:
+        """Return the cost of equation 4-36 for the logarithms of the parameters."""
         values = dict(zip(free, np.exp(np.clip(log_values, low, high)).tolist(), strict=True))
         return cost_of_source(measured, response(values)) / size
 

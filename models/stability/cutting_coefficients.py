@@ -167,6 +167,7 @@ def _mean_force_matrices(cut: Cut) -> tuple[FloatArray, FloatArray]:
     """Return mean force per (K_tc, K_rc) x depth x feed, and per (K_te, K_re) x depth, shapes (2, 2)."""
 
     def antiderivatives(angle: float) -> tuple[FloatArray, FloatArray]:
+        """Return the antiderivatives of the force's shape functions at an angle [rad]."""
         sine, cosine, double = math.sin(angle), math.cos(angle), 2.0 * angle
         square = angle / 2.0 - math.sin(double) / 4.0
         product = -math.cos(double) / 4.0

@@ -181,6 +181,7 @@ class _Methods:
         self._prepared: dict[int, SemiDiscretisation] = {}
 
     def at(self, speed_rpm: float) -> SemiDiscretisation:
+        """Return the discretised cut at a spindle speed [1/min]."""
         steps = self._steps or default_steps(self._structure, self._cut, speed_rpm)
         if steps not in self._prepared:
             self._prepared[steps] = semi_discretisation(self._structure, self._cut, steps)

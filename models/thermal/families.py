@@ -151,6 +151,7 @@ class MeanOfRidges:
         self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, problem: RidgeProblem
     ) -> float:
         def candidates(number: int) -> list[Fit]:
+            """Return one fit per penalty without the fold."""
             return [ridge_fit([solution]) for solution in problem.solve(frozenset({number}), PENALTIES)]
 
         return PENALTIES[chosen(inputs, rows, fold, probe_min, candidates)]

@@ -38,12 +38,14 @@ def parse(text: str) -> dict[str, Any]:
     """Return the object that a text holds; raises ModelError."""
 
     def no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """Return the object; raises ModelError when a key stands twice."""
         keys = [key for key, _ in pairs]
         if twice := sorted({key for key in keys if keys.count(key) > 1}):
             raise ModelError(twice[0], "is written twice")
         return dict(pairs)
 
     def refuse_constant(name: str) -> float:
+        """Refuse NaN and infinities, which JSON does not know."""
         raise ModelError("", f"{name} is not a number that a model may hold")
 
     try:

@@ -162,6 +162,7 @@ def _watch(content: Any) -> SensorWatch:
     item = read_object("watch", content, {field.name for field in fields(SensorWatch)})
 
     def vector(key: str) -> FloatArray:
+        """Return a vector of the watch."""
         return read_vector(f"watch.{key}", item[key])
 
     return SensorWatch(

@@ -162,6 +162,7 @@ def _time(key: str, value: Any) -> float:
 
 def _array(key: str, value: Any, shape: tuple[int, ...], *, never: bool = False) -> FloatArray:
     def numbers(item: Any) -> Any:
+        """Return numbers with None as NaN, nested as they are."""
         if isinstance(item, list):
             return [numbers(inner) for inner in item]
         return _time(key, item) if never else read_number(key, item)

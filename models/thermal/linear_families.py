@@ -123,6 +123,7 @@ class PartialLeastSquaresProblem:
         most = max(1, min(MOST_COMPONENTS, inputs.layout.sensors, int(rows.sum()) // 2))
 
         def candidates(number: int) -> list[Fit]:
+            """Return one fit per number of components without the fold."""
             return self._fits(frozenset({number}), (), range(1, most + 1))
 
         self._components = 1 + chosen(inputs, rows, fold, probe_min, candidates)
@@ -160,6 +161,7 @@ class LassoProblem:
         self._rows = _CentredRows(inputs, rows, fold)
 
         def candidates(number: int) -> list[Fit]:
+            """Return one fit per penalty without the fold."""
             return self._fits(frozenset({number}), (), RELATIVE_ALPHAS)
 
         self._alpha = RELATIVE_ALPHAS[chosen(inputs, rows, fold, probe_min, candidates)]

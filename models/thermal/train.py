@@ -119,11 +119,13 @@ class _Steps:
         self._progress, self._total, self._done = progress, total, 0
 
     def advance(self) -> None:
+        """Count one more step as done."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)
 
     def finish(self) -> None:
+        """Count every step but the last as done."""
         self._done = self._total - 1
         self.advance()
 

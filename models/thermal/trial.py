@@ -183,7 +183,7 @@ class Tester:
         for out in set(excluded):
             if out not in self._fits:
                 self._fits[out] = self._fits[()].refit(out)
-            chosen = np.array([now == out for now in excluded])
+            chosen = np.array([blamed == out for blamed in excluded])
             elapsed_min = inputs.time_min[rows[chosen]] - inputs.time_min[rows[0]]
             estimated_um[chosen] = self._fits[out].estimate_um(features[rows[chosen]], features[rows[0]], elapsed_min)
         measured_um = since_first_known(inputs.measured_um[rows])

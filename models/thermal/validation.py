@@ -211,6 +211,7 @@ def _pooled(
     rows = np.array([len(m) for m in measured], dtype=np.float64)[:, None]
 
     def pooled_rmse(values: list[FloatArray]) -> FloatArray:
+        """Return the root of the mean square over all rows of the folds [um]."""
         return np.asarray(np.sqrt((np.square(np.array(values)) * rows).sum(axis=0) / rows.sum()))
 
     return ResidualMetrics(

@@ -44,6 +44,7 @@ def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
     """
 
     def standardised(table: FloatArray) -> FloatArray:
+        """Return the columns without their means, scaled to unit length."""
         centred = table - table.mean(axis=0)
         size = np.sqrt(np.sum(centred**2, axis=0))
         return np.asarray(centred / np.where(size > 0.0, size, np.inf), dtype=np.float64)

@@ -102,6 +102,7 @@ def _identified(
     fixed = {**INITIAL, **FIXED[parameters]}
 
     def model(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
+        """Return the nose's response and its slopes [m/N] for fitted parameters beside the fixed ones."""
         return shaft.nose_receptance_and_derivatives(properties_from_parameters({**fixed, **values}))
 
     reached = descend(model, response, names, begin, ITERATIONS)

@@ -184,6 +184,7 @@ class AxisTracker:
         now = follower.follow(parameters, response[::COARSE])
 
         def end(name: str, value: float) -> float | None:
+            """Return the resonance [Hz] with one property at an end of its range; None where no mode is followed."""
             if value == parameters[name]:
                 return now_hz
             there = follower.reached(parameters, now, {**parameters, name: value})

@@ -52,8 +52,8 @@ def judged(minutes: Recording, result: TrainingResult) -> ResidualMetrics:
     test = minutes.between_hours(SPLIT, END)
     components = ("machine",) * len(test.temperature_names)
     outcomes = [
-        estimate(result.model, now, test.temperatures_degc[0], float(time_s - test.time_s[0]) / 60.0, components)
-        for now, time_s in zip(test.temperatures_degc, test.time_s, strict=True)
+        estimate(result.model, degc, test.temperatures_degc[0], float(time_s - test.time_s[0]) / 60.0, components)
+        for degc, time_s in zip(test.temperatures_degc, test.time_s, strict=True)
     ]
     estimated = np.array([outcome.thermal_error_um for outcome in outcomes if outcome is not None])
     return residual_metrics(test.displacement_names, test.displacements_um, estimated)
