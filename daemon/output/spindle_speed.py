@@ -16,7 +16,7 @@ from daemon.output.speed_block import DISABLED, Found, SpeedBlock, SpeedPair
 from daemon.output.speed_worker import PlannedSpeed, SpeedWorker
 from daemon.stability.tool_points import CalledOperation
 from drivers.clock import Clock
-from drivers.contract import DriverError, FatalDriverError
+from drivers.contract import SIMULATED_CNC_IDENTITY, DriverError, FatalDriverError
 from models.records import CncSample, MachineTemperatures, Phase, WriteOutcome
 from models.stability.errors import StabilityError
 from models.stability.speed_tuning import (
@@ -32,6 +32,10 @@ from models.stability.speed_tuning import (
 
 SPEED_CAUSE = "spindle speed"
 """Cause of these writes in the audit."""
+ONLY_SIMULATED = (
+    "this version moves the spindle speed of the simulated control only: the block does not yet name the tool, "
+    "depth and width that a pair was made for; leave spindle_speed out on a real control"
+)
 RENEW_SHARE = 1.0 / 3.0
 """The pair is written again after this share of its validity."""
 
@@ -77,6 +81,9 @@ class SpindleSpeedOutput:
             self._moved = False
         if self._tuning is None or session is None or session.sample is None:
             return
+        if session.cnc.identity != SIMULATED_CNC_IDENTITY:
+            self._refuse(ONLY_SIMULATED)
+            return
         now_s = self._clock.now().monotonic_s
         if now_s < self._next_look_s and session is self._session:
             return
@@ -96,6 +103,11 @@ class SpindleSpeedOutput:
             return
         self._decide(self._called, now_s, phase, wanted=self._block.wanted(found) and place is not None)
         await self._write_when_due(session, found, now_s)
+
+    def _refuse(self, why: str) -> None:
+        if self.alarm != why:
+            self._journal.event("refused", f"spindle speed: {why}", "daemon")
+        self.alarm = why
 
     def _begin(self, session: CncSession) -> None:
         """Begin with a new session: what the CNC holds is not known to be ours, so it is written anew."""

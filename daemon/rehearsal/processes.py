@@ -30,6 +30,8 @@ FIRST_LEAD_S = 4.0
 MOST_LEADS = 4
 REQUEST_REAL_S = 2.0
 """A request of the NC program waits at least this long for its answer [s of the wall clock]."""
+LOOK_AHEAD = 1.5
+"""The guard believes blocks this much longer than they are written for, polls included."""
 STOP_PATIENCE_S = 15.0
 
 
@@ -66,7 +68,9 @@ def write_rehearsal_configuration(
     base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
     base["compensation"]["allow_writable_model_directory"] = True
     output = base["compensation"].setdefault("output", {})
+    slowest_poll_s = base["cnc"].get("poll_period_s", 0.5)
     output["validity_s"] = min(max(30.0, speed), 100.0)
+    base["cnc"]["guard"]["look_ahead_s"] = max(120.0, LOOK_AHEAD * (output["validity_s"] + slowest_poll_s))
     output["stale_after_s"] = min(max(60.0, speed), 300.0)
     output["alarm_after_s"] = 300.0
     base["history"] = {"path": str(directory / "history.sqlite")}

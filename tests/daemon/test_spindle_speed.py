@@ -299,3 +299,15 @@ def test_the_section_says_what_is_wrong_with_it(tmp_path: Path) -> None:
         speed_machine(tmp_path, macros=good.macros.model_copy(update={"sequence_a": 600}))
     with pytest.raises(ValueError, match="belongs to the compensation"):
         speed_machine(tmp_path, macros=good.macros.model_copy(update={"sequence_a": 500}))
+
+
+async def test_on_another_control_than_the_simulated_one_nothing_is_written_and_status_says_why(
+    bench: SpeedRig,
+) -> None:
+    bench.rig.nc.identity = "urn:a-real-control"
+    bench.rig.link.session.cnc.identity = "urn:a-real-control"
+    before = list(bench.rig.nc.written)
+    await bench.operation()
+    ours = set(bench.rig.control.side.speed._block.numbers)
+    assert not [number for number, _ in bench.rig.nc.written[len(before) :] if number in ours]
+    assert "simulated control only" in bench.picture()["alarm"]
