@@ -93,6 +93,8 @@ def evaluate(
         When the recordings cannot be trained on or tested as asked for.
 
     """
+    if protocol.leave_out == "runs":
+        _require_different(recordings)
     whole = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     parts = _parts(whole, protocol)
     _require_faults(whole, parts, protocol.faults)
@@ -101,6 +103,17 @@ def evaluate(
         outcomes.append(_one(recordings, sample_s, model, protocol, part))
         progress("evaluating", number, len(parts))
     return {"model": model, **_figures(whole, outcomes)}
+
+
+def _require_different(recordings: Sequence[Recording]) -> None:
+    """Refuse a recording that is given twice: it would be tested on a model that was trained on it."""
+    for second, recording in enumerate(recordings):
+        for first, other in enumerate(recordings[:second]):
+            if np.array_equal(recording.temperatures_degc, other.temperatures_degc, equal_nan=True):
+                raise DatasetError(
+                    f"{recording.name}: recordings {first + 1} and {second + 1} hold the same temperatures; give each "
+                    "run once, or the model is tested on what it was trained on"
+                )
 
 
 def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:

@@ -227,6 +227,9 @@ class Recording:
             *zip(self.temperature_names, self.temperatures_degc.T, strict=True),
             *zip(self.displacement_names, self.displacements_um.T, strict=True),
         ]
+        if self.speed_rpm is not None and len(self.speed_rpm) and not np.isfinite(self.speed_rpm).any():
+            sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
+            found.append(Finding(severity="error", column="spindle speed", row=None, sentence=sentence))
         for name, column in columns:
             missing = ~np.isfinite(column)
             if not len(column) or missing.all():

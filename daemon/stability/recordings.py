@@ -11,9 +11,10 @@ import numpy as np
 
 from drivers.accelerometer_recording import AccelerationRecording
 from models.records import FloatArray
-from models.stability.chatter import ChatterVerdict, check_clipping, detect_chatter
+from models.stability.chatter import ChatterVerdict, detect_chatter
 from models.stability.errors import StabilityError
 from models.stability.roughness import roughness_per_depth
+from models.stability.signal_checks import check_clipping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,10 +14,13 @@ import numpy as np
 
 from models.records import FloatArray
 from models.stability.errors import StabilityError
+from models.stability.signal_checks import check_clipping, check_length
 
 WINDOW_S = 0.64
 """4096 samples at 6400 Hz, as in the source."""
 HARMONICS_FOR_SPEED = 6
+LEAST_SPACING = 2.0
+"""Harmonics of the tooth passing lie at least so many times apart as is taken out around each."""
 ALWAYS_RUNOUT = 2.5
 """Harmonics below this multiple of the spindle's turn are unbalance, however strong."""
 
@@ -131,15 +134,6 @@ def short_time_spectra(
     return [_spectrum(acceleration_m_s2[start : start + length], start, sample_rate_hz) for start in starts]
 
 
-def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
-    """Refuse a signal that is shorter than a window. Raises StabilityError."""
-    if samples < window:
-        raise StabilityError(
-            f"{samples} samples at {sample_rate_hz:g} Hz are {samples / sample_rate_hz:.3g} s; a spectrum needs "
-            f"{window} ({window / sample_rate_hz:.2g} s): record longer, or analyse a longer part"
-        )
-
-
 def _spectrum(samples: FloatArray, start: int, sample_rate_hz: float) -> SpectrumFrame:
     length = len(samples)
     window = np.hanning(length + 1)[:-1]
@@ -183,6 +177,11 @@ def judge_frame(
     spacing_hz = float(frame.frequency_hz[1])
     passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0, rules)
     width_hz = np.maximum(rules.half_width_lines * spacing_hz, rules.half_width_share * frame.frequency_hz)
+    if passing_hz < LEAST_SPACING * 2.0 * rules.half_width_lines * spacing_hz:
+        raise StabilityError(
+            f"at {speed_rpm:g} 1/min the teeth pass at {passing_hz:.3g} Hz, and lines of a spectrum are "
+            f"{spacing_hz:.3g} Hz apart: between so many harmonics chatter cannot be told from the cut"
+        )
     forced = _on_multiples(frame.frequency_hz, passing_hz, width_hz)
     turn_hz = passing_hz / teeth
     turning = _on_multiples(frame.frequency_hz, turn_hz, width_hz) & ~forced
@@ -376,24 +375,3 @@ def detect_chatter(
     check_clipping(acceleration_m_s2)
     monitor = ChatterMonitor(sample_rate_hz, speed_rpm, teeth, settings)
     return summarise(monitor.push(acceleration_m_s2), settings)
-
-
-def check_clipping(acceleration_m_s2: FloatArray) -> None:
-    """Refuse a signal that stays at its largest or smallest value as only a limit makes it.
-
-    Raises StabilityError.
-    """
-    for extreme, name in ((float(acceleration_m_s2.max()), "upper"), (float(acceleration_m_s2.min()), "lower")):
-        at_limit = acceleration_m_s2 == extreme
-        count = int(at_limit.sum())
-        values = acceleration_m_s2[~at_limit]
-        if count < 5 or not len(values):
-            continue
-        next_value = float(values.max() if name == "upper" else values.min())
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], at_limit.astype(np.int8), [0]))))
-        longest = int((edges[1::2] - edges[::2]).max())
-        if longest >= 4 or count > 4 * int(np.sum(acceleration_m_s2 == next_value)):
-            raise StabilityError(
-                f"the recording is clipped: {count} samples stand at its {name} end of {extreme:g} m/s^2; "
-                "set a wider range of the amplifier and record again"
-            )

@@ -21,6 +21,8 @@ from models.units import mm_from_m
 ZOOM_POINTS = 33
 ZOOM_ROUNDS = 4
 NEXT_TO_ZERO = 1e-9
+MOST_LOBES = 20_000
+"""More lobes at one speed are a speed that nobody mills at."""
 MOST_REFINED = 8
 """So many of the highest peaks are looked at between the samples; noise has more."""
 NEAR_RANGE = 1.02
@@ -205,7 +207,13 @@ def _crossings(branch: _Branch, cut: Cut, speed_rpm: FloatArray) -> tuple[np.nda
     positive = np.flatnonzero(branch.eigenvalue.real > 0.0)
     eigenvalue, frequency_hz = branch.eigenvalue[positive], branch.frequency_hz[positive]
     apart = np.diff(positive) != 1
-    highest_lobe = int(60.0 * branch.frequency_hz[-1] / (cut.teeth * speed_rpm[0]))
+    lobes = 60.0 * branch.frequency_hz[-1] / (cut.teeth * speed_rpm[0])
+    if lobes > MOST_LOBES:
+        raise StabilityError(
+            f"at {speed_rpm[0]:g} 1/min the response has {lobes:.3g} lobes, more than {MOST_LOBES}; begin at a higher "
+            "spindle speed"
+        )
+    highest_lobe = int(lobes)
     numbers = np.arange(highest_lobe + 1.0)[:, None]
     spacing = speed_rpm[1] - speed_rpm[0]
     turning = 60.0 / (cut.teeth * spacing) * frequency_hz

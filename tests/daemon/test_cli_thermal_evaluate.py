@@ -255,3 +255,8 @@ def test_sensors_are_compared_on_what_is_left_out(recording: Path, method: str) 
     assert [step["count"] for step in found["selected"]] == [1, 2, 3]
     assert {price["sensor"] for price in found["prices"]} == {"t1", "t2", "t3", "t4"}
     assert found["folds"] == "cycle"
+
+
+def test_a_run_that_is_given_twice_is_refused(recording: Path) -> None:
+    result = invoke(recording, str(recording), "--leave-out-runs")
+    assert (result.exit_code, "give each run once" in result.stderr) == (2, True)

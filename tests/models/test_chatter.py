@@ -10,13 +10,13 @@ from models.records import FloatArray
 from models.stability.chatter import (
     ChatterMonitor,
     ChatterSettings,
-    check_clipping,
     detect_chatter,
     short_time_spectra,
     summarise,
     window_samples,
 )
 from models.stability.errors import StabilityError
+from models.stability.signal_checks import check_clipping
 
 RATE_HZ = 6400.0
 RNG = np.random.default_rng(8)
@@ -171,3 +171,15 @@ def test_rounded_signals_are_not_taken_for_clipped(decimals: int) -> None:
 def test_settings_decide_what_counts() -> None:
     signal = forced(6000.0, 3.0) + tone(609.0, 3.0, 1.0)
     assert not detect_chatter(signal, RATE_HZ, 6000.0, 4, ChatterSettings(power_ratio=1.0)).chatter
+
+
+@pytest.mark.parametrize("level", [0.0, 3.5])
+def test_a_dead_accelerometer_is_no_verdict(level: float) -> None:
+    with pytest.raises(StabilityError, match="check the sensor"):
+        detect_chatter(np.full(12800, level), 6400.0, 6000.0, 2)
+
+
+@pytest.mark.parametrize("speed_rpm", [1.0, 60.0, 300.0])
+def test_harmonics_that_lie_too_close_are_no_verdict(speed_rpm: float) -> None:
+    with pytest.raises(StabilityError, match="cannot be told from the cut"):
+        detect_chatter(tone(873.0, 2.0, 1.0), 6400.0, speed_rpm, 2)

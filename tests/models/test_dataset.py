@@ -135,3 +135,8 @@ def test_rows_of_recordings_that_are_used_together_count_together() -> None:
     with pytest.raises(DatasetError, match="30 rows cannot determine 30 variables"):
         short.require_usable(30)
     short.require_usable(40)
+
+
+def test_a_speed_column_without_any_value_is_refused_and_not_taken_for_standstill() -> None:
+    with pytest.raises(DatasetError, match="spindle speed: no value at all"):
+        replace(recording(), speed_rpm=np.full(60, np.nan)).require_usable()

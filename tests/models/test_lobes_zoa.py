@@ -148,6 +148,8 @@ def test_refusals_say_what_to_do() -> None:
     assert any("begins at 300 Hz" in warning for warning in warned.warnings)
     with pytest.raises(StabilityError, match="rigid"):
         zeroth_order_lobes(ModalResponse(), SLOT, from_rpm=2000.0, to_rpm=10000.0, points=10)
+    with pytest.raises(StabilityError, match="more than 20000; begin at a higher"):
+        zeroth_order_lobes(TWO, SLOT, from_rpm=0.01, to_rpm=2000.0, points=10)
     with pytest.raises(StabilityError, match="no range"):
         zeroth_order_lobes(TWO, SLOT, from_rpm=9000.0, to_rpm=2000.0, points=10)
     with pytest.raises(StabilityError, match="radial depth 11 mm"):

@@ -1,0 +1,66 @@
+"""What a recording of an accelerometer must be before a verdict on chatter is drawn from it."""
+
+import numpy as np
+
+from models.records import FloatArray
+from models.stability.errors import StabilityError
+
+
+def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
+    """Refuse a signal that is shorter than a window.
+
+    Parameters
+    ----------
+    samples
+        How many there are.
+    sample_rate_hz
+        Samples per second [Hz].
+    window
+        How many a spectrum needs.
+
+    Raises
+    ------
+    StabilityError
+        Saying how long to record.
+
+    """
+    if samples < window:
+        raise StabilityError(
+            f"{samples} samples at {sample_rate_hz:g} Hz are {samples / sample_rate_hz:.3g} s; a spectrum needs "
+            f"{window} ({window / sample_rate_hz:.2g} s): record longer, or analyse a longer part"
+        )
+
+
+def check_clipping(acceleration_m_s2: FloatArray) -> None:
+    """Refuse a signal that does not move, or stays at its largest or smallest value as only a limit makes it.
+
+    Parameters
+    ----------
+    acceleration_m_s2
+        Shape (n,) [m/s^2].
+
+    Raises
+    ------
+    StabilityError
+        Saying what is wrong and what to do.
+
+    """
+    if float(np.ptp(acceleration_m_s2)) == 0.0:
+        raise StabilityError(
+            f"the recording stands at {float(acceleration_m_s2[0]):g} m/s^2 from beginning to end; check the sensor "
+            "and its cable"
+        )
+    for extreme, name in ((float(acceleration_m_s2.max()), "upper"), (float(acceleration_m_s2.min()), "lower")):
+        at_limit = acceleration_m_s2 == extreme
+        count = int(at_limit.sum())
+        values = acceleration_m_s2[~at_limit]
+        if count < 5 or not len(values):
+            continue
+        next_value = float(values.max() if name == "upper" else values.min())
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], at_limit.astype(np.int8), [0]))))
+        longest = int((edges[1::2] - edges[::2]).max())
+        if longest >= 4 or count > 4 * int(np.sum(acceleration_m_s2 == next_value)):
+            raise StabilityError(
+                f"the recording is clipped: {count} samples stand at its {name} end of {extreme:g} m/s^2; "
+                "set a wider range of the amplifier and record again"
+            )
