@@ -119,8 +119,8 @@ class OpcUaCnc:
         try:
             if self._lost is None:
                 async with asyncio.timeout(self._config.timeout_s):
-                    await client.close_session()
-                    await client.close_secure_channel()
+                    await _cancelled_plainly(client.close_session())
+                    await _cancelled_plainly(client.close_secure_channel())
         except (OSError, UaError) as error:
             log.debug("%s: the session could not be closed properly: %r", self._endpoint, error)
         except Exception as error:
@@ -255,7 +255,7 @@ class OpcUaCnc:
         """Await a call within the time-out and turn what the library raises into the contract's errors."""
         try:
             async with asyncio.timeout(self._config.timeout_s):
-                return await call
+                return await _cancelled_plainly(call)
         except DriverError:
             raise
         except TimeoutError as error:
@@ -280,6 +280,18 @@ class OpcUaCnc:
         if not (self.secure and self._client is not None and not self.identity):
             return ""
         return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
+
+
+async def _cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
+    """Await a call of the library with cancellation as asyncio's time-out knows it.
+
+    When a call ends in the instant it is given up, the library raises a class of its own below CancelledError; asyncio
+    would not turn that into a TimeoutError, and it would end the task that waits.
+    """
+    try:
+        return await call
+    except asyncio.CancelledError as cancelled:
+        raise asyncio.CancelledError from cancelled
 
 
 def _security_of(credentials: OpcUaCredentials | None) -> tuple[ua.MessageSecurityMode, str]:

@@ -265,6 +265,23 @@ async def test_a_server_that_never_answers_is_a_lost_link() -> None:
     assert {t for t in asyncio.all_tasks() - before if "listen" not in repr(t)} == set()
 
 
+async def test_a_call_that_ends_in_the_instant_it_is_given_up_is_a_lost_link() -> None:
+    """The library then raises its own kind of cancellation, which must not end the task that waits."""
+
+    class LibrarysOwnCancelledError(asyncio.CancelledError):
+        pass
+
+    async def answered_too_late() -> None:
+        try:
+            await asyncio.sleep(60.0)
+        except asyncio.CancelledError:
+            raise LibrarysOwnCancelledError from None
+
+    cnc = OpcUaCnc(cnc_config(timeout_s=0.05), SystemClock())
+    with pytest.raises(LinkError, match=r"did not answer within 0\.05 s while reading"):
+        await cnc._call("reading", answered_too_late())
+
+
 async def test_cancelled_connect_leaves_nothing_behind() -> None:
     done = asyncio.Event()
 

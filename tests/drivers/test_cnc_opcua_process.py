@@ -18,6 +18,7 @@ from drivers.cnc_opcua import OpcUaCnc  # noqa: E402
 from drivers.contract import LinkError  # noqa: E402
 
 pytestmark = pytest.mark.wires
+IMPATIENT_S = 3.0  # a slow computer still connects within it
 
 
 class ServingProcess:
@@ -42,18 +43,18 @@ def serving() -> Iterator[ServingProcess]:
 async def test_frozen_cnc_ends_every_call_until_it_thaws_and_its_death_ends_a_waiting_write(
     serving: ServingProcess,
 ) -> None:
-    config = cnc_config(serving.endpoint, timeout_s=0.5)
+    config = cnc_config(serving.endpoint, timeout_s=IMPATIENT_S)
     patient = cnc_config(serving.endpoint)
     reader, writer = OpcUaCnc(config, SystemClock()), OpcUaCnc(config, SystemClock())
     await reader.connect()
     await writer.connect()
     before = asyncio.all_tasks()
     serving.process.send_signal(signal.SIGSTOP)
-    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while reading"):
+    with pytest.raises(LinkError, match=r"did not answer within 3 s while reading"):
         await reader.read([500])
-    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while writing macro variables"):
+    with pytest.raises(LinkError, match=r"did not answer within 3 s while writing macro variables"):
         await writer.write_macros(GROUPS)
-    with pytest.raises(LinkError, match=r"did not answer within 0\.5 s while connecting"):
+    with pytest.raises(LinkError, match=r"did not answer within 3 s while connecting"):
         await OpcUaCnc(config, SystemClock()).connect()
     await reader.close()
     await writer.close()

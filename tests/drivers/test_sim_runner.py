@@ -206,7 +206,7 @@ async def test_frozen_and_killed_cnc(tmp_path: Path) -> None:
         await cnc.read([])
     await cnc.close()
     with pytest.raises(LinkError, match="was lost while connecting"):
-        await OpcUaCnc(config, SystemClock()).connect()
+        await OpcUaCnc(cnc_config(ready.endpoint), SystemClock()).connect()
     await running.move(300.0)
     cnc = OpcUaCnc(cnc_config(ready.endpoint), SystemClock())
     await cnc.connect()

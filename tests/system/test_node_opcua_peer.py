@@ -107,7 +107,8 @@ async def test_node_opcua_as_client_of_the_simulated_cnc(
     output, _ = await asyncio.wait_for(client.communicate(), START_TIMEOUT_S)
     await server.stop()
     assert client.returncode == 0
-    result = json.loads(output.splitlines()[-1])
+    (printed,) = [line for line in output.decode().splitlines() if line.startswith("result ")]
+    result = json.loads(printed.removeprefix("result "))
     assert "BadUserAccessDenied" in result.pop("wrong_password")
     assert result == {
         "application_uri": SERVER_URI,
@@ -130,9 +131,17 @@ class NodeServer:
         self.process = process
         self.endpoint = endpoint
 
-    async def line(self) -> str:
+    async def line(self, beginning: str) -> str:
+        """The next line that begins so; node-opcua prints warnings between them, above all on a slow computer."""
         assert self.process.stdout is not None
-        return (await asyncio.wait_for(self.process.stdout.readline(), START_TIMEOUT_S)).decode().strip()
+        while raw := await asyncio.wait_for(self.process.stdout.readline(), START_TIMEOUT_S):
+            if (line := raw.decode().strip()).startswith(beginning):
+                return line
+        raise AssertionError(f"the server ended before it printed a line that begins with {beginning!r}")
+
+    async def written(self) -> list[float]:
+        number, value = json.loads((await self.line("written ")).removeprefix("written "))
+        return [number, value]
 
 
 @pytest.fixture
@@ -156,9 +165,7 @@ async def node_server(node_environment: dict[str, str], keys: Keys, tmp_path: Pa
         "echo": echo,
     }
     server = NodeServer(await start("server.js", options, node_environment), "")
-    while not server.endpoint.startswith("opc.tcp://"):
-        server.endpoint = await server.line()
-        assert server.process.returncode is None
+    server.endpoint = await server.line("opc.tcp://")
     yield server
     if server.process.returncode is None:
         server.process.kill()
@@ -175,7 +182,7 @@ async def test_driver_against_node_opcua_as_server(node_server: NodeServer, keys
     assert sample.macros == {500: None, 510: None}
     await cnc.write_macros(GROUPS)
     assert await cnc.read_macros([500, 503, 505]) == {500: 1.0, 503: 0.0105, 505: 1.0}
-    written = [json.loads(await node_server.line()) for group in GROUPS for _ in group]
+    written = [await node_server.written() for group in GROUPS for _ in group]
     assert written == [[number, value] for group in GROUPS for number, value in group]
     with pytest.raises(FatalDriverError, match=r"refused macro variable #510 = 1\.0: Bad"):
         await cnc.write_macros([[(510, 1.0)]])

@@ -1,5 +1,5 @@
 // Connects to the simulated CNC with Basic256Sha256, sign and encrypt, and a user name, tries what a client
-// may and may not do, and prints what happened as one line of JSON.
+// may and may not do, and prints what happened as one line, 'result' and JSON.
 //
 //   node client.js '{"endpoint": ..., "certificate": ..., "privateKey": ..., "applicationUri": ...,
 //                    "pki": ..., "user": ..., "password": ..., "namespace": ...}'
@@ -72,7 +72,7 @@ async function exercise(session) {
 (async () => {
   const result = await connected(options.password, exercise);
   result.wrong_password = await connected("wrong", async () => "admitted").catch((error) => error.message);
-  console.log(JSON.stringify(result));
+  console.log(`result ${JSON.stringify(result)}`);
   process.exit(0);
 })().catch((error) => {
   console.error(error);

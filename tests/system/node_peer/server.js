@@ -1,5 +1,7 @@
 // Serves a CNC with Basic256Sha256, sign and encrypt, and a user name. Prints its endpoint as one line, then every
-// macro write as one line of JSON; ends when its standard input ends.
+// macro write as one line, 'written' and JSON; ends when its standard input ends.
+//
+// The library itself prints warnings among these lines.
 //
 //   node server.js '{"port": ..., "certificate": ..., "privateKey": ..., "applicationUri": ..., "pki": ...,
 //                    "trusted": ..., "user": ..., "password": ..., "namespace": ..., "macros": [...], "echo": [...]}'
@@ -44,7 +46,7 @@ function addVariables(addressSpace) {
         : opcua.StatusCodes.BadNoData;
     const set = (variant) => {
       values.set(number, variant.value);
-      console.log(JSON.stringify([number, variant.value]));
+      console.log(`written ${JSON.stringify([number, variant.value])}`);
       return opcua.StatusCodes.Good;
     };
     const writable = options.macros.includes(number);
