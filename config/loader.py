@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from config.knobs import knob_at, section_at
 from config.problems import ConfigurationError, Problem
 from config.schema import Configuration
-from config.schema.base import FORMS, KeyProblems
+from config.schema.base import FORMS, KeyProblems, Section
 from config.yaml_document import KeyPath, Position, YamlDocument, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -82,22 +82,35 @@ def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
 
 
 def with_absolute_paths(section: Model, folder: Path) -> Model:
-    """Return a copy of a section in which every relative path starts at `folder`."""
+    """Return a copy of a section in which every relative path starts at `folder`, and shipped names are found."""
+    shipped = section.shipped if isinstance(section, Section) else {}
     return section.model_copy(
-        update={name: _absolute(getattr(section, name), folder) for name in type(section).model_fields}
+        update={
+            name: _absolute(getattr(section, name), folder, shipped.get(name)) for name in type(section).model_fields
+        }
     )
 
 
-def _absolute(value: Any, folder: Path) -> Any:
+def _absolute(value: Any, folder: Path, shipped: str | None = None) -> Any:
     if isinstance(value, Path):
-        return folder / value
+        return _found(value, folder, shipped)
     if isinstance(value, BaseModel):
         return with_absolute_paths(value, folder)
     if isinstance(value, list):
-        return [_absolute(item, folder) for item in value]
+        return [_absolute(item, folder, shipped) for item in value]
     if isinstance(value, dict):
-        return {name: _absolute(item, folder) for name, item in value.items()}
+        return {name: _absolute(item, folder, shipped) for name, item in value.items()}
     return value
+
+
+def _found(path: Path, folder: Path, shipped: str | None) -> Path:
+    """Return a path from `folder`; a bare name that is no file there may be one of a shipped file."""
+    beside = folder / path
+    if shipped is not None and path.parent == Path() and not beside.exists():
+        ours = Path(__file__).parent / shipped / f"{path.name}.yaml"
+        if ours.is_file():
+            return ours
+    return beside
 
 
 def _read_text(path: Path) -> str:

@@ -144,6 +144,8 @@ class Daemon:
         self._history.start()
         self._report("daemon", "started")
         self._report("model", self._loaded.in_words())
+        if (bearings := self.control.side.speed.worker.model) is not None:
+            self._report("model", f"bearings: {bearings.in_words()}")
         scheduler = self._parts.housekeeping(self._history, configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:

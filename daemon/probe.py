@@ -68,9 +68,11 @@ def model_finding(configuration: Configuration) -> Finding:
 
 def _spindle_speed(configuration: Configuration) -> Finding:
     """Return whether spindles, bearings' model and cases of the tuned operations can be read and fit together."""
-    planning, obstacle = open_planning(configuration)
-    detail = obstacle or f"{len(planning)} operation(s) can be tuned"
-    return Finding(subject="spindle speed", passed=not obstacle, detail=detail)
+    opened = open_planning(configuration, account_of_daemon(configuration.history.path))
+    if opened.obstacle or opened.model is None:
+        return Finding(subject="spindle speed", passed=False, detail=opened.obstacle)
+    detail = f"{opened.model.in_words()}; {len(opened.operations)} operation(s) can be tuned"
+    return Finding(subject="spindle speed", passed=True, detail=detail)
 
 
 def _record(configuration: Configuration) -> Finding:

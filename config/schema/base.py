@@ -1,7 +1,7 @@
 """Common base of all configuration sections."""
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -12,6 +12,8 @@ class Section(BaseModel):
     """A configuration section: unknown keys are refused, types are strict, values are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    shipped: ClassVar[Mapping[str, str]] = {}
+    """Keys whose paths may be bare names of YAML files that ship -> the folder of this package where they lie."""
 
 
 class KeyProblems(ValueError):

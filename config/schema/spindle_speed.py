@@ -1,7 +1,8 @@
 """Tuning of the spindle speed: for which operations, within what, and through which macro variables."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -66,14 +67,20 @@ class SpeedMacrosConfig(Section):
         return self
 
 
+Frequency = Annotated[float, Field(gt=0)]
+
+
 class SpeedOperationConfig(Section):
     """One tool whose speed may be tuned, with what it cuts."""
+
+    shipped: ClassVar[Mapping[str, str]] = {"spindles": "spindles"}
 
     tool_number: int = Field(ge=1, description="tool in the spindle, as the CNC numbers it", examples=[7])
     program: int | None = Field(None, ge=1, description="O number; none: any program", examples=[1000])
     spindles: dict[Literal["x", "y"], Path] = Field(
         min_length=1,
-        description="spindle file with holder and tool, per machine axis; an axis that is left out is rigid",
+        description="spindle file with holder and tool, or the name of one that ships, per machine axis; an axis that "
+        "is left out is rigid",
         examples=[{"x": "/etc/toolpoint/spindle_x.yaml", "y": "/etc/toolpoint/spindle_y.yaml"}],
     )
     case: Path = Field(
@@ -84,6 +91,12 @@ class SpeedOperationConfig(Section):
         None, gt=0, description="axial depth where the NC program does not say it [mm]", examples=[4.5]
     )
     highest_rpm: float | None = Field(None, gt=0, description="highest speed of the tool [1/min]", examples=[12000.0])
+    near_hz: dict[Literal["x", "y"], Frequency] = Field(
+        {},
+        description="per machine axis, the resonance nearest to this is followed [Hz]; an axis that is left out: its "
+        "highest peak",
+        examples=[{"x": 650.0}],
+    )
 
 
 class SpindleSpeedConfig(Section):
@@ -92,7 +105,8 @@ class SpindleSpeedConfig(Section):
     program: int = Field(9020, ge=1, le=9999, description="O number of the speed program that the CNC runs")
     macros: SpeedMacrosConfig = Field(description="macro variables; those that are written, within `writable`")
     thermomechanical_model: Path = Field(
-        description="bearing properties from temperatures (JSON), as `toolpoint dynamics campaign` writes it",
+        description="released model of the bearings over temperature (JSON), in a directory that the daemon cannot "
+        "write; `toolpoint model release --bearings` puts it there",
         examples=["/var/lib/toolpoint-models/bearings.json"],
     )
     operations: list[SpeedOperationConfig] = Field(min_length=1, description="tools whose speed may be tuned")
@@ -127,6 +141,10 @@ class SpindleSpeedConfig(Section):
     @model_validator(mode="after")
     def _sensible(self) -> "SpindleSpeedConfig":
         problems: list[tuple[KeyPath, str]] = []
+        for index, operation in enumerate(self.operations):
+            for axis in operation.near_hz:
+                if axis not in operation.spindles:
+                    problems.append((("operations", index, "near_hz", axis), f"there is no spindle along {axis}"))
         if self.lowest_rpm >= self.highest_rpm:
             problems.append((("lowest_rpm",), "must be below highest_rpm"))
         for index, operation in enumerate(self.operations):

@@ -1,4 +1,4 @@
-"""`toolpoint model`: release thermal models, list them, go back to an earlier one."""
+"""`toolpoint model`: release thermal models and bearing models, list them, go back to an earlier one."""
 
 import sys
 from pathlib import Path
@@ -10,46 +10,63 @@ from daemon.cli.common import config_option, json_option, read_configuration, re
 
 if TYPE_CHECKING:
     from config.release_record import ReleaseRecord
+    from daemon.release.releasing import Kind
 
 REFUSED = 1
 """Exit status when a model is refused."""
 note_option = click.option("--note", default="", help="Why, for the record.")
+bearings_option = click.option(
+    "--bearings", is_flag=True, help="The bearing model of the spindle speed, not the thermal model."
+)
+
+
+def _kind(bearings: bool) -> "Kind":
+    from daemon.release.bearings import BEARINGS
+    from daemon.release.releasing import THERMAL
+
+    return BEARINGS if bearings else THERMAL
 
 
 @click.group()
 def model() -> None:
-    """Released thermal models: who released which, and the way back.
+    """Released models: who released which, and the way back.
 
-    Run these as an account that may write the folder of compensation.model_file. The daemon's may
-    not. The daemon takes a newly released model up when it is started or reloaded.
+    Thermal models, or with --bearings the model of the bearings that the spindle speed follows. Run these as an
+    account that may write the folder of compensation.model_file or spindle_speed.thermomechanical_model. The
+    daemon's may not. The daemon takes a newly released thermal model up when it is started or reloaded, and a
+    bearing model when it is started.
     """
 
 
 @model.command("release")
 @click.argument("proposal", required=False, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
+@bearings_option
 @note_option
 @config_option
 @json_option
 def release_command(
-    proposal: Path | None, by_policy: bool, note: str, config_path: Path, json_path: str | None
+    proposal: Path | None, by_policy: bool, bearings: bool, note: str, config_path: Path, json_path: str | None
 ) -> None:
     """Check PROPOSAL (a model's file, or its name among the proposals) and make it the active model.
 
-    Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands.
+    Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands; of a bearing
+    model checksum, signals, and whether the spindles and cases of the configured operations fit it.
     """
     from daemon.release.releasing import person_now, proposal_named, release, release_by_policy
     from daemon.release.shelf import ReleaseError
 
     if (proposal is None) != by_policy:
         raise click.UsageError("name one PROPOSAL, or let --by-policy choose one")
+    if by_policy and bearings:
+        raise click.UsageError("the policy knows thermal models alone; a person releases a bearing model")
     configuration = read_configuration(config_path)
     try:
         if proposal is None:
             record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
         else:
             path = proposal_named(configuration, proposal)
-            record = release(configuration, path, person=person_now(), note=note)
+            record = release(configuration, path, person=person_now(), note=note, kind=_kind(bearings))
     except (ReleaseError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(REFUSED)
@@ -57,52 +74,56 @@ def release_command(
         click.echo("no proposal that the policy lets through; `toolpoint model list` shows what waits", err=True)
         write_json(json_path, None)
         return
-    _done(record, json_path)
+    _done(record, bearings, json_path)
 
 
 @model.command()
 @click.option("--to", "number", type=click.IntRange(min=1), help="The release to go back to (else the one before).")
+@bearings_option
 @note_option
 @config_option
 @json_option
-def rollback(number: int | None, note: str, config_path: Path, json_path: str | None) -> None:
+def rollback(number: int | None, bearings: bool, note: str, config_path: Path, json_path: str | None) -> None:
     """Make an earlier release the active model again, under a new number."""
     from daemon.release import releasing
     from daemon.release.shelf import ReleaseError
 
     configuration = read_configuration(config_path)
     try:
-        record = releasing.rollback(configuration, person=releasing.person_now(), to=number, note=note)
+        kind, person = _kind(bearings), releasing.person_now()
+        record = releasing.rollback(configuration, person=person, to=number, note=note, kind=kind)
     except (ReleaseError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(REFUSED)
-    _done(record, json_path)
+    _done(record, bearings, json_path)
 
 
-def _done(record: "ReleaseRecord", json_path: str | None) -> None:
+def _done(record: "ReleaseRecord", bearings: bool, json_path: str | None) -> None:
+    taken_up = "at its next start" if bearings else "with `systemctl reload toolpoint`, or at its next start"
     click.echo(
         f"release {record.number}: {record.model_id}, sha256 {record.sha256[:12]}, by {record.person}; the daemon "
-        "takes it up with `systemctl reload toolpoint`, or at its next start",
+        f"takes it up {taken_up}",
         err=True,
     )
     write_json(json_path, record.model_dump(mode="json"))
 
 
 @model.command("list")
+@bearings_option
 @config_option
 @json_option
-def list_command(config_path: Path, json_path: str | None) -> None:
-    """Show every release, which one is active, and the proposals that wait."""
-    from daemon.release.releasing import proposals, shelf_of, why_proposals_are_hidden
+def list_command(bearings: bool, config_path: Path, json_path: str | None) -> None:
+    """Show every release, which one is active, and the proposals that wait (there are none of bearing models)."""
+    from daemon.release.releasing import proposals, why_proposals_are_hidden
     from daemon.release.shelf import ReleaseError
 
     configuration = read_configuration(config_path)
     try:
-        shelf = shelf_of(configuration)
+        shelf = _kind(bearings).shelf(configuration)
         active = shelf.active()
     except (ReleaseError, OSError) as error:
         refuse(str(error))
-    records, waiting = shelf.records(), proposals(configuration)
+    records, waiting = shelf.records(), () if bearings else proposals(configuration)
     number = active.number if active is not None else None
     write_json(
         json_path,
@@ -125,7 +146,7 @@ def list_command(config_path: Path, json_path: str | None) -> None:
         )
     if not records:
         click.echo("no model has been released")
-    if hidden := why_proposals_are_hidden(configuration):
+    if not bearings and (hidden := why_proposals_are_hidden(configuration)):
         click.echo(hidden, err=True)
     for proposal in waiting:
         click.echo(

@@ -61,6 +61,7 @@ class StatusBoard:
             "estimate": self._estimate(),
             "cnc": self._cnc(),
             "spindle_speed": control.side.speed.picture(),
+            "bearing_model": None if (bearings := control.side.speed.worker.model) is None else bearings.picture(),
             "links": [
                 {"name": h.name, "up": h.up, "problem": h.problem, "attempts": h.attempts, "failures": h.failures}
                 for h in self._links

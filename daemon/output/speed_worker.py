@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import structlog
 
 from config.schema import Configuration
+from daemon.release.reach import own_account
 from daemon.stability.tool_points import CalledOperation, OperationPlanning, open_planning
 from models.records import FloatArray
 from models.stability.errors import StabilityError
@@ -41,7 +42,8 @@ class SpeedWorker:
 
     def __init__(self, configuration: Configuration) -> None:
         self._tuning = configuration.spindle_speed
-        self._planning, self.obstacle = open_planning(configuration)
+        opened = open_planning(configuration, own_account())
+        self._planning, self.obstacle, self.model = opened.operations, opened.obstacle, opened.model
         self._readings: deque[tuple[float, FloatArray]] = deque(maxlen=MOST_READINGS)
         self._last_s: float | None = None
         self._task: asyncio.Task[PlannedSpeed | None] | None = None

@@ -1,24 +1,42 @@
-"""The daemon's own look at its model: out of its reach, released, unchanged, and fit for this machine."""
+"""The daemon's own look at its models: out of its reach, released, unchanged, and fit for this machine."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from config.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.estimation.contract import AnyThermalModel
-from daemon.model_file import read_model
+from daemon.model_file import model_from_text
 from daemon.release.gate import training_obstacle
 from daemon.release.reach import Account, how_it_could_change
 from daemon.release.shelf import released, sha256_of
+from models.thermal.model import ModelError
+from models.thermomechanics.artifact import model_from_json
+from models.thermomechanics.regression import ThermomechanicalModel
+
+
+class Named(Protocol):
+    """A model, of whatever kind."""
+
+    @property
+    def model_id(self) -> str:
+        """Its name in audit and records."""
+        ...
+
+
+AnyModel = TypeVar("AnyModel", bound=Named)
+Read = Callable[[bytes, str], tuple[AnyModel | None, str, str]]
+"""A file's bytes and name -> the model, why it does not serve, and what its own training holds against it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoadedModel:
+class LoadedModel(Generic[AnyModel]):
     """The model, or why there is none, and who released it."""
 
-    model: AnyThermalModel | None
+    model: AnyModel | None
     obstacle: str
     record: ReleaseRecord | None = None
     sha256: str = ""
@@ -50,41 +68,89 @@ class LoadedModel:
         }
 
 
-def load_released(configuration: Configuration, account: Account) -> LoadedModel:
-    """Return the configured model as this account may use it; deny by default."""
+def load_released(configuration: Configuration, account: Account) -> LoadedModel[AnyThermalModel]:
+    """Return the configured thermal model as this account may use it; deny by default."""
     path = configuration.compensation.model_file
     if path is None:
         return LoadedModel(model=None, obstacle="no thermal model is configured (compensation.model_file)")
+    wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
+
+    def read(content: bytes, source: str) -> tuple[AnyThermalModel | None, str, str]:
+        """Return the thermal model, and what stands against it."""
+        model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
+        return model, obstacle, "" if model is None else training_obstacle(model)
+
+    return _load(_Wanted(kind="thermal model", option=""), path, configuration, account, read)
+
+
+def load_released_bearings(configuration: Configuration, account: Account) -> LoadedModel[ThermomechanicalModel]:
+    """Return the bearing model of the spindle-speed tuning as this account may use it; deny by default."""
+    tuning = configuration.spindle_speed
+    if tuning is None:
+        return LoadedModel(model=None, obstacle="no bearing model is configured (there is no section spindle_speed)")
+    wanted = _Wanted(kind="bearing model", option="--bearings ")
+    return _load(wanted, tuning.thermomechanical_model, configuration, account, _read_bearings)
+
+
+def bearings_from_text(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str]:
+    """Return the bearing model that a file's bytes hold, or why they hold none."""
     try:
-        return _load(configuration, path, account)
+        return model_from_json(content.decode("utf-8"), source), ""
+    except UnicodeDecodeError as error:
+        return None, f"{source}: this is no bearing model: byte {error.start} is not UTF-8 text"
+    except ModelError as error:
+        return None, str(error)
+
+
+def _read_bearings(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str, str]:
+    return (*bearings_from_text(content, source), "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    """How sentences name the kind of model."""
+
+    kind: str
+    option: str
+    """Of `toolpoint model release`."""
+
+
+def _load(
+    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+) -> LoadedModel[AnyModel]:
+    try:
+        return _loaded(wanted, path, configuration, account, read)
     except OSError as error:
-        return LoadedModel(model=None, obstacle=f"{path}: the thermal model cannot be read ({error.strerror})")
+        return LoadedModel(model=None, obstacle=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
 
 
-def _load(configuration: Configuration, path: Path, account: Account) -> LoadedModel:
-    compensation = configuration.compensation
+def _loaded(
+    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+) -> LoadedModel[AnyModel]:
+    lenient = configuration.compensation.allow_writable_model_directory
     real = Path(os.path.realpath(path))
     if not real.exists():
         return LoadedModel(
-            model=None, obstacle=f"{path}: there is no thermal model; release one: `toolpoint model release FILE`"
+            model=None,
+            obstacle=f"{path}: there is no {wanted.kind}; release one: `toolpoint model release {wanted.option}FILE`",
         )
     record, mismatch = released(path)
-    doubt = _doubt(path, account, record)
-    if mismatch or (doubt and not compensation.allow_writable_model_directory):
+    doubt = _doubt(wanted, path, account, record)
+    if mismatch or (doubt and not lenient):
         return LoadedModel(model=None, obstacle=mismatch or doubt, record=record)
-    wanted = [axis.estimate for axis in compensation.axes.values() if axis.estimate]
-    model, obstacle = read_model(real, configuration.temperatures.sensor_ids, wanted)
+    content = real.read_bytes()
+    model, obstacle, refused = read(content, str(real))
     if model is None:
         return LoadedModel(model=None, obstacle=obstacle, record=record)
-    if refused := training_obstacle(model):
+    if refused:
         doubt = f"{doubt}; {refused}" if doubt else f"{path}: {refused}"
-        if not compensation.allow_writable_model_directory:
+        if not lenient:
             return LoadedModel(model=None, obstacle=doubt, record=record)
     warning = f"allow_writable_model_directory lets it pass: {doubt}" if doubt else ""
-    return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(real.read_bytes()), warning=warning)
+    return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(content), warning=warning)
 
 
-def _doubt(path: Path, account: Account, record: ReleaseRecord | None) -> str:
+def _doubt(wanted: _Wanted, path: Path, account: Account, record: ReleaseRecord | None) -> str:
     """Return what stands against a model whose release is not in order, '' when nothing does."""
     if how := how_it_could_change(path, account):
         return (
@@ -92,5 +158,5 @@ def _doubt(path: Path, account: Account, record: ReleaseRecord | None) -> str:
             "folder (docs/how-to/release-a-model.md)"
         )
     if record is None:
-        return f"{path}: nobody has released this model; release it: `toolpoint model release FILE`"
+        return f"{path}: nobody has released this model; release it: `toolpoint model release {wanted.option}FILE`"
     return ""

@@ -3,7 +3,7 @@
 import os
 import pwd
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,12 +13,23 @@ from config.schema import Configuration
 from daemon.estimation.contract import AnyThermalModel
 from daemon.model_file import model_from_text
 from daemon.release.gate import channels_in_use, gate_obstacle, policy_obstacle
+from daemon.release.loading import Named
 from daemon.release.reach import account_of_daemon, how_it_could_change
 from daemon.release.shelf import ReleaseError, Shelf, sha256_of
 
 LARGEST_MODEL = 64 * 2**20
-"""No thermal model comes near this [byte]."""
+"""No model comes near this [byte]."""
 NO_LOGIN = 2**32 - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of model that is released: where, and what is checked before."""
+
+    shelf: Callable[[Configuration], Shelf]
+    """Raises ReleaseError without a configured place."""
+    checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
+    """Return the model that bytes hold, and what was found good; raises ReleaseError."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,12 +81,22 @@ def shelf_of(configuration: Configuration) -> Shelf:
 
 
 def release(
-    configuration: Configuration, proposal: Path, *, person: str, note: str = "", by_policy: bool = False
+    configuration: Configuration,
+    proposal: Path,
+    *,
+    person: str,
+    note: str = "",
+    by_policy: bool = False,
+    kind: Kind | None = None,
 ) -> ReleaseRecord:
-    """Check a proposal and make it the active model; raises ReleaseError with the reason when it is refused."""
-    shelf = shelf_of(configuration)
+    """Check a proposal and make it the active model of its kind (None: a thermal model).
+
+    Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
+    """
+    kind = kind or THERMAL
+    shelf = kind.shelf(configuration)
     content = _content(proposal)
-    model, checks = _checked(configuration, content, str(proposal))
+    model, checks = kind.checked(configuration, content, str(proposal))
     with shelf.locked():
         active = shelf.active()
         _refuse_the_daemons_reach(configuration, shelf)
@@ -87,8 +108,9 @@ def release(
                 "history could not tell them apart: train it again, or give it another model_id"
             )
         if by_policy:
+            proposed, _ = _checked(configuration, content, str(proposal))
             before = _checked_release(configuration, shelf, active)
-            if obstacle := policy_obstacle(model, before, configuration):
+            if obstacle := policy_obstacle(proposed, before, configuration):
                 raise ReleaseError(f"{proposal}: {obstacle}")
             checks.append("its bands are not wider than the active model's")
         record = _record(
@@ -115,9 +137,17 @@ def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRe
     return None
 
 
-def rollback(configuration: Configuration, *, person: str, to: int | None = None, note: str = "") -> ReleaseRecord:
-    """Make an earlier release active again, under a new number; raises ReleaseError."""
-    shelf = shelf_of(configuration)
+def rollback(
+    configuration: Configuration,
+    *,
+    person: str,
+    to: int | None = None,
+    note: str = "",
+    kind: Kind | None = None,
+) -> ReleaseRecord:
+    """Make an earlier release of a kind (None: thermal) active again, under a new number; raises ReleaseError."""
+    kind = kind or THERMAL
+    shelf = kind.shelf(configuration)
     with shelf.locked():
         active = shelf.active()
         _refuse_the_daemons_reach(configuration, shelf)
@@ -125,7 +155,7 @@ def rollback(configuration: Configuration, *, person: str, to: int | None = None
         found, content = shelf.content(number)
         if active is not None and found.sha256 == active.sha256:
             raise ReleaseError(f"release {number} holds the model that is active now")
-        model, checks = _checked(configuration, content, f"release {number}")
+        model, checks = kind.checked(configuration, content, f"release {number}")
         record = _record(
             shelf, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
@@ -191,7 +221,7 @@ def _content(path: Path) -> bytes:
     try:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_MODEL:
-            raise ReleaseError(f"{path}: is no file of a thermal model")
+            raise ReleaseError(f"{path}: is no file of a model")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
             return file.read(LARGEST_MODEL)
     finally:
@@ -247,7 +277,7 @@ def _before(active: ReleaseRecord | None) -> int:
 def _record(
     shelf: Shelf,
     action: str,
-    model: AnyThermalModel,
+    model: Named,
     content: bytes,
     *,
     person: str,
@@ -271,3 +301,7 @@ def _record(
         checks=checks,
         previous=previous,
     )
+
+
+THERMAL = Kind(shelf=shelf_of, checked=_checked)
+"""The thermal model of the compensation."""

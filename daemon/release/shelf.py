@@ -5,7 +5,8 @@
     ...
 
 A release folder is complete before it gets its name, and is never changed again. Activating is the
-renaming of one symbolic link, so that nobody ever reads half of a release.
+renaming of one symbolic link, so that nobody ever reads half of a release. Another kind of model in the
+same place has a folder of releases of its own.
 """
 
 import fcntl
@@ -47,7 +48,7 @@ def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
     except ReleaseRecordError as error:
         return None, str(error)
     except OSError as error:
-        return None, f"{real}: the thermal model cannot be read ({error.strerror})"
+        return None, f"{real}: the model cannot be read ({error.strerror})"
     if digest != record.sha256:
         return record, (
             f"{real}: this is not the file that {record.person} released on {record.released} (sha256 {digest[:12]}, "
@@ -59,9 +60,9 @@ def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
 class Shelf:
     """The folder of releases beside a configured model file."""
 
-    def __init__(self, model_file: Path) -> None:
+    def __init__(self, model_file: Path, releases: str = "releases") -> None:
         self.model_file = model_file
-        self.releases = model_file.parent / "releases"
+        self.releases = model_file.parent / releases
 
     def records(self) -> list[ReleaseRecord]:
         """Return every release that can be read, the oldest first."""

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 from config.problems import ConfigurationError
 from config.schema import Configuration
@@ -11,6 +10,8 @@ from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from config.spindle import Rotary
 from config.stability_case import ALL_DIRECTIONS, StabilityCase, load_stability_case
 from daemon.dynamics.spindle_files import read_spindle
+from daemon.release.loading import LoadedModel, load_released_bearings
+from daemon.release.reach import Account
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.response_fit import IdentificationError
 from models.stability.errors import StabilityError
@@ -21,8 +22,6 @@ from models.stability.response import ToolPointResponse
 from models.stability.speed_planner import MillingOperation, SpeedPlanner
 from models.stability.spindle_speed import SpeedDemand, SpeedLimits
 from models.stability.tracked_tool_point import TrackedToolPoint
-from models.thermal.model import ModelError
-from models.thermomechanics.artifact import model_from_json
 from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointTracker
 
@@ -61,8 +60,9 @@ class OperationPlanning:
         assemblies: dict[str, SpindleAssembly] = {
             axis: read_spindle(path, rotary).assembly() for axis, path in operation.spindles.items()
         }
+        near_hz: dict[str, float] = {**operation.near_hz}
         try:
-            tracker = ToolPointTracker(model, assemblies, labels)
+            tracker = ToolPointTracker(model, assemblies, labels, near_hz=near_hz)
             self.estimator = TrackedToolPoint(tracker, labels)
         except (ValueError, IdentificationError) as error:
             raise StabilityError(f"{tuning.thermomechanical_model}: {error}") from error
@@ -117,26 +117,36 @@ def _lobes(
     return zeroth_order_lobes(response, cut, from_rpm=low, to_rpm=high, points=SPEEDS, feed_deg=float(feed_deg))
 
 
-def open_planning(configuration: Configuration) -> tuple[dict[int, OperationPlanning], str]:
-    """Return the planning of each configured operation by its place, or why there is none."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenedPlanning:
+    """The planning of the configured operations, or why there is none, and which model it follows."""
+
+    operations: dict[int, OperationPlanning]
+    """By the place of the operation in the configuration."""
+    obstacle: str
+    model: LoadedModel[ThermomechanicalModel] | None
+    """None without a section `spindle_speed`."""
+
+
+def open_planning(configuration: Configuration, account: Account) -> OpenedPlanning:
+    """Return the planning of each configured operation with the released model, as this account may use it."""
+    if configuration.spindle_speed is None:
+        return OpenedPlanning(operations={}, obstacle="", model=None)
+    loaded = load_released_bearings(configuration, account)
+    if loaded.model is None:
+        return OpenedPlanning(operations={}, obstacle=loaded.obstacle, model=loaded)
+    try:
+        return OpenedPlanning(operations=planned_with(configuration, loaded.model), obstacle="", model=loaded)
+    except (ConfigurationError, StabilityError) as error:
+        return OpenedPlanning(operations={}, obstacle=str(error), model=loaded)
+
+
+def planned_with(configuration: Configuration, model: ThermomechanicalModel) -> dict[int, OperationPlanning]:
+    """Return the planning of each operation with a model; raises ConfigurationError and StabilityError."""
     tuning = configuration.spindle_speed
     if tuning is None:
-        return {}, ""
-    try:
-        model = _model(tuning.thermomechanical_model)
-        labels = configuration.temperatures.labels
-        return {
-            place: OperationPlanning(tuning, operation, model, labels)
-            for place, operation in enumerate(tuning.operations)
-        }, ""
-    except (ConfigurationError, StabilityError, ModelError) as error:
-        return {}, str(error)
-
-
-def _model(path: Path) -> ThermomechanicalModel:
-    try:
-        return model_from_json(path.read_text(encoding="utf-8"), str(path))
-    except OSError as error:
-        raise StabilityError(f"{path}: the model cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise StabilityError(f"{path}: is no model: byte {error.start} is not UTF-8 text") from error
+        return {}
+    labels = configuration.temperatures.labels
+    return {
+        place: OperationPlanning(tuning, operation, model, labels) for place, operation in enumerate(tuning.operations)
+    }

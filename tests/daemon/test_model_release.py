@@ -236,7 +236,7 @@ def test_what_is_refused_says_why(folder):
     narrow = ReleaseConfig(largest_band_um=1.5)
     assert "wider than 1.5 um" in refusal(folder, proposal(folder, model()), release=narrow)
     assert "cannot be read" in refusal(folder, folder / "nowhere.json")
-    assert "no file of a thermal model" in refusal(folder, folder)
+    assert "no file of a model" in refusal(folder, folder)
     (folder / "link.json").symlink_to(good)
     assert "name the proposal's own file" in refusal(folder, folder / "link.json")
     assert "model_file is not set" in refusal(folder, good, model_file=None)

@@ -228,7 +228,7 @@ async def test_without_a_model_it_says_so_and_stays_programmed(tmp_path: Path) -
     async with running(bench.rig):
         await bench.rig.turn()
         assert (await bench.operation())[:2] == (9000.0, 1800.0)
-        assert "missing.json: the model cannot be read" in bench.picture()["alarm"]
+        assert "missing.json: there is no bearing model" in bench.picture()["alarm"]
 
 
 async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
@@ -238,7 +238,8 @@ async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
             (tmp_path / "bearings.json").write_text(model_to_json(bearing_model()), encoding="utf-8")
         found = {each.subject: each async for each in probe(configuration, HandClock(), devices=False)}
         assert found["spindle speed"].passed is there
-        assert ("bearings.json" in found["spindle speed"].detail) is not there
+        assert ("there is no bearing model" in found["spindle speed"].detail) is not there
+        assert ("made-up, sha256" in found["spindle speed"].detail) is there
 
 
 async def test_the_monitor_shows_it(bench: SpeedRig) -> None:

@@ -25,21 +25,28 @@ feed_deg: 0
 """
 MACROS = SpeedMacrosConfig(
     sequence_a=530,
-    for_speed=531,
-    speed=532,
-    feed=533,
+    for_tool=531,
+    for_speed=532,
+    for_feed=533,
+    for_depth=534,
+    for_radial=535,
+    for_kind=536,
+    speed=537,
+    feed=538,
     valid_until=121,
-    enable=534,
-    sequence_b=535,
-    calls=540,
-    called_speed=541,
-    called_feed=542,
-    called_depth=543,
-    called_radial=544,
-    wanted=545,
-    echo_speed=546,
-    echo_feed=547,
-    echo_status=548,
+    enable=539,
+    sequence_b=540,
+    calls=550,
+    called_tool=551,
+    called_speed=552,
+    called_feed=553,
+    called_depth=554,
+    called_radial=555,
+    called_kind=556,
+    called_text=557,
+    echo_speed=558,
+    echo_feed=559,
+    echo_status=560,
 )
 
 COLD = {
@@ -97,10 +104,12 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
         "step_rpm": 200.0,
     }
     base = machine(folder)
-    macros = base.cnc.macros.model_copy(update={"writable": [*base.cnc.macros.writable, "121", "530-535"]})
+    own = {"allow_writable_model_directory": True}  # everything here belongs to whoever tests
+    macros = base.cnc.macros.model_copy(update={"writable": [*base.cnc.macros.writable, "121", "530-540"]})
     document = base.model_copy(
         update={
             "cnc": base.cnc.model_copy(update={"macros": macros}),
+            "compensation": base.compensation.model_copy(update=own),
             "spindle_speed": SpindleSpeedConfig(**(content | changes)),
         }
     )

@@ -1,0 +1,192 @@
+"""The bearing model of the spindle speed is released as thermal models are: deny by default, record, way back."""
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import HandClock
+from model_shelf import open_folder
+from other_user import OTHER, as_root, as_user
+from speed_machine import bearing_model, speed_machine
+
+from config.loader import load_configuration
+from config.problems import ConfigurationError
+from config.schema import Configuration
+from daemon.cli import main
+from daemon.probe import probe
+from daemon.release.bearings import BEARINGS
+from daemon.release.reach import Account, own_account
+from daemon.release.releasing import release, rollback
+from daemon.release.shelf import ReleaseError
+from daemon.stability.tool_points import open_planning
+from models.thermomechanics.artifact import model_to_json
+
+STRANGER = Account(user_id=OTHER)
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    with open_folder() as folder:
+        (folder / "models").mkdir()
+        (folder / "state").mkdir()
+        yield folder
+
+
+def configured(folder: Path, *, lenient: bool = False) -> Configuration:
+    configuration = speed_machine(folder, thermomechanical_model=folder / "models/bearings.json")
+    compensation = configuration.compensation.model_copy(update={"allow_writable_model_directory": lenient})
+    return configuration.model_copy(update={"compensation": compensation})
+
+
+def proposed(folder: Path, name: str = "a", stiffening_per_k: float = 0.02) -> Path:
+    path = folder / f"{name}.json"
+    model = replace(bearing_model(stiffening_per_k=stiffening_per_k), model_id=f"bearings-{name}")
+    path.write_text(model_to_json(model), encoding="utf-8")
+    return path
+
+
+def test_one_that_nobody_released_is_refused(folder: Path) -> None:
+    configuration = configured(folder)
+    assert "there is no bearing model; release one: `toolpoint model release --bearings" in (
+        open_planning(configuration, STRANGER).obstacle
+    )
+    proposed(folder).rename(folder / "models/bearings.json")
+    (folder / "models/bearings.json").chmod(0o644)
+    opened = open_planning(configuration, STRANGER)
+    assert "nobody has released this model" in opened.obstacle
+    assert opened.operations == {}
+
+
+@as_root
+def test_one_that_the_daemon_could_change_is_refused_unless_the_bench_says_so(folder: Path) -> None:
+    release(configured(folder, lenient=True), proposed(folder), person="anna", kind=BEARINGS)
+    strict = configured(folder)
+    assert as_user(OTHER, lambda: open_planning(strict, own_account()).obstacle) == ""
+    os.chown(folder / "models", OTHER, OTHER)
+    obstacle = as_user(OTHER, lambda: open_planning(strict, own_account()).obstacle)
+    assert "the daemon could change this model" in obstacle
+    assert "runs as root" in open_planning(strict, own_account()).obstacle
+    opened = open_planning(configured(folder, lenient=True), own_account())
+    assert opened.obstacle == ""
+    assert opened.model is not None
+    assert "WARNING: allow_writable_model_directory lets it pass" in opened.model.in_words()
+
+
+def test_a_release_is_recorded_audited_and_can_be_taken_back(folder: Path) -> None:
+    configuration = configured(folder, lenient=True)
+    first = release(configuration, proposed(folder), person="anna", kind=BEARINGS)
+    second = release(configuration, proposed(folder, "b", 0.03), person="bert", kind=BEARINGS)
+    assert (first.number, second.number) == (1, 2)
+    assert second.previous is not None
+    assert second.previous.sha256 == first.sha256
+    opened = open_planning(configured(folder), STRANGER)
+    assert opened.model is not None
+    assert f"sha256 {second.sha256}, release 2 by bert" in opened.model.in_words()
+    assert rollback(configuration, person="anna", kind=BEARINGS).sha256 == first.sha256
+    again = open_planning(configured(folder), STRANGER).model
+    assert again is not None
+    assert again.sha256 == first.sha256
+    assert sorted(each.name for each in (folder / "models").iterdir()) == ["bearings-releases", "bearings.json"]
+
+
+def test_a_file_that_differs_from_its_record_is_refused_even_on_a_bench(folder: Path) -> None:
+    configuration = configured(folder, lenient=True)
+    release(configuration, proposed(folder), person="anna", kind=BEARINGS)
+    real = (folder / "models/bearings.json").resolve()
+    real.write_bytes(proposed(folder, "other", 0.05).read_bytes())
+    assert "not the file that anna released" in open_planning(configuration, own_account()).obstacle
+
+
+def test_what_does_not_fit_the_machine_is_not_released(folder: Path) -> None:
+    configuration = configured(folder, lenient=True)
+    path = folder / "no.json"
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(ReleaseError, match=r"no\.json"):
+        release(configuration, path, person="anna", kind=BEARINGS)
+    only_x = replace(bearing_model(), axes={"x": bearing_model().axes["x"]})
+    path.write_text(model_to_json(only_x), encoding="utf-8")
+    with pytest.raises(ReleaseError, match="no regression for axis y"):
+        release(configuration, path, person="anna", kind=BEARINGS)
+
+
+async def test_the_check_says_it_too(folder: Path) -> None:
+    proposed(folder).rename(folder / "models/bearings.json")
+    found = {each.subject: each async for each in probe(configured(folder), HandClock(), devices=False)}
+    assert not found["spindle speed"].passed
+    told = found["spindle speed"].detail
+    assert "could change" in told or "nobody has released" in told
+
+
+@pytest.fixture
+def file(folder: Path) -> Path:
+    """A configuration as YAML whose spindles are one beside it and one that ships."""
+    configuration = configured(folder, lenient=True)
+    document = configuration.model_dump(mode="json")
+    shipped = Path(__file__).resolve().parents[2] / "config/spindles/simulated_machine.yaml"
+    (folder / "own.yaml").write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    document["spindle_speed"]["operations"][0]["spindles"] = {"x": "own.yaml", "y": "simulated_machine"}
+    document["spindle_speed"]["operations"][0]["case"] = "case.yaml"
+    (folder / "machine.yaml").write_text(yaml.safe_dump(document), encoding="utf-8")
+    return folder / "machine.yaml"
+
+
+def test_spindles_are_named_from_the_folder_of_the_file_or_by_their_shipped_name(file: Path, folder: Path) -> None:
+    tuning = load_configuration(file).spindle_speed
+    assert tuning is not None
+    spindles = tuning.operations[0].spindles
+    assert spindles["x"] == folder / "own.yaml"
+    assert spindles["y"].name == "simulated_machine.yaml"
+    assert spindles["y"].is_file()
+    (folder / "simulated_machine").write_text("what lies beside goes first", encoding="utf-8")
+    again = load_configuration(file).spindle_speed
+    assert again is not None
+    assert again.operations[0].spindles["y"] == folder / "simulated_machine"
+
+
+def test_the_command_releases_lists_and_goes_back(file: Path, folder: Path) -> None:
+    def run(*words: str) -> str:
+        result = CliRunner().invoke(main, ["model", *words, "--config", str(file)])
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    assert "release 1: bearings-a" in run("release", "--bearings", str(proposed(folder)))
+    assert "at its next start" in run("release", "--bearings", str(proposed(folder, "b", 0.03)))
+    assert "release 3: bearings-a" in run("rollback", "--bearings")
+    listed = run("list", "--bearings").splitlines()
+    assert [line[0] for line in listed] == [" ", " ", "*"]
+    result = CliRunner().invoke(main, ["model", "release", "--by-policy", "--bearings", "--config", str(file)])
+    assert result.exit_code == 2
+
+
+def test_the_resonance_to_follow_is_configured(folder: Path) -> None:
+    configuration = configured(folder, lenient=True)
+    release(configuration, proposed(folder), person="anna", kind=BEARINGS)
+    tuning = configuration.spindle_speed
+    assert tuning is not None
+    operation = tuning.operations[0]
+    found = []
+    for near_hz in (dict[str, float](), {"x": 1.0}, {"x": 1e5}):
+        changed = tuning.model_copy(update={"operations": [operation.model_copy(update={"near_hz": near_hz})]})
+        opened = open_planning(configuration.model_copy(update={"spindle_speed": changed}), own_account())
+        known = opened.operations[0].estimator.renew(0.0, np.full(5, 25.0))
+        assert known is not None
+        found.append(known.resonance_hz["x"])
+    assert found[1] < found[2]
+    assert found[0] >= found[1]
+
+
+def test_a_resonance_along_a_rigid_axis_is_refused(file: Path) -> None:
+    document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    document["spindle_speed"]["operations"][0] |= {"spindles": {"x": "own.yaml"}, "near_hz": {"y": 700.0}}
+    file.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="there is no spindle along y"):
+        load_configuration(file)
