@@ -21,6 +21,10 @@ MANY_STEPS = 16
 """The change per step is looked at over one step, and over so many: speeds are chosen from a raster."""
 SENSITIVITY_EVERY_S = 60.0
 """The change per step of a sensor is worked out this often."""
+STEPS_UNKNOWN = (
+    "a signal has had no temperature for a minute, so whether one step of a sensor moves the speed is not known; the "
+    "speed is frozen"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +103,8 @@ class SpeedWorker:
             try:
                 planner = self._planner_of(planning, called)
                 changes = self._changes(planning, planner, called, time_s)
+                if not changes and not problem:
+                    problem = STEPS_UNKNOWN
                 plan = None if problem else planner.plan(known)
             except StabilityError as error:
                 problem = str(error)
@@ -130,5 +136,6 @@ class SpeedWorker:
             moved = planning.estimator.stepped(steps * self._tuning.sensor_step_k)
             for signal, change_rpm in planner.change_per_step_rpm(known, moved).items():
                 changes[signal] = max(changes.get(signal, 0.0), change_rpm / steps)
-        self._sensitivity = (called, time_s, changes)
+        if changes:
+            self._sensitivity = (called, time_s, changes)
         return changes

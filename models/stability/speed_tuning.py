@@ -237,15 +237,18 @@ def _one_pocket(speed_rpm: float, inputs: SpeedTuningInputs) -> bool:
 def _moved(
     memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings, target: float | None
 ) -> tuple[float, bool]:
-    """Return the speed that a safe block would take now [1/min], and whether that is a jump."""
+    """Return the speed that a safe block would take now [1/min], and whether that is a jump.
+
+    Where no speed bears the demand, no hysteresis keeps another speed than the programmed one, which the alarm names.
+    """
     here = memory.commanded_rpm
     if target is None:
         return here, False
-    if not inputs.enabled or not memory.begun:
+    if not inputs.enabled or not memory.begun or (inputs.choice is not None and inputs.choice.alarm is not None):
         return target, abs(target - here) > settings.step_rpm
     if not math.isfinite(memory.off_since_s) or inputs.now_s - memory.off_since_s < settings.dwell_s:
         return here, False
-    if inputs.choice is None or inputs.choice.alarm is not None or not _one_pocket(here, inputs):
+    if inputs.choice is None or not _one_pocket(here, inputs):
         return target, True
     distance = memory.wish_rpm - here
     return here + math.copysign(min(abs(distance), settings.step_rpm), distance), False

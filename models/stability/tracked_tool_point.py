@@ -7,7 +7,7 @@ import numpy as np
 from models.records import FloatArray
 from models.stability.response import ComplexArray, SampledResponse
 from models.stability.tool_point import EstimatedToolPoint
-from models.thermomechanics.history import TemperatureHistory
+from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.resonance import peaks
 from models.thermomechanics.tool_point import ENDS_STAND_HZ, AxisDynamics, ToolPointDynamics, ToolPointTracker
 
@@ -38,7 +38,7 @@ class TrackedToolPoint:
         if missing := [signal for signal in signals if not labels.get(signal)]:
             raise ValueError(f"no sensor carries the label {', '.join(missing)}, which {tracker.model.model_id} needs")
         self._tracker = tracker
-        self._indices = [np.array(labels[signal], dtype=np.intp) for signal in signals]
+        self._means = SignalMeans([labels[signal] for signal in signals])
         self._history = TemperatureHistory(tracker.model.intervals_min)
         self.known: EstimatedToolPoint | None = None
         """The latest answer of `renew`."""
@@ -46,7 +46,7 @@ class TrackedToolPoint:
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
         """Return the dynamics at a reading of all sensors [degC], shape (n,); None before every signal had a value."""
-        signals = np.array([_mean(degc[each]) for each in self._indices])
+        signals = self._means.renew(degc)
         self._history.add(time_s, signals)
         dynamics = self._tracker.renew_from(time_s, signals)
         if dynamics is None:
@@ -126,11 +126,6 @@ class TrackedToolPoint:
                         EstimatedToolPoint(response=response, resonance_hz={**dynamics.resonance_hz, axis: at_hz})
                     )
         return found
-
-
-def _mean(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
 
 
 def _receptances(dynamics: ToolPointDynamics) -> dict[str, ComplexArray]:

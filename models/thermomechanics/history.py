@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from models.records import FloatArray
 
@@ -49,3 +50,43 @@ class TemperatureHistory:
     def covered_min(self) -> float:
         """Time between the oldest and the newest kept temperatures [min]."""
         return (self._rows[-1][0] - self._rows[0][0]) / 60.0 if self._rows else 0.0
+
+
+class SignalMeans:
+    """Means of labelled sensors that do not jump when a sensor leaves.
+
+    A mean is always one over all sensors of the label that have ever had a value: one that has none now is imputed,
+    from its last value on, by the mean change of those that have one. One that returns counts as it reads.
+    """
+
+    def __init__(self, places: Sequence[Sequence[int] | npt.NDArray[np.intp]]) -> None:
+        """Keep the indices of each label's sensors in the machine's order."""
+        self._places = [np.asarray(each, dtype=np.intp) for each in places]
+        self._counted = [np.full(len(each), np.nan) for each in self._places]
+
+    def renew(self, degc: FloatArray) -> FloatArray:
+        """Return the mean of each label at a reading of all sensors [degC], shape (labels,).
+
+        Parameters
+        ----------
+        degc
+            One value for each sensor of the machine [degC], NaN where there is none.
+
+        Returns
+        -------
+        FloatArray
+            Shape (labels,) [degC]; NaN where no sensor of a label has a value.
+
+        """
+        means = np.full(len(self._places), np.nan)
+        for label, places in enumerate(self._places):
+            now, before = degc[places], self._counted[label]
+            read = np.isfinite(now)
+            if not read.any():
+                continue
+            both = read & np.isfinite(before)
+            change_k = float(np.mean(now[both] - before[both])) if both.any() else 0.0
+            counted = np.where(read, now, before + change_k)
+            self._counted[label] = counted
+            means[label] = float(np.mean(counted[np.isfinite(counted)]))
+        return means

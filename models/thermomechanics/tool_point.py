@@ -14,7 +14,7 @@ from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import PARAMETERS, properties_from_parameters
 from models.records import FloatArray, MachineTemperatures
-from models.thermomechanics.history import TemperatureHistory
+from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, EstimatedProperty, ThermomechanicalModel
 from models.thermomechanics.resonance import Resonance, ResonanceFollower
 
@@ -264,7 +264,7 @@ class ToolPointTracker:
             )
         self.model = model
         self.frequency_hz = source_frequencies() if frequency_hz is None else frequency_hz
-        self._indices = [np.array(labels[signal], dtype=np.intp) for signal in model.signals]
+        self._means = SignalMeans([labels[signal] for signal in model.signals])
         self._history = TemperatureHistory(model.intervals_min)
         self._last = np.full(len(model.signals), np.nan)
         self._columns = {
@@ -278,16 +278,7 @@ class ToolPointTracker:
     def renew(self, temperatures: MachineTemperatures) -> ToolPointDynamics | None:
         """Return the dynamics at new temperatures; None before every signal has had a value."""
         time = temperatures.trace.cleansed or temperatures.trace.last_byte
-        return self.renew_from(time.monotonic_s, self._signals(temperatures.degc))
-
-    def _signals(self, degc: FloatArray) -> FloatArray:
-        means = np.full(len(self._indices), np.nan)
-        for place, indices in enumerate(self._indices):
-            known = degc[indices]
-            known = known[np.isfinite(known)]
-            if known.size:
-                means[place] = known.mean()
-        return means
+        return self.renew_from(time.monotonic_s, self._means.renew(temperatures.degc))
 
     def observe(self, time_s: float, degc: FloatArray) -> None:
         """Keep what the signals read [degC], NaN where unknown, shape (m,), at a time [s], and compute nothing."""

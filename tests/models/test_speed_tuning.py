@@ -159,6 +159,17 @@ def test_the_filter_smooths_inside_a_pocket_only() -> None:
     assert step(memory, at(2.0, choice(6500.0, (6400.0, 6700.0))), settings)[0].speed_rpm == 6500.0
 
 
+def test_without_a_stable_speed_the_programmed_one_is_taken_however_near_the_command_is() -> None:
+    memory = step(initial_memory(8000.0), at(0.0, choice(8030.0)), SETTINGS)[1]
+    assert memory.commanded_rpm == 8030.0
+    none_stable = choice(8000.0, (8000.0, 8000.0), alarm="none")
+    cutting = step(memory, at(1.0, none_stable, Phase.CUTTING), SETTINGS)[0]
+    assert (cutting.speed_rpm, cutting.write, cutting.alarm) == (8030.0, False, "none")
+    assert "waiting for a safe block" in cutting.reason
+    command = step(memory, at(1.0, none_stable), SETTINGS)[0]
+    assert (command.speed_rpm, command.write, command.state) == (8000.0, True, SpeedState.NO_STABLE_SPEED)
+
+
 def test_a_failed_write_leaves_what_the_cnc_applies() -> None:
     memory = not_written(begun(), 8000.0)
     assert memory.commanded_rpm == 8000.0
@@ -199,4 +210,6 @@ def test_whatever_happens(history: list) -> None:
         assert not (command.write and phase is not Phase.SAFE_POINT)
         assert math.isclose(command.feed_mm_min / command.speed_rpm, 1600.0 / 8000.0)
         assert 4000.0 <= command.speed_rpm <= 12000.0
+        if command.state is SpeedState.NO_STABLE_SPEED and phase is Phase.SAFE_POINT:
+            assert command.speed_rpm == 8000.0
         before = command.speed_rpm
