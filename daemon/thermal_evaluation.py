@@ -10,7 +10,7 @@ import numpy as np
 
 from config.recording_map import RecordingMap
 from drivers.recording_csv import read_recording
-from models.dataset import DatasetError, Recording
+from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.families import HyperParameters
 from models.thermal.folds import cycles, inner_folds
@@ -71,15 +71,11 @@ def read_recordings(
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Return recordings that may be used, and the warnings about them; raises RecordingFileError, DatasetError."""
     recordings: list[Recording] = []
-    warnings: list[str] = []
     for number, path in enumerate(paths, start=1):
         recordings.append(read_recording(path, recording_map))
         progress("reading", number, len(paths))
-    together = sum(recording.rows for recording in recordings)
-    for recording in recordings:
-        warnings += [f"{recording.name}: {finding}" for finding in recording.require_usable(together)]
     require_same_columns(recordings)
-    return recordings, tuple(warnings)
+    return usable_recordings(recordings)
 
 
 def evaluate(

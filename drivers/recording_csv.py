@@ -231,6 +231,8 @@ def _rows(
 
 
 def _time(place: _Place, column: str, text: str, read_time: Callable[[str], float]) -> float:
+    if not text.strip():
+        raise place.refuse("is empty; every row needs its time, so fill it in or take the row out", column)
     try:
         time_s = read_time(text.strip())
     except ValueError:

@@ -1,44 +1,19 @@
 """A recording of temperatures and displacements, what may be wrong with it, and its parts."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from models.align import block_means, contiguous_runs
+from models.align import block_means
+from models.findings import Finding, recording_findings
+from models.impossible import impossible_displacements, impossible_speeds, impossible_temperatures
 from models.records import FloatArray
-
-TOO_HOT_DEGC = 150.0
-"""A median above this is no machine tool in degC (kelvin start at 253 here)."""
-SMALLEST_SPAN_UM = 0.5
-"""All channels moving less than this while the machine warms are not in micrometres."""
-WARMING_K = 2.0
-"""A temperature span that moves any machine tool by more than `SMALLEST_SPAN_UM`."""
-LARGEST_SPAN_UM = 5000.0
-"""A channel that moves more is not in micrometres (no displacement sensor of a nest reaches so far)."""
 
 
 class DatasetError(ValueError):
     """A recording cannot be used; the text names column and row and says what to do."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One thing that is wrong, or noteworthy, in a recording."""
-
-    severity: Literal["error", "warning"]
-    column: str
-    """Name of the column; empty when it is about the recording as a whole."""
-    row: int | None
-    """Row from 1 (without the header), None when it is about the whole column."""
-    sentence: str
-
-    def __str__(self) -> str:
-        """Return `column <name>, row <n>: <sentence>`."""
-        place = [f"column {self.column}"] if self.column else []
-        place += [f"row {self.row}"] if self.row is not None else []
-        return f"{', '.join(place)}: {self.sentence}" if place else self.sentence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +39,8 @@ class Recording:
     displacement_names: tuple[str, ...]
     displacements_um: FloatArray
     """Displacements [um], shape (n, n_channels), NaN where missing; raw, as measured."""
+    rows_before: int = 0
+    """Rows of the file that come before the first one, so that findings name the file's row."""
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)
@@ -102,6 +79,7 @@ class Recording:
         """Return rows `first` to `stop` (exclusive, from 0) as a recording with the same clock."""
         return replace(
             self,
+            rows_before=self.rows_before + first,
             time_s=self.time_s[first:stop],
             speed_rpm=None if self.speed_rpm is None else self.speed_rpm[first:stop],
             temperatures_degc=self.temperatures_degc[first:stop],
@@ -164,6 +142,7 @@ class Recording:
         _, displacements_um = block_means(self.time_s, self.displacements_um, period_s)
         return replace(
             self,
+            rows_before=0,
             time_s=time_s,
             speed_rpm=speed_rpm,
             temperatures_degc=temperatures_degc,
@@ -200,82 +179,23 @@ class Recording:
 
     def findings(self, rows_together: int | None = None) -> tuple[Finding, ...]:
         """Return everything that is wrong or noteworthy, errors first (see `require_usable`)."""
-        found = [*self._row_findings(rows_together), *self._column_findings(), *self._unit_findings()]
-        return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+        return recording_findings(self, self.without_impossible(), rows_together)
 
-    def _row_findings(self, rows_together: int | None) -> list[Finding]:
-        variables = len(self.temperature_names)
-        rows = self.rows if rows_together is None else rows_together
-        if rows <= variables:
-            sentence = f"{rows} rows cannot determine {variables} variables; record longer or choose fewer temperatures"
-            return [Finding(severity="error", column="", row=None, sentence=sentence)]
-        runs = contiguous_runs(self.time_s, self.sample_s)
-        return [
-            Finding(
-                severity="warning",
-                column="time",
-                row=first + 1,
-                sentence=f"a gap of {self.time_s[first] - self.time_s[first - 1]:g} s before this row; "
-                "no difference is taken across it",
-            )
-            for first, _ in runs[1:]
-        ]
-
-    def _column_findings(self) -> list[Finding]:
-        found = []
-        columns = [
-            *zip(self.temperature_names, self.temperatures_degc.T, strict=True),
-            *zip(self.displacement_names, self.displacements_um.T, strict=True),
-        ]
-        if self.speed_rpm is not None and len(self.speed_rpm) and not np.isfinite(self.speed_rpm).any():
-            sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
-            found.append(Finding(severity="error", column="spindle speed", row=None, sentence=sentence))
-        for name, column in columns:
-            missing = ~np.isfinite(column)
-            if not len(column) or missing.all():
-                sentence = "no value at all; take the column out of the map"
-                found.append(Finding(severity="error", column=name, row=None, sentence=sentence))
-                continue
-            if missing.any():
-                row = int(np.argmax(missing)) + 1
-                sentence = f"{missing.sum()} values are missing, the first here; rows without them are left out"
-                found.append(Finding(severity="warning", column=name, row=row, sentence=sentence))
-            known = column[~missing]
-            if len(known) > 2 and known.min() == known.max():
-                sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"
-                found.append(Finding(severity="warning", column=name, row=None, sentence=sentence))
-        return found
-
-    def _unit_findings(self) -> list[Finding]:
-        found = []
-        spans_k = []
-        for name, column in zip(self.temperature_names, self.temperatures_degc.T, strict=True):
-            known = column[np.isfinite(column)]
-            if not len(known):
-                continue
-            spans_k.append(float(np.ptp(known)))
-            if (median := float(np.median(known))) > TOO_HOT_DEGC:
-                unit = "kelvin; subtract 273.15" if median < 400.0 else "raw counts; convert them"
-                sentence = f"a median of {median:.4g} cannot be degC; it looks like {unit}"
-                found.append(Finding(severity="error", column=name, row=None, sentence=sentence))
-        spans_um = {}
-        for name, column in zip(self.displacement_names, self.displacements_um.T, strict=True):
-            known = column[np.isfinite(column)]
-            if len(known):
-                spans_um[name] = float(np.ptp(known))
-        for name, span_um in spans_um.items():
-            if span_um > LARGEST_SPAN_UM:
-                sentence = f"moves by {span_um:.4g}, too far for micrometres; it looks like nanometres or raw counts"
-                found.append(Finding(severity="error", column=name, row=None, sentence=sentence))
-        warmed_k = max(spans_k, default=0.0)
-        if warmed_k > WARMING_K and spans_um and (widest := max(spans_um.values())) < SMALLEST_SPAN_UM:
-            name = max(spans_um, key=lambda channel: spans_um[channel])
-            sentence = (
-                f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
-                "that looks like millimetres; multiply by 1000"
-            )
-            found.append(Finding(severity="error", column=name, row=None, sentence=sentence))
-        return found
+    def without_impossible(self) -> "Recording":
+        """Return the recording in which single values that cannot be are missing (see `models.impossible`)."""
+        wrong_degc = impossible_temperatures(self.temperatures_degc)
+        wrong_um = impossible_displacements(self.displacements_um)
+        speed_rpm = self.speed_rpm
+        if speed_rpm is not None and (wrong_rpm := impossible_speeds(speed_rpm)).any():
+            speed_rpm = np.where(wrong_rpm, np.nan, speed_rpm)
+        if speed_rpm is self.speed_rpm and not wrong_degc.any() and not wrong_um.any():
+            return self
+        return replace(
+            self,
+            speed_rpm=speed_rpm,
+            temperatures_degc=np.where(wrong_degc, np.nan, self.temperatures_degc),
+            displacements_um=np.where(wrong_um, np.nan, self.displacements_um),
+        )
 
     def require_usable(self, rows_together: int | None = None) -> tuple[Finding, ...]:
         """Return the warnings of a recording that training may use.
@@ -302,6 +222,20 @@ class Recording:
         if errors := [finding for finding in found if finding.severity == "error"]:
             raise DatasetError("\n".join(f"{self.name}: {finding}" for finding in errors))
         return found
+
+
+def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
+
+    Raises
+    ------
+    DatasetError
+        Naming every error of the first recording that has one, see `Recording.require_usable`.
+
+    """
+    together = sum(recording.rows for recording in recordings)
+    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
+    return [recording.without_impossible() for recording in recordings], warnings
 
 
 def _require_increasing(name: str, time_s: FloatArray) -> None:

@@ -70,7 +70,9 @@ def report(
     try:
         recording_map = None if map_path is None else load_recording_map(map_path)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s
-        recording = read_recording(recording_path, recording_map).downsampled(sample_s)
+        raw = read_recording(recording_path, recording_map)
+        warnings = [f"{raw.name}: {finding}" for finding in raw.require_usable(len(raw.temperature_names) + 1)]
+        recording = raw.without_impossible().downsampled(sample_s)
         model = None if model_path is None else _model(model_path)
         choices = ReportChoices(
             ahead_min=ahead_min,
@@ -88,6 +90,7 @@ def report(
         refuse(str(error))
     except OSError as error:
         refuse(f"{html_path}: the page cannot be written ({error.strerror})")
+    found["warnings"] = warnings
     _show(found)
     write_json(json_path, found)
 
@@ -121,6 +124,8 @@ def _process(cut_kwh: float | None, motor_kwh: float | None, process_min: float 
 
 def _show(found: dict[str, Any]) -> None:
     """Write the figures for people, on standard error."""
+    for warning in found["warnings"][:10]:
+        click.echo(f"warning: {warning}", err=True)
     click.echo(f"{found['recording']}: {found['hours']:g} h, {len(found['rotations'])} rotations", err=True)
     if found["seen_in_training"]:
         click.echo(

@@ -103,7 +103,10 @@ def rows_per_interval(interval_min: float, period_s: float) -> int:
     """Return how many rows an interval [min] spans; raises DatasetError when it is no whole number of them."""
     step = interval_min * 60.0 / period_s
     if not step > 0.5 or abs(step - round(step)) > 1e-3:
-        raise DatasetError(f"an interval of {interval_min:g} min is no multiple of the {period_s:g} s between rows")
+        raise DatasetError(
+            f"an interval of {interval_min:g} min is no multiple of the {period_s:g} s between rows; "
+            f"choose {period_s / 60.0:g} min or a multiple of it"
+        )
     return round(step)
 
 

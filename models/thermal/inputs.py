@@ -144,7 +144,7 @@ def build_inputs(
 
     """
     require_same_columns(recordings)
-    averaged = [recording.downsampled(sample_s) for recording in recordings]
+    averaged = averaged_recordings(recordings, sample_s)
     with_speed = all(r.speed_rpm is not None and np.isfinite(r.speed_rpm).any() for r in averaged)
     scale_rpm = 1.0
     if with_speed:
@@ -262,6 +262,25 @@ def _without_jumps(recording: Recording) -> Recording:
         return recording
     cleansed_um = remove_jumps_at_switching(recording.displacements_um, recording.speed_rpm, JUMP_UM)
     return replace(recording, displacements_um=cleansed_um)
+
+
+def averaged_recordings(recordings: Sequence[Recording], sample_s: float) -> list[Recording]:
+    """Return recordings averaged to a time between rows [s].
+
+    Raises
+    ------
+    DatasetError
+        When averaging leaves no more rows than temperatures.
+
+    """
+    averaged = [recording.downsampled(sample_s) for recording in recordings]
+    before, left = sum(r.rows for r in recordings), sum(r.rows for r in averaged)
+    if averaged and left < before and left <= len(averaged[0].temperature_names):
+        raise DatasetError(
+            f"{recordings[0].name}: averaged to sample_s {sample_s:g} s, {left} of {before} rows remain, too few for "
+            f"{len(averaged[0].temperature_names)} temperatures; lower sample_s in the map"
+        )
+    return averaged
 
 
 def require_same_columns(recordings: Sequence[Recording]) -> None:

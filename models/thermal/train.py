@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.cleanse import remove_jumps_at_switching
-from models.dataset import DatasetError, Recording
+from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.evaluation import ResidualMetrics
 from models.thermal.increments import Factor, LinearFit, factorise, fit, increments, mean_square_k2
+from models.thermal.inputs import averaged_recordings, require_same_columns
 from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
 from models.thermal.validation import TrainingChoices, leave_out, make_folds, training_runs
 
@@ -78,10 +79,9 @@ def train(
         When the recordings do not fit together or cannot support the model.
 
     """
-    _require_same_columns(recordings)
-    together = sum(recording.rows for recording in recordings)
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
-    averaged = [recording.downsampled(choices.sample_s) for recording in recordings]
+    require_same_columns(recordings)
+    recordings, warnings = usable_recordings(recordings)
+    averaged = averaged_recordings(recordings, choices.sample_s)
     together = sum(recording.rows for recording in averaged)
     for recording in averaged:
         recording.require_usable(together)
@@ -128,19 +128,6 @@ class _Steps:
         """Count every step but the last as done."""
         self._done = self._total - 1
         self.advance()
-
-
-def _require_same_columns(recordings: Sequence[Recording]) -> None:
-    if not recordings:
-        raise DatasetError("there is no recording to train on")
-    first = recordings[0]
-    for other in recordings[1:]:
-        for kind in ("temperature_names", "displacement_names"):
-            if (mine := getattr(first, kind)) != (theirs := getattr(other, kind)):
-                differing = sorted(set(mine) ^ set(theirs)) or ["their order"]
-                raise DatasetError(
-                    f"{first.name} and {other.name} have different {kind.replace('_', ' ')}: {', '.join(differing[:8])}"
-                )
 
 
 def _common_period_s(recordings: Sequence[Recording]) -> float:

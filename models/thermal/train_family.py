@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.dataset import DatasetError, Recording
+from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.families import Fit, HyperParameters
 from models.thermal.folds import inner_folds
@@ -83,8 +83,7 @@ def train_family(
         When the recordings do not fit together or cannot support the model.
 
     """
-    together = sum(recording.rows for recording in recordings)
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
+    recordings, warnings = usable_recordings(recordings)
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
     kept = [name for name in plain.sensor_names if name not in left_out]

@@ -1,5 +1,6 @@
 """Whether a fitted model may be used at all, and how wide its prediction band is: both from training rows alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ SHORTEST_HORIZON_MIN = 60.0
 """So much must follow such an instant [min], or half of the fold."""
 REFERENCES = 30
 """So many instants of every fold are tried."""
+SHORTEST_WANDER_MIN = 30.0
+"""How far an offset wanders is not seen over less than this [min]; 10 to 60 min do equally well."""
 NORMAL_90 = 1.282
 """90 % point of the normal distribution."""
 FEWEST_FOLDS_BEFORE = 2
@@ -91,7 +94,7 @@ def judge(
             held_out_relative_rmse=float("nan"),
             forward_skill=(),
         )
-    skill = _forward_skill(inputs, rows, fold, problem, numbers)
+    skill = _forward_skill(inputs, rows, fold, problem, probe_min)
     return Trust(
         refused=_reason(inputs, rows, score, skill),
         band_um=band_um,
@@ -120,17 +123,17 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
 
 
 def _forward_skill(
-    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, numbers: list[int]
+    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, probe_min: float | None
 ) -> list[float]:
     """Return the skill of each fold that has enough before it, predicted from those."""
-    found = []
+    found, numbers = [], fold_numbers(rows, fold)
     for position in range(min(FEWEST_FOLDS_BEFORE, len(numbers) - 1), len(numbers)):
         later = frozenset(numbers[position:])
         try:
             fit = problem.fit(later)
         except DatasetError:
             continue
-        found.append(1.0 - relative_rmse(inputs, rows, fold, {numbers[position]: fit}))
+        found.append(1.0 - relative_rmse(inputs, rows, fold, {numbers[position]: fit}, probe_min))
     return found
 
 
@@ -239,22 +242,45 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
     Returns
     -------
     BiasFilter
-        Its noise is the scatter of neighbouring displacements, its wander what the left-out residual
-        gains between two probes beyond that noise; a correction is bounded by the channel's span.
+        Its noise is the scatter of displacements about what moves smoothly; its wander is what the
+        left-out residual gains beyond that noise between two probes, or over half an hour where
+        probes come more often: what a model misses drifts, which nothing shows within the noise of
+        a minute. A correction is bounded by the channel's span.
 
     """
-    segments = [part for part in fold_segments(inputs, rows) if len(part) > 1]
-    steps = np.vstack([np.diff(inputs.measured_um[part], axis=0) for part in segments])
-    noise_um = 1.4826 * np.nanmedian(np.abs(steps - np.nanmedian(steps, axis=0)), axis=0) / np.sqrt(2.0)
+    segments = fold_segments(inputs, rows)
+    noise_um = scatter_um([inputs.measured_um[part] for part in segments])
+    over_min = max(probe_min, SHORTEST_WANDER_MIN)
     wander = np.zeros(len(inputs.channels))
     for part in segments:
-        wander = np.maximum(wander, wander_um2_per_min(inputs.time_min[part], series_um[part], probe_min))
+        wander = np.maximum(wander, wander_um2_per_min(inputs.time_min[part], series_um[part], over_min))
     span = np.nanmax(inputs.measured_um[rows], axis=0) - np.nanmin(inputs.measured_um[rows], axis=0)
     return BiasFilter(
-        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / probe_min, 0.0),
+        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / over_min, 0.0),
         noise_um=noise_um,
         largest_step_um=np.maximum(span, 1e-9),
     )
+
+
+def scatter_um(segments: Sequence[FloatArray]) -> FloatArray:
+    """Return the standard deviation of what is noise in displacements, robust against what moves smoothly.
+
+    Third differences are zero for a parabola; those of white noise have sqrt(20) times its deviation.
+
+    Parameters
+    ----------
+    segments
+        Displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_channels,)
+        [um]; zeros where no stretch has four rows with a value.
+
+    """
+    differences = np.vstack([np.diff(segment, n=3, axis=0) for segment in segments])
+    known = [column[np.isfinite(column)] for column in differences.T]
+    return np.array([1.4826 * np.median(np.abs(c)) / np.sqrt(20.0) if len(c) else 0.0 for c in known])
 
 
 def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:

@@ -92,6 +92,46 @@ def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
         replace(good, displacements_um=good.displacements_um * 1000.0).require_usable()
 
 
+@pytest.mark.parametrize("value", [850.0, -200.0, 1e9])
+def test_a_single_impossible_temperature_is_named_and_counts_as_missing(value: float) -> None:
+    bad = spoilt("temperatures_degc", 1, 4, value)
+    assert f"column t2, row 5: {value:.6g} degC cannot be and counts as missing" in sentences(bad)
+    assert np.isnan(bad.without_impossible().temperatures_degc[4, 1])
+    assert np.isfinite(bad.without_impossible().temperatures_degc).sum() == bad.temperatures_degc.size - 1
+    several = spoilt("temperatures_degc", 1, slice(10, 30), value)
+    assert f"row 11: {value:.6g} degC cannot be (20 such values, the first here)" in sentences(several)
+
+
+def test_single_impossible_displacements_and_speeds_are_named_and_count_as_missing() -> None:
+    bad = spoilt("displacements_um", 0, 7, 1e9)
+    assert "column c1, row 8: 1e+09 um cannot be" in sentences(bad)
+    assert np.isnan(bad.without_impossible().displacements_um[7, 0])
+    speeds = recording().speed_rpm
+    assert speeds is not None
+    bad = replace(recording(), speed_rpm=np.where(np.arange(60) == 3, 9.9e37, speeds))
+    assert "column spindle speed, row 4: 9.9e+37 1/min cannot be" in sentences(bad)
+    possible = bad.without_impossible().speed_rpm
+    assert possible is not None and np.isnan(possible[3])
+
+
+def test_a_good_recording_is_possible_as_it_is() -> None:
+    good = recording()
+    assert good.without_impossible() is good
+
+
+def test_rows_are_named_as_the_file_counts_them() -> None:
+    part = spoilt("temperatures_degc", 1, 44, 850.0).part(30, 60)
+    assert "column t2, row 45: 850 degC cannot be" in sentences(part)
+
+
+def test_fahrenheit_is_recognised_by_a_workshop_that_warm() -> None:
+    good = recording()
+    with pytest.raises(DatasetError, match=r"column t\d, row \d+: .* is the lowest of all temperatures.*degF"):
+        replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0).require_usable()
+    with pytest.raises(DatasetError, match="column t2: a median of -242 cannot be degC; is it connected"):
+        spoilt("temperatures_degc", 1, slice(None), -242.0).require_usable()
+
+
 def test_parts_keep_the_clock_of_the_whole() -> None:
     part = recording().between_hours(0.25, 0.5)
     np.testing.assert_array_equal(part.time_s[[0, -1]], [900.0, 1740.0])

@@ -171,6 +171,25 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
         trained([day(1), kelvin])
 
 
+def test_averaging_over_too_long_a_time_is_said_with_the_rows_that_remain() -> None:
+    with pytest.raises(
+        DatasetError, match=r"day 1: averaged to sample_s 1e\+09 s, 1 of 240 rows remain, too few for 5"
+    ):
+        trained([day(1)], sample_s=1e9)
+    with pytest.raises(DatasetError, match="no multiple of the 300 s between rows; choose 5 min or a multiple"):
+        trained([day(1, period_s=300.0)], interval_min=1.0)
+
+
+def test_a_single_impossible_value_changes_no_more_than_a_missing_one() -> None:
+    good = day(1)
+    broken, gap = good.temperatures_degc.copy(), good.temperatures_degc.copy()
+    broken[100, 2], gap[100, 2] = 850.0, np.nan
+    result = trained([replace(good, temperatures_degc=broken), day(2), day(3)])
+    other = trained([replace(good, temperatures_degc=gap), day(2), day(3)])
+    np.testing.assert_array_equal(result.model.coefficients_um_per_k, other.model.coefficients_um_per_k)
+    assert any("day 1: column T4, row 101: 850 degC cannot be" in warning for warning in result.report.warnings)
+
+
 def test_choices_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(ValueError, match="needs kind ridge"):
         TrainingChoices(ridge_k2=1.0)

@@ -1,0 +1,71 @@
+"""Single values of a recording that cannot be: what a broken wire or a full-scale input writes into its column."""
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+
+LOWEST_DEGC = -50.0
+"""No machine tool is colder."""
+HIGHEST_DEGC = 150.0
+"""None is hotter; a median above this is no temperature in degC (kelvin start at 253 here)."""
+FARTHEST_UM = 5000.0
+"""No displacement sensor of a nest reaches so far from where it is most of the time."""
+USUAL_SPREAD_UM = 500.0
+"""A channel whose values typically lie farther than this from their median is not in micrometres at all."""
+HIGHEST_RPM = 500_000.0
+"""No spindle turns faster [1/min]."""
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+def impossible_temperatures(degc: FloatArray) -> BoolArray:
+    """Return where temperatures cannot be.
+
+    Parameters
+    ----------
+    degc : shape (n, n_sensors)
+        Temperatures [degC], NaN where missing.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, n_sensors)
+        All False for a sensor of which that holds for half of the values or more: then the unit of
+        the column is wrong, or the sensor was never connected.
+
+    """
+    return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
+
+
+def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
+    """Return where displacements lie farther from the others than any sensor reaches.
+
+    Parameters
+    ----------
+    displacements_um : shape (n, n_channels)
+        Displacements [um], NaN where missing.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, n_channels)
+        All False for a channel that moves so far as a rule: then its unit is wrong.
+
+    """
+    far_um = np.abs(displacements_um - column_medians(displacements_um))
+    return _of_few(far_um > FARTHEST_UM, far_um) & (column_medians(far_um) <= USUAL_SPREAD_UM)
+
+
+def impossible_speeds(speed_rpm: FloatArray) -> BoolArray:
+    """Return where a spindle speed [1/min] cannot be, shape (n,); all False when that holds for half of them."""
+    column = np.abs(speed_rpm)[:, None]
+    return _of_few(column > HIGHEST_RPM, column)[:, 0]
+
+
+def column_medians(table: FloatArray) -> FloatArray:
+    """Return the median of the finite values of each column, shape (n_columns,); 0 for a column without any."""
+    known = [column[np.isfinite(column)] for column in table.T]
+    return np.array([float(np.median(values)) if len(values) else 0.0 for values in known])
+
+
+def _of_few(wrong: BoolArray, table: FloatArray) -> BoolArray:
+    return np.asarray(wrong & (2 * wrong.sum(axis=0) < np.isfinite(table).sum(axis=0)))
