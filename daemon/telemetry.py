@@ -59,6 +59,9 @@ class Telemetry:
         self.latest: tuple[str, Trace] | None = None
         """Line and trace of the latest cycle that went all the way to the read-back."""
         self._report_at_real_s: float | None = None
+        self._shown_state: OutputState | None = None
+        self._axis_gauges: dict[str, tuple[Gauge, ...]] = {}
+        self._link_gauges: dict[str, Gauge] = {}
         self._register_delays(registry)
         self._register_output(registry)
 
@@ -117,7 +120,8 @@ class Telemetry:
 
     def _register_output(self, registry: CollectorRegistry) -> None:
         self._writes = Counter("toolpoint_writes", "Macro block writes", ["outcome"], registry=registry)
-        self._state = Gauge("toolpoint_output_state", "1 for the present output state", ["state"], registry=registry)
+        state = Gauge("toolpoint_output_state", "1 for the present output state", ["state"], registry=registry)
+        self._state = {member: state.labels(member.value) for member in OutputState}
         self._axis = Gauge(
             "toolpoint_compensation_micrometres",
             "Compensation per axis: requested, written (after limits), applied (the guard's echo)",
@@ -224,19 +228,27 @@ class Telemetry:
         self._writes.labels(receipt.outcome.name.lower()).inc()
 
     def output(self, command: CompensationCommand, applied_um: FloatArray) -> None:
-        for state in OutputState:
-            self._state.labels(state.value).set(1.0 if state is command.state else 0.0)
+        if command.state is not self._shown_state:
+            self._shown_state = command.state
+            for state, gauge in self._state.items():
+                gauge.set(1.0 if state is command.state else 0.0)
         for index, axis in enumerate(command.axes):
-            self._axis.labels(axis, "requested").set(command.requested_um[index])
-            self._axis.labels(axis, "written").set(command.compensation_um[index])
-            self._axis.labels(axis, "applied").set(applied_um[index])
+            if (gauges := self._axis_gauges.get(axis)) is None:
+                gauges = tuple(self._axis.labels(axis, what) for what in ("requested", "written", "applied"))
+                self._axis_gauges[axis] = gauges
+            for gauge, values_um in zip(
+                gauges, (command.requested_um, command.compensation_um, applied_um), strict=True
+            ):
+                gauge.set(values_um[index])
         for hit in command.limits_hit:
             axis, _, limit = hit.partition(":")
             self._limits.labels(axis, limit).inc()
 
     def links(self, up: Iterable[tuple[str, bool]]) -> None:
         for name, is_up in up:
-            self._link.labels(name).set(1.0 if is_up else 0.0)
+            if (gauge := self._link_gauges.get(name)) is None:
+                gauge = self._link_gauges[name] = self._link.labels(name)
+            gauge.set(1.0 if is_up else 0.0)
 
     def sensors_usable(self, count: int) -> None:
         self._sensors.set(count)

@@ -166,8 +166,8 @@ class CycleAssembler:
         return now.monotonic_s - since.monotonic_s > limit_s and now.real_s - since.real_s > MIN_SILENCE_REAL_S
 
     def _arrival(self, frame: Frame) -> Arrival:
-        if len(self._arrivals) == 1:
-            instant = self._arrivals[0][1]
+        if len(self._arrivals) == 1 or frame.offset >= self._arrivals[-2][0]:
+            instant = self._arrivals[-1][1]
             return Arrival(frame, instant, instant)
         first = next(instant for end, instant in self._arrivals if end > frame.offset)
         last = next(instant for end, instant in self._arrivals if end >= frame.end)
@@ -206,7 +206,7 @@ class CycleAssembler:
             return []
         else:
             self._open(arrival)
-        if self._pass is not None and self._at_end(self._pass):
+        if self._pass is not None and self._pass.lowest <= self._lowest_awaited and self._at_end(self._pass):
             ended_at = self._pass.lowest
             cycles += self._close()
             self._ended_at = ended_at

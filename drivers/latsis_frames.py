@@ -19,6 +19,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from config.schema.temperatures import GrammarConfig
 
@@ -43,9 +44,8 @@ class FrameFault(StrEnum):
     TOO_NARROW = "value has fewer digits than this ID's sensor sends"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    """One frame that follows the grammar."""
+class Frame(NamedTuple):
+    """One frame that follows the grammar; a named tuple, because a line brings some thousand of them a minute."""
 
     wire_id: int
     code: int
@@ -129,6 +129,7 @@ class FrameParser:
         self._digits = value_digits_by_wire_id
         self._checksum = CHECKSUMS.get(grammar.checksum)
         self._pattern = _pattern(grammar)
+        self._whole_line = re.compile(self._pattern.pattern + (b"\r\n" if self._crlf else self._end))
         end_bytes = len(grammar.end) // 2
         self._lengths = {frame_bytes(grammar, digits) - end_bytes for digits in VALUE_DIGITS}
         self._buffer = bytearray()
@@ -150,6 +151,7 @@ class FrameParser:
         self._buffer += data
         records: list[Frame | FrameError] = []
         while True:
+            self._sound_lines(records)
             at = self._buffer.find(self._end, 0, MAX_LINE_BYTES)
             if at < 0 and len(self._buffer) < MAX_LINE_BYTES:
                 return records
@@ -163,6 +165,31 @@ class FrameParser:
                 records.append(self._error(FrameFault.OVERLONG, self._line_offset, line))
                 self._cut = True
             self._line_offset += size
+
+    def _sound_lines(self, records: list[Frame | FrameError]) -> None:
+        """Take whole sound lines off the head of the buffer; whatever is wrong with the next one is judged apart."""
+        if self._cut:
+            return
+        at = 0
+        while (match := self._whole_line.match(self._buffer, at)) is not None:
+            frame = self._judged(match, self._line_offset + at, self._line_offset + match.end())
+            if frame is None:
+                break
+            records.append(frame)
+            at = match.end()
+        if at:
+            del self._buffer[:at]
+            self._line_offset += at
+
+    def _judged(self, match: re.Match[bytes], offset: int, end: int) -> Frame | None:
+        """Return the frame of a match, None when its checksum or the width of its value is wrong."""
+        body, wire_id_text, value, status, check = match.groups()
+        if self._checksum is not None and self._checksum(body) != int(check, 16):
+            return None
+        wire_id = int(wire_id_text, 16)
+        if len(value) != self._digits.get(wire_id, len(value)):
+            return None
+        return Frame(wire_id, int(value, 16), int(status, 16) if status else 0, offset, end)
 
     def _line(self, line: bytes, offset: int) -> Iterator[Frame | FrameError]:
         """Yield the records of one line without its end character."""
@@ -194,21 +221,14 @@ class FrameParser:
         match = self._pattern.fullmatch(text)
         if match is None:
             return self._error(FrameFault.FORM, offset, text, end)
-        body, wire_id_text, value, status, check = match.groups()
+        if (frame := self._judged(match, offset, end)) is not None:
+            return frame
+        body, wire_id_text, value, _, check = match.groups()
         if self._checksum is not None and self._checksum(body) != int(check, 16):
             return self._error(FrameFault.CHECKSUM, offset, text, end)
         wire_id = int(wire_id_text, 16)
-        expected = self._digits.get(wire_id, len(value))
-        if len(value) != expected:
-            kind = FrameFault.TOO_WIDE if len(value) > expected else FrameFault.TOO_NARROW
-            return self._error(kind, offset, text, end, wire_id)
-        return Frame(
-            wire_id=wire_id,
-            code=int(value, 16),
-            status=int(status, 16) if status else 0,
-            offset=offset,
-            end=end,
-        )
+        kind = FrameFault.TOO_WIDE if len(value) > self._digits[wire_id] else FrameFault.TOO_NARROW
+        return self._error(kind, offset, text, end, wire_id)
 
     @staticmethod
     def _error(

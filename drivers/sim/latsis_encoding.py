@@ -17,6 +17,7 @@ BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 TMP102_DEGC_PER_COUNT = 1 / 16
 MLX90615_DEGC_PER_COUNT = 1 / 50
+KEPT_FRAMES = 20_000
 LINE_ENDS = {"CR": "\r", "LF": "\n", "CRLF": "\r\n"}
 
 RegisterCodes = Callable[[Sequence[int]], list[int]]
@@ -92,6 +93,8 @@ class LineTransmitter:
         self._unplugged = of_kind(self._faults, FaultKind.UNPLUGGED)
         self._random = {f: random.Random(f"{seed} {line.name} {f.kind} {f.at_s}") for f in self._byte_faults}
         self._stuck: dict[Fault, int] = {}
+        self._frames: dict[tuple[int, int, int], bytes] = {}
+        """Frames that went out before; there are few, because a temperature keeps to its surroundings."""
         self._pass: _Pass | None = None
         self._last_number = -1
         self._near: list[Fault] = []
@@ -214,6 +217,15 @@ class LineTransmitter:
         return code
 
     def _frame(self, position: int, sensor_id: int, code: int) -> bytes:
+        key = (position, sensor_id, code)
+        frame = self._frames.get(key)
+        if frame is None:
+            if len(self._frames) >= KEPT_FRAMES:
+                self._frames.clear()
+            frame = self._frames[key] = self._new_frame(position, sensor_id, code)
+        return frame
+
+    def _new_frame(self, position: int, sensor_id: int, code: int) -> bytes:
         digits, bits = self._width(sensor_id)
         if sensor_id not in self._mlx90615 and bits == 13 and code & 0x800:
             code -= 0x1000

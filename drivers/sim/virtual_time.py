@@ -15,6 +15,9 @@ from models.records import Instant
 THREAD_PATIENCE_S = 0.05
 """While a thread works, sockets are looked at this often [s of the wall clock]; its end wakes the loop at once."""
 
+ROUNDS_PER_LOOK = 8
+"""While callbacks wait for their turn, sockets are looked at once in so many rounds of the loop."""
+
 T = TypeVar("T")
 
 
@@ -58,11 +61,14 @@ class _VirtualSelector(selectors.DefaultSelector):
         super().__init__()
         self.world: World | None = None
         self.threads_busy = 0
+        self._rounds = 0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Return sockets that are ready; pass time when none is and nothing else is to be done."""
-        ready = super().select(0)
-        if ready or (timeout is not None and timeout <= 0):
+        if timeout is not None and timeout <= 0:
+            self._rounds = (self._rounds + 1) % ROUNDS_PER_LOOK
+            return [] if self._rounds else super().select(0)
+        if ready := super().select(0):
             return ready
         if self.world is None or self.threads_busy:
             return super().select(THREAD_PATIENCE_S)

@@ -101,6 +101,8 @@ def renewed_mean_increment(before: MeanIncrement, degc: FloatArray) -> MeanIncre
 
     """
     known = np.isfinite(degc)
+    if known.all() and before.counted.all():  # nobody comes or goes: the usual case
+        return replace(before, increment_k=degc - before.reference_degc)
     stayed, left = known & before.counted, before.counted & ~known
     if not stayed.any() and np.isnan(before.increment_k[left]).any():
         return before  # nothing is left to impute from, and where these were is not known
