@@ -1,10 +1,11 @@
 """Spindle, holder and tool as one: the chain over all, and the tool point from the bearings alone."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.dynamics.beam import ComplexArray, Segment, close
+from models.dynamics.beam import ComplexArray, Segment, Span, close
 from models.dynamics.bearings import BearingProperties, CondensedShaft, inverse_rows
 from models.dynamics.chain import Chain, Part, chain_span
 from models.records import FloatArray
@@ -67,3 +68,25 @@ class CondensedAssembly:
         if self._front is not None:
             stiffness, _ = close(self._front, stiffness)
         return np.asarray(stiffness, dtype=np.complex128)
+
+    def receptances(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
+        """Return `receptance` for several sets of bearing properties at some of the frequencies.
+
+        Parameters
+        ----------
+        parameters
+            Name -> values, shape (k,), of all parameters of the shaft's groups.
+        lines
+            Which of the frequencies.
+
+        Returns
+        -------
+        ndarray
+            [m/N], shape (k, n).
+
+        """
+        stiffness = self.shaft.nose_stiffnesses(parameters, lines)
+        if self._front is not None:
+            stiffness, _ = close(Span(*(rows[:, None, lines] for rows in self._front)), stiffness)
+        a, b, d = stiffness
+        return np.asarray(d / (a * d - b * b), dtype=np.complex128)

@@ -126,6 +126,52 @@ class CondensedShaft:
         """Return H, L (= N) and P at the nose as rows, shape (3, n) [m/N, m/(Nm) = rad/N, rad/(Nm)]."""
         return inverse_rows(self.nose_stiffness(properties))
 
+    def nose_stiffnesses(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
+        """Return `nose_stiffness` for several sets of bearing properties at some of the frequencies.
+
+        Parameters
+        ----------
+        parameters
+            Name -> values, shape (k,), of all parameters of the groups in `groups`.
+        lines
+            Which of the frequencies.
+
+        Returns
+        -------
+        ndarray
+            Rows (11, 12, 22), shape (3, k, n) [N/m, N/rad, Nm/rad].
+
+        """
+        j_omega = 1j * self.omega[lines]
+        added = {
+            group: tuple(
+                parameters[f"k{kind}_{group}"][:, None] + parameters[f"c{kind}_{group}"][:, None] * j_omega
+                for kind in "tr"
+            )
+            for group in self.groups
+        }
+        sets = len(next(iter(parameters.values())))
+        stiffness = np.repeat(self._bare_nose[:, None, lines], sets, axis=1)
+        behind = np.zeros_like(stiffness)
+        for station in reversed(self._stations):
+            pivot = station.rear[:, None, lines] + behind
+            for group in station.groups:
+                pivot[0] += added[group][0]
+                pivot[2] += added[group][1]
+            scale = 1.0 / (pivot[0] * pivot[2] - pivot[1] * pivot[1])
+            products, front = station.products[:, :, None, lines], station.front[:, None, lines]
+            through = products[0] * pivot[0]
+            through += products[1] * pivot[1]
+            through += products[2] * pivot[2]
+            through *= scale
+            behind = np.subtract(front, through, out=through)
+        if self._stations:
+            stiffness = behind
+        for group in self._nose_groups:
+            stiffness[0] += added[group][0]
+            stiffness[2] += added[group][1]
+        return stiffness
+
     def nose_receptance_and_derivatives(
         self, properties: BearingProperties
     ) -> tuple[ComplexArray, dict[str, ComplexArray]]:

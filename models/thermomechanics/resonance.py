@@ -17,6 +17,9 @@ from models.records import FloatArray
 
 Receptance = Callable[[Mapping[str, float]], ComplexArray]
 """Values of the twelve bearing parameters -> receptance [m/N], shape (n,)."""
+OnTheWay = Callable[[Mapping[str, FloatArray], float, float], tuple[FloatArray, ComplexArray]]
+"""Values of each parameter, shape (k,), and both ends of a band [Hz] -> frequencies in it, shape (n,), and
+receptances, shape (k, n)."""
 
 LARGEST_CHANGE = 0.05
 """A step changes no parameter by more than this share."""
@@ -31,6 +34,12 @@ LARGEST_MOVE = 0.03
 """A peak that moves by more than this share within a step is not the same one."""
 MOST_DIVISIONS = 4
 """A step is halved at most this many times."""
+TOGETHER = 16
+"""So many steps of the way are looked at in one computation."""
+REACH = CLEARANCE * LARGEST_MOVE
+"""Share of its frequency around a peak within which other peaks decide whether it is the same one."""
+WINDOW = 0.2
+"""Share of its frequency around a peak that is looked at, so that it may move for some steps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,15 +73,23 @@ def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[Peak]:
         [m/N], shape (n,).
 
     """
-    inverse = 1.0 / (receptance.real**2 + receptance.imag**2)
-    inside = np.flatnonzero((inverse[1:-1] < inverse[:-2]) & (inverse[1:-1] <= inverse[2:])) + 1
-    found = []
-    for k in inside:
-        left, middle, right = inverse[k - 1], inverse[k], inverse[k + 1]
-        shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
-        frequency = frequency_hz[k] + shift * (frequency_hz[k + 1] - frequency_hz[k])
-        least = max(middle - 0.25 * (left - right) * shift, 1e-3 * middle)
-        found.append(Peak(frequency_hz=float(frequency), magnitude_m_per_n=float(least**-0.5)))
+    return peaks_of_several(frequency_hz, receptance[None])[0]
+
+
+def peaks_of_several(frequency_hz: FloatArray, receptances: ComplexArray) -> list[list[Peak]]:
+    """Return the `peaks` of several responses [m/N], shape (k, n), at the same frequencies [Hz], shape (n,)."""
+    found: list[list[Peak]] = [[] for _ in receptances]
+    if len(frequency_hz) < 3:
+        return found
+    inverse = 1.0 / (receptances.real**2 + receptances.imag**2)
+    before, here, after = inverse[:, :-2], inverse[:, 1:-1], inverse[:, 2:]
+    rows, places = np.nonzero((here < before) & (here <= after))
+    left, middle, right = before[rows, places], here[rows, places], after[rows, places]
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    frequency = frequency_hz[places + 1] + shift * (frequency_hz[places + 2] - frequency_hz[places + 1])
+    size = np.maximum(middle - 0.25 * (left - right) * shift, 1e-3 * middle) ** -0.5
+    for row, at_hz, magnitude in zip(rows.tolist(), frequency.tolist(), size.tolist(), strict=True):
+        found[row].append(Peak(frequency_hz=at_hz, magnitude_m_per_n=magnitude))
     return found
 
 
@@ -99,7 +116,7 @@ class ResonanceFollower:
         start: Mapping[str, float],
         near_hz: float | None = None,
         *,
-        between: tuple[FloatArray, Receptance] | None = None,
+        on_the_way: OnTheWay | None = None,
     ) -> None:
         """Choose the resonance.
 
@@ -113,8 +130,9 @@ class ResonanceFollower:
             Bearing parameters at which the resonance is chosen; after a loss it is followed anew from here.
         near_hz
             The resonance nearest to this is followed [Hz]; None: the highest.
-        between
-            Fewer frequencies and the response at them, for the steps on the way; None: all frequencies.
+        on_the_way
+            Responses of several sets of parameters at once, in a band and possibly at fewer frequencies, for the
+            steps on the way; None: `receptance`, one by one.
 
         Raises
         ------
@@ -124,7 +142,7 @@ class ResonanceFollower:
         """
         self.frequency_hz = frequency_hz
         self._receptance = receptance
-        self._between_hz, self._between = between or (frequency_hz, receptance)
+        self._on_the_way = on_the_way or self._one_by_one
         self._start = dict(start)
         peak = first_peak(frequency_hz, receptance(start), near_hz)
         self._first = Resonance(
@@ -161,18 +179,44 @@ class ResonanceFollower:
         known: Resonance,
         parameters: Mapping[str, float],
         response: ComplexArray | None = None,
+        *,
+        roughly: bool = False,
     ) -> Resonance:
-        """Return a resonance that is known with some parameters as it is with others; nothing is kept."""
-        response = self._receptance(parameters) if response is None else response
+        """Return a resonance that is known with some parameters as it is with others; nothing is kept.
+
+        `roughly`: the end is looked at like the way, at what may be fewer frequencies.
+        """
+        names = tuple(parameters)
         steps = min(MOST_STEPS, max(1, int(np.ceil(_distance(begin, parameters) / LARGEST_CHANGE))))
-        before, at = begin, known
-        for step in range(1, steps):
-            after = _between(begin, parameters, step / steps)
-            at = self._walk(before, at, after, peaks(self._between_hz, self._between(after)), 0)
-            if not at.continuous:
-                return at
-            before = after
+        way = _way(begin, parameters, np.arange(1, steps + 1) / steps)
+        count = steps if roughly else steps - 1
+        before, at, done = begin, known, 0
+        while done < count and at.continuous:
+            chunk, (low, high) = way[done : min(done + TOGETHER, count)], _window(at)
+            for row, found in zip(chunk, self._passed(names, chunk, low, high), strict=True):
+                after = dict(zip(names, row.tolist(), strict=True))
+                at = self._walk(before, at, after, found, 0)
+                before, done = after, done + 1
+                decided = low <= (1.0 - REACH) * at.frequency_hz and (1.0 + REACH) * at.frequency_hz <= high
+                if not (at.continuous and decided):
+                    break
+        if roughly or not at.continuous:
+            return at
+        response = self._receptance(parameters) if response is None else response
         return self._walk(before, at, parameters, peaks(self.frequency_hz, response), 0)
+
+    def _passed(self, names: tuple[str, ...], sets: FloatArray, low_hz: float, high_hz: float) -> list[list[Peak]]:
+        """Return the peaks in a band for several sets of parameters, shape (k, m)."""
+        columns = {name: sets[:, place] for place, name in enumerate(names)}
+        return peaks_of_several(*self._on_the_way(columns, low_hz, high_hz))
+
+    def _one_by_one(
+        self, columns: Mapping[str, FloatArray], low_hz: float, high_hz: float
+    ) -> tuple[FloatArray, ComplexArray]:
+        lines = band(self.frequency_hz, low_hz, high_hz)
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        found = [self._receptance(dict(zip(columns, row, strict=True)))[lines] for row in rows]
+        return self.frequency_hz[lines], np.array(found)
 
     def _walk(
         self,
@@ -191,10 +235,22 @@ class ResonanceFollower:
             return Resonance(
                 frequency_hz=known.frequency_hz, magnitude_m_per_n=known.magnitude_m_per_n, continuous=False
             )
-        middle = _between(begin, end, 0.5)
-        passed = peaks(self._between_hz, self._between(middle))
+        halfway = _way(begin, end, np.array([0.5]))
+        (passed,) = self._passed(tuple(end), halfway, *_window(known))
+        middle = dict(zip(end, halfway[0].tolist(), strict=True))
         half = self._walk(begin, known, middle, passed, division + 1)
         return self._walk(middle, half, end, found, division + 1)
+
+
+def band(frequency_hz: FloatArray, low_hz: float, high_hz: float) -> slice:
+    """Return which of ascending frequencies [Hz], shape (n,), lie in a band, two more on both sides."""
+    first, last = np.searchsorted(frequency_hz, (low_hz, high_hz))
+    return slice(max(int(first) - 2, 0), int(last) + 2)
+
+
+def _window(resonance: Resonance) -> tuple[float, float]:
+    """Return the band [Hz] around a resonance in which it is looked for."""
+    return (1.0 - WINDOW) * resonance.frequency_hz, (1.0 + WINDOW) * resonance.frequency_hz
 
 
 def _logarithms(begin: Mapping[str, float], end: Mapping[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -210,9 +266,10 @@ def _distance(begin: Mapping[str, float], end: Mapping[str, float]) -> float:
     return float(np.max(np.abs(last - first)))
 
 
-def _between(begin: Mapping[str, float], end: Mapping[str, float], share: float) -> dict[str, float]:
+def _way(begin: Mapping[str, float], end: Mapping[str, float], shares: FloatArray) -> FloatArray:
+    """Return the parameters at shares of the way, shape (k,), in the order of `end`, shape (k, m)."""
     first, last, floor = _logarithms(begin, end)
-    return dict(zip(end, (np.exp(first + share * (last - first)) - floor).clip(min=0.0).tolist(), strict=True))
+    return np.asarray((np.exp(first + shares[:, None] * (last - first)) - floor).clip(min=0.0))
 
 
 def _same(frequency_hz: float, found: list[Peak], *, last: bool) -> Peak | None:

@@ -16,7 +16,7 @@ from models.dynamics.bearings import PARAMETERS, properties_from_parameters
 from models.records import FloatArray, MachineTemperatures
 from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, EstimatedProperty, ThermomechanicalModel
-from models.thermomechanics.resonance import Resonance, ResonanceFollower
+from models.thermomechanics.resonance import Resonance, ResonanceFollower, band
 
 SOURCE_BAND_HZ = (300.0, 2500.0)
 SOURCE_STEP_HZ = 12800.0 / 16384.0
@@ -134,13 +134,10 @@ class AxisTracker:
         self._condensed = CondensedAssembly(assembly, frequency_hz)
         self._coarse = CondensedAssembly(assembly, frequency_hz[::COARSE])
         start = self.parameters(self._reference())
-        few_hz = frequency_hz[::COARSE]
         self._follower = ResonanceFollower(
-            frequency_hz, self.receptance, start, near_hz, between=(few_hz, self._coarse_receptance)
+            frequency_hz, self.receptance, start, near_hz, on_the_way=self._coarse_receptances
         )
-        chosen_hz = self._follower.resonance.frequency_hz
         self._ends: tuple[float, tuple[RangeEnds, ...]] = (np.inf, ())
-        self._coarse_follower = ResonanceFollower(few_hz, self._coarse_receptance, start, chosen_hz)
 
     def _reference(self) -> tuple[EstimatedProperty, ...]:
         count, seen = len(self.regression.signals), self.regression.fitted_range
@@ -156,8 +153,11 @@ class AxisTracker:
         """Return the receptance at the tool point [m/N], shape (n,)."""
         return self._condensed.receptance(properties_from_parameters(parameters))
 
-    def _coarse_receptance(self, parameters: Mapping[str, float]) -> ComplexArray:
-        return self._coarse.receptance(properties_from_parameters(parameters))
+    def _coarse_receptances(
+        self, parameters: Mapping[str, FloatArray], low_hz: float, high_hz: float
+    ) -> tuple[FloatArray, ComplexArray]:
+        lines = band(self._coarse.frequency_hz, low_hz, high_hz)
+        return self._coarse.frequency_hz[lines], self._coarse.receptances(parameters, lines)
 
     def renew(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> AxisDynamics:
         """Return the dynamics at new temperatures [degC] and changes [K], both of shape (m,); see `estimate`."""
@@ -171,23 +171,22 @@ class AxisTracker:
             properties=properties,
             receptance_m_per_n=response,
             resonance=resonance,
-            range_ends=self._range_ends(flagged, parameters, response) if flagged else (),
+            range_ends=self._range_ends(flagged, parameters) if flagged else (),
         )
 
     def _range_ends(
-        self, flagged: Sequence[EstimatedProperty], parameters: Mapping[str, float], response: ComplexArray
+        self, flagged: Sequence[EstimatedProperty], parameters: Mapping[str, float]
     ) -> tuple[RangeEnds, ...]:
-        now_hz = self._follower.resonance.frequency_hz
+        now = self._follower.resonance
+        now_hz = now.frequency_hz
         if abs(self._ends[0] - now_hz) < ENDS_STAND_HZ and [e.name for e in self._ends[1]] == [e.name for e in flagged]:
             return self._ends[1]
-        follower = self._coarse_follower
-        now = follower.follow(parameters, response[::COARSE])
 
         def end(name: str, value: float) -> float | None:
             """Return the resonance [Hz] with one property at an end of its range; None where no mode is followed."""
             if value == parameters[name]:
                 return now_hz
-            there = follower.reached(parameters, now, {**parameters, name: value})
+            there = self._follower.reached(parameters, now, {**parameters, name: value}, roughly=True)
             return there.frequency_hz if there.continuous else None
 
         found = tuple(

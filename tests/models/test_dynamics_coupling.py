@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import Segment
 from models.dynamics.bearings import (
     PARAMETERS,
@@ -274,3 +275,18 @@ def test_modes_of_one_shaft_are_not_alike() -> None:
     wanted = np.linspace(0.0, 0.5, 8)
     one, two = (at_points(mode.position_m, mode.displacement, wanted) for mode in (first, second))
     assert modal_assurance(one, two) < 0.4
+
+
+@pytest.mark.parametrize("first_place", [0.0991, 0.0], ids=["bearings behind the nose", "one at the nose"])
+def test_several_sets_of_bearings_at_once_equal_one_by_one(first_place: float) -> None:
+    chain = shaft()
+    front = (replace(chain.supports[0], position_m=first_place), *chain.supports[1:])
+    assembly = SpindleAssembly(shaft=replace(chain, supports=front), front=(tube(78, 45, 20), JOINT))
+    condensed = CondensedAssembly(assembly, FREQUENCY_HZ)
+    told = parameters_from_properties(PROPERTIES)
+    factors = np.array([1.0, 0.3, 4.0])
+    found = condensed.receptances({name: value * factors for name, value in told.items()}, slice(1, 4))
+    assert found.shape == (3, 3)
+    for factor, row in zip(factors, found, strict=True):
+        properties = properties_from_parameters({name: value * factor for name, value in told.items()})
+        assert row == pytest.approx(condensed.receptance(properties)[1:4], rel=1e-9)

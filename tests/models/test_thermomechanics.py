@@ -19,7 +19,7 @@ from models.thermomechanics.artifact import model_from_json, model_to_json
 from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, adjusted_r2, fit_axis, minute_series, solve
 from models.thermomechanics.history import TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, Bounds, FittedRange, PropertyRegression
-from models.thermomechanics.resonance import ResonanceFollower, peaks
+from models.thermomechanics.resonance import ResonanceFollower, band, peaks
 from models.thermomechanics.selection import correlation, select_signals
 from models.thermomechanics.series import identify_series
 from models.thermomechanics.tool_point import AxisTracker, ToolPointTracker
@@ -277,6 +277,32 @@ def test_a_mode_that_leaves_the_band_is_lost_and_found_again() -> None:
     back = follower.follow({"hz": 520.0})
     assert back.continuous
     assert back.frequency_hz == pytest.approx(520.0, abs=1.0)
+
+
+def test_steps_looked_at_together_lead_where_single_ones_lead() -> None:
+    """Nothing outside the band that is looked at decides, and the steps of a jump are computed at once."""
+    spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
+    condensed = CondensedAssembly(spindle.assembly("tool"), FREQUENCY_HZ)
+
+    def receptance(parameters: Mapping[str, float]) -> np.ndarray:
+        return condensed.receptance(properties_from_parameters(parameters))
+
+    def together(columns: Mapping[str, np.ndarray], low_hz: float, high_hz: float) -> tuple[np.ndarray, np.ndarray]:
+        lines = band(FREQUENCY_HZ, low_hz, high_hz)
+        return FREQUENCY_HZ[lines], condensed.receptances(columns, lines)
+
+    start = {**FIXED[5], **TYPICAL}
+    far = {**start, "kt_34": 2.1 * start["kt_34"], "kt_5": 0.4 * start["kt_5"], "ct_12": 5.0 * start["ct_12"]}
+    single = ResonanceFollower(FREQUENCY_HZ, receptance, start)
+    several = ResonanceFollower(FREQUENCY_HZ, receptance, start, on_the_way=together)
+    whole = ResonanceFollower(
+        FREQUENCY_HZ, receptance, start, on_the_way=lambda columns, low, high: together(columns, 0.0, np.inf)
+    )
+    for there in (far, start, {**far, "kt_5": 3e8}):
+        expected = single.follow(there)
+        for found in (several.follow(there), whole.follow(there)):
+            assert found.continuous == expected.continuous
+            assert found.frequency_hz == pytest.approx(expected.frequency_hz, abs=1e-6)
 
 
 def test_without_a_peak_there_is_nothing_to_follow() -> None:
