@@ -172,7 +172,8 @@ class ThermalTask:
         self._taken_up_s = self._clock.now().monotonic_s
         await asyncio.to_thread(self._since.take_up, reference)
         if self._online is not None:
-            await asyncio.to_thread(self._online.refer, reference, self._taken_up_s, self._since.excluded)
+            known = (self._since.excluded, self._since.of_model)
+            await asyncio.to_thread(self._online.refer, reference, self._taken_up_s, *known)
         self._reference = reference
 
     async def use_model(self, model: AnyThermalModel | None) -> None:
@@ -182,7 +183,8 @@ class ThermalTask:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
-                await asyncio.to_thread(online.refer, self._reference, now_s, self._since.excluded)
+                known = (self._since.excluded, self._since.of_model)
+                await asyncio.to_thread(online.refer, self._reference, now_s, *known)
         self._online = online
 
     def _on_line(self, model: AnyThermalModel | None) -> OnLineModel | None:

@@ -1,7 +1,7 @@
 """What the thermal task asks of a thermal model on line, whichever its family."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,11 +32,18 @@ class OnLineModel(Protocol):
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
         ...
 
-    def refer(self, reference: Reference, now_s: float, excluded: Mapping[int, str] | None = None) -> None:
+    def refer(
+        self,
+        reference: Reference,
+        now_s: float,
+        excluded: Mapping[int, str] | None = None,
+        kept: Mapping[str, Any] | None = None,
+    ) -> None:
         """Count from this reference from now on.
 
         A new one admits every sensor. One that is taken up again comes with the sensors that were `excluded`
-        since (ID: sign); it may be read up in the history, which takes its time: call it in a thread then.
+        since (ID: sign) and with what a model has `kept`, this one or another; it may be read up in the
+        history, which takes its time: call it in a thread then.
         """
         ...
 
@@ -57,6 +64,11 @@ class OnLineModel(Protocol):
     @property
     def excluded(self) -> dict[int, str]:
         """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""
+        ...
+
+    @property
+    def kept(self) -> dict[str, Any] | None:
+        """What sensors that returned count from, as JSON, where the reference itself does not hold it."""
         ...
 
     def obstacle(self) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,7 +46,18 @@ class IncrementsOnLine:
     def take(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """There are no states to advance."""
 
-    def refer(self, reference: Reference, now_s: float, excluded: Mapping[int, str] | None = None) -> None:
+    @property
+    def kept(self) -> None:
+        """Nothing: what returned sensors count from stands in the reference."""
+        return None
+
+    def refer(
+        self,
+        reference: Reference,
+        now_s: float,
+        excluded: Mapping[int, str] | None = None,
+        kept: Mapping[str, Any] | None = None,
+    ) -> None:
         """Count from this reference; sensors that are known to be wrong stay out until the next one."""
         self._excluded = dict(excluded or {})
         self._out = np.isin(self.model.sensor_ids, list(self._excluded))

@@ -34,6 +34,8 @@ class SinceReference:
         """Which sensors have been imputed until now, in the machine's order."""
         self.excluded: dict[int, str] = {}
         """Which sensors must not count until the next reference, and by which sign each was found."""
+        self.of_model: dict[str, Any] | None = None
+        """What the model keeps of sensors that returned."""
 
     def begin(self, reference: Reference) -> None:
         """Count from a new reference: nobody has been away since, and nobody is excluded."""
@@ -41,6 +43,7 @@ class SinceReference:
         self._kept = None
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
+        self.of_model = None
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
     def take_up(self, reference: Reference) -> None:
@@ -52,6 +55,7 @@ class SinceReference:
         self._kept = kept
         self.absent = np.isin(self._sensor_ids, kept["absent"])
         self.excluded = {int(sensor_id): sign for sensor_id, sign in kept["excluded"].items()}
+        self.of_model = kept.get("of_model")
         for label, places in self._labels.items():
             found = kept["labels"].get(label)
             if found is not None and found["sensor_ids"] == self._ids(places):
@@ -68,13 +72,14 @@ class SinceReference:
     def keep(self, degc: FloatArray, online: OnLineModel) -> None:
         """Remember who was away in an estimate, and who is excluded; hand it to the store when it has changed.
 
-        A sensor that the model does not set anew counts as away until a model does.
+        A sensor that the model does not know counts as away until a model sets it anew.
         """
         away = self.absent.copy()
         away[online.rebased] = False
         self.absent = away | ~np.isfinite(degc)
         of_others = {i: sign for i, sign in self.excluded.items() if i not in online.model.sensor_ids}
         self.excluded = of_others | online.excluded
+        self.of_model = online.kept
         state = self._to_state()
         if state != self._kept:
             self._kept = state
@@ -88,6 +93,7 @@ class SinceReference:
             "reference_id": self._reference_id,
             "absent": self._ids(np.flatnonzero(self.absent)),
             "excluded": {str(sensor_id): self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
+            "of_model": self.of_model,
             "labels": {
                 label: {
                     "sensor_ids": self._ids(self._labels[label]),

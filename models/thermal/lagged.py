@@ -14,6 +14,7 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.estimate import DOMAIN_MARGIN_K, DOMAIN_WIDENING, Estimation
 from models.thermal.inputs import BRIDGE_MIN
+from models.thermal.lag_imputation import imputed_features, started_lags
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lags import lag_step, speed_inputs
 from models.thermal.ridge import RidgeSolution, design_columns
@@ -43,6 +44,8 @@ class LagState:
     """When each sensor was last known [min], shape (n_sensors,)."""
     since_min: FloatArray
     """Since when each sensor has been known without a longer gap [min], shape (n_sensors,)."""
+    filled_min: FloatArray
+    """Since when the lags of each sensor have been filled, by itself or from the others [min], shape (n_sensors,)."""
     speed_rpm: float
     """Latest known spindle speed [1/min]."""
     speed_known_min: float
@@ -109,6 +112,7 @@ class LaggedEstimator:
             missing=~known,
             known_min=np.where(known, time_min, -np.inf),
             since_min=np.full(len(degc), time_min),
+            filled_min=np.full(len(degc), time_min),
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
             speed_since_min=time_min,
@@ -130,8 +134,9 @@ class LaggedEstimator:
     ) -> LagState:
         """Return the state after a sample.
 
-        Gaps up to `BRIDGE_MIN` are bridged by a straight line; after a longer one the history of the
-        sensor, or of spindle speed, begins anew and is settled again only after `history_min`.
+        Gaps up to `BRIDGE_MIN` are bridged by a straight line. After a longer one the lags of a sensor begin where
+        the other sensors let them be expected; those of spindle speed, and those of sensors that were silent all
+        together, are settled again only after `history_min`.
 
         Parameters
         ----------
@@ -149,23 +154,43 @@ class LaggedEstimator:
             return state
         known = np.isfinite(degc)
         filled = np.where(known, degc, state.degc)
-        since = np.where(known & (time_min - state.known_min > self._bridge_min), time_min, state.since_min)
+        returned = known & (time_min - state.known_min > self._bridge_min)
         speed_known = bool(np.isfinite(speed_rpm))
         speed = float(speed_rpm) if speed_known else state.speed_rpm
         anew = speed_known and time_min - state.speed_known_min > self._bridge_min
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
-        return LagState(
+        advanced = LagState(
             time_min=time_min,
             degc=filled,
             missing=~known,
             known_min=np.where(known, time_min, state.known_min),
-            since_min=since,
+            since_min=np.where(returned, time_min, state.since_min),
+            filled_min=state.filled_min,
             speed_rpm=speed,
             speed_known_min=time_min if speed_known else state.speed_known_min,
             speed_since_min=time_min if anew else state.speed_since_min,
             lagged=lagged,
             speed_lagged=speed_lagged,
             watch=self._watched(state.watch, time_min, degc, speed_rpm, blame),
+        )
+        return self.begun(advanced, np.flatnonzero(returned).tolist()) if returned.any() else advanced
+
+    def begun(self, state: LagState, sensors: Sequence[int]) -> LagState:
+        """Return the state in which the lags of sensors (indices) that speak again begin where the others expect them.
+
+        They are filled from then on as those of the others are.
+        """
+        returned = np.zeros(self.model.layout.sensors, dtype=np.bool_)
+        returned[list(sensors)] = True
+        without = state.missing | returned
+        if state.watch is not None:
+            without[list(state.watch.excluded)] = True
+        alone = bool(without.all())
+        filled_min = state.time_min if alone else float(np.max(state.filled_min[~without]))
+        return replace(
+            state,
+            lagged=started_lags(self.model, self.features(state), returned, np.flatnonzero(without).tolist()),
+            filled_min=np.where(returned, filled_min, state.filled_min),
         )
 
     def _lags(
@@ -208,8 +233,7 @@ class LaggedEstimator:
         """Return how far the states are filled, 0..1; below 1 the estimate must not be enabled."""
         if self.history_min <= 0.0:
             return 1.0
-        usable = np.isfinite(state.known_min)
-        since = state.since_min[usable]
+        since = state.filled_min[np.isfinite(state.known_min)]
         oldest_min = float(np.max(since)) if len(since) else state.time_min
         if self.model.layout.speed_lags_min:
             if state.time_min - state.speed_known_min > self._bridge_min:
@@ -220,9 +244,10 @@ class LaggedEstimator:
     def excluded(self, state: LagState, reference: LagState) -> tuple[int, ...]:
         """Return the indices of the sensors that must not count.
 
-        Blamed by the watch, missing now or at the reference, or lost for longer than is bridged since.
+        Blamed by the watch, missing now or at the reference, or lost for longer than is bridged since the
+        reference, unless it was set anew in `reference` when it returned.
         """
-        out = state.missing | reference.missing | (state.since_min > reference.time_min)
+        out = state.missing | reference.missing | (state.since_min > reference.known_min)
         if state.watch is not None:
             out[list(state.watch.excluded)] = True
         return tuple(int(index) for index in np.flatnonzero(out))
@@ -279,9 +304,17 @@ class LaggedEstimator:
 
     def _distance(self, change: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return how far the features have gone since the reference, 1 at the farthest that training went."""
-        if excluded:
-            change[self.model.layout.of_sensors(excluded)] = 0.0
-        return float(np.sqrt(leverage(self.model.ridges, change[None])[0] / self.model.leverage_limit))
+        known = imputed_features(self.model, change, excluded)
+        return float(np.sqrt(leverage(self.model.ridges, known[None])[0] / self.model.leverage_limit))
+
+    def welcomed(self, state: LagState, sensors: Sequence[int]) -> LagState:
+        """Return the state in which sensors (indices) that were silent are watched anew, and blamed for it no longer.
+
+        See `Watcher.welcomed`; a model without a watch blames nobody.
+        """
+        if self._watcher is None or state.watch is None:
+            return state
+        return replace(state, watch=self._watcher.welcomed(state.watch, sensors))
 
     def readmit(self, state: LagState, sensors: tuple[int, ...]) -> LagState:
         """Return the state in which some sensors (indices) are not blamed any more; then set a new reference."""

@@ -15,7 +15,7 @@ from models.thermal.lagged_model import LaggedModel
 from models.thermal.model import ModelError
 from models.thermal.watch import Blame, WatchState
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 """Version of the layout; another one is refused."""
 
 
@@ -108,6 +108,7 @@ def _state(model: LaggedModel, content: Any) -> LagState:
         missing=np.array(missing, dtype=np.bool_),
         known_min=_array("state.known_min", item["known_min"], (sensors,), never=True),
         since_min=_array("state.since_min", item["since_min"], (sensors,)),
+        filled_min=_array("state.filled_min", item["filled_min"], (sensors,)),
         speed_rpm=read_number("state.speed_rpm", item["speed_rpm"]),
         speed_known_min=_time("state.speed_known_min", item["speed_known_min"]),
         speed_since_min=read_number("state.speed_since_min", item["speed_since_min"]),

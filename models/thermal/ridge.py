@@ -88,14 +88,49 @@ class RidgeSolution:
         weights = self.weights
         if len(without):
             out = self.layout.of_sensors(without)
-            shrunk = self.directions * (self.remaining - 1.0)
-            to_out = shrunk @ self.directions[out].T
-            to_out[out] += np.eye(len(out))
-            if self.directions.shape[0] == self.directions.shape[1]:
-                to_out = (self.directions * self.remaining) @ self.directions[out].T
+            to_out = self._inverse(out)
             weights = weights - to_out @ np.linalg.solve(to_out[out], weights[out])
             weights[out] = 0.0
         return canonical(weights * self.gain[:, None], self.layout, self.design)
+
+    def imputed(self, change: FloatArray, without: Sequence[int]) -> FloatArray:
+        """Return a change of the features with what the fit without some sensors takes theirs for.
+
+        That fit gives what this one gives when the scaled columns S left out are
+        ``-Q[S, S]^-1 Q[S, R] x[R]``, R the others: the values that the penalised fit expects of them.
+
+        Parameters
+        ----------
+        change : shape (layout.columns,)
+            Change of the features; what it holds for the sensors left out does not count.
+        without
+            Indices of the sensors, from 0, with all their lags.
+
+        Returns
+        -------
+        numpy.ndarray, shape (layout.columns,)
+            In the units of the features; a column that did not move in training is taken not to move.
+
+        """
+        out = self.layout.of_sensors(without)
+        columns = design_columns(change[None], self.layout, self.design)[0].copy()
+        scaled = columns * self.gain
+        scaled[out] = 0.0
+        to_out = self._inverse(out)
+        expected = -np.linalg.solve(to_out[out], to_out.T @ scaled)
+        moves = self.gain[out] > 0.0
+        columns[out] = np.where(moves, expected / np.where(moves, self.gain[out], 1.0), 0.0)
+        found = change.copy()
+        found[out] = design_columns(columns[None], self.layout, self.design)[0][out]
+        return found
+
+    def _inverse(self, out: IntArray) -> FloatArray:
+        """Return some columns of Q, the inverse of ``G + penalty``, but for a factor; shape (d, len(out))."""
+        if self.directions.shape[0] == self.directions.shape[1]:
+            return np.asarray(self.directions @ (self.directions[out] * self.remaining).T)
+        to_out = self.directions @ (self.directions[out] * (self.remaining - 1.0)).T
+        to_out[out] += np.eye(len(out))
+        return np.asarray(to_out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.inputs import BRIDGE_MIN, Layout
@@ -36,6 +37,8 @@ SAME_K = 1e-6
 """Values closer than this are identical [K]."""
 MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
+MISSING = "missing"
+"""Sign of a sensor that is silent: no fault of its values, so it counts again when it speaks."""
 MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
 
@@ -143,6 +146,13 @@ def departure_maps(
     return maps, expected
 
 
+def _expected(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
+    """Return what the other scaled columns let be expected of some columns, shape (len(out),)."""
+    others = scaled.copy()
+    others[out] = 0.0
+    return np.asarray(-np.linalg.solve(precision[np.ix_(out, out)], precision[out] @ others))
+
+
 class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
@@ -158,6 +168,53 @@ class Watcher:
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._most_maps = max(8, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
+
+    def welcomed(self, state: WatchState, sensors: Sequence[int]) -> WatchState:
+        """Return the state in which some sensors that were silent are watched anew, from what is expected of them.
+
+        Their memory holds what they said before their silence, perhaps in another frame; from now on only what
+        they do counts. That they were missing is held against them no longer; any other sign is.
+
+        Parameters
+        ----------
+        state
+            After the first sample that holds them again.
+        sensors
+            Their indices, from 0.
+
+        """
+        blamed = tuple(b for b in state.blamed if b.sensor not in sensors or b.sign != MISSING)
+        still = {b.sensor for b in blamed}
+        anew = [sensor for sensor in sensors if sensor not in still]
+        if not anew:
+            return replace(state, blamed=blamed)
+        watch, out = self.watch, self.watch.layout.of_sensors(anew)
+        others = watch.layout.of_sensors(sorted(still)).tolist() if still else []
+        precision = without_columns(watch.precision, others)
+        lagged = self._lags_as_expected(state, precision, anew)
+        columns = self._columns(state.degc, lagged, state.speed_lagged)
+        fast, slow, over_min, flat_since = (
+            np.array(values) for values in (state.fast, state.slow, state.over_min, state.flat_since_min)
+        )
+        fast[out] = columns[out] + _expected(precision, fast - columns, out)
+        slow[out] = fast[out] - _expected(precision, fast - slow, out)
+        over_min[anew], flat_since[anew] = 0.0, state.time_min
+        return replace(
+            state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, blamed=blamed
+        )
+
+    def _lags_as_expected(self, state: WatchState, precision: FloatArray, sensors: Sequence[int]) -> FloatArray:
+        """Return the lags, those of some sensors as far behind them as all others let it be expected [degC]."""
+        count, gain, centre = self.watch.layout.sensors, self.watch.gain, self.watch.centre
+        out = self.watch.layout.of_sensors(sensors)
+        scaled = self._columns(state.degc, state.lagged, state.speed_lagged)
+        scaled[out] = _expected(precision, scaled, out)
+        expected = centre + np.divide(scaled, gain, out=np.zeros_like(scaled), where=gain > 0.0)
+        lagged = state.lagged.copy()
+        for index in range(len(lagged)):
+            behind_k = expected[:count] - expected[count * (index + 1) : count * (index + 2)]
+            lagged[index, sensors] = (state.degc - behind_k)[sensors]
+        return lagged
 
     def _map(self, excluded: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         if excluded not in self._maps:
@@ -263,7 +320,7 @@ class Watcher:
         watch, excluded = self.watch, set(now.excluded)
         slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
-            "missing": now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
+            MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & (slew > watch.slew_k_per_min),
             "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min),
         }

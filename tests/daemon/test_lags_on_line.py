@@ -221,6 +221,38 @@ async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_
     await shop.end()
 
 
+async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_too(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    reference = await shop.refer()
+    await shop.run(10)
+    shop.degc[int(shop.minute) + 1 : int(shop.minute) + 26, 0] = np.nan
+    shop.degc[int(shop.minute) + 26 :, 0] += 3.0
+    await shop.run(25)
+    gone = shop.latest
+    assert gone.imputed == (1,) and gone.confidence > 0.7
+    await shop.run(2)
+    assert shop.latest.imputed == () and shop.latest.confidence > 0.9
+    assert shop.latest.thermal_error_um == pytest.approx(gone.thermal_error_um, abs=1.5), "two minutes of a warm-up"
+    assert shop.task.obstacle() == "", "one silent sensor does not empty the states"
+    await shop.run(5)
+    before = shop.latest
+    assert before.imputed == ()
+    await shop.end()
+
+    shop.begin()
+    await shop.prepare()
+    await shop.task._take(reference)
+    await shop.run(1)
+    assert shop.latest.imputed == () and shop.latest.confidence == pytest.approx(before.confidence, abs=0.05)
+    assert shop.latest.thermal_error_um == pytest.approx(before.thermal_error_um, abs=0.5)
+    shop.degc[int(shop.minute) :, 0] = np.nan
+    await shop.run(3)
+    assert shop.latest.imputed == (1,)
+    await shop.end()
+
+
 async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path, model):
     shop = Shop(tmp_path, model)
     await shop.prepare()

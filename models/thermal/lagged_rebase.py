@@ -1,0 +1,206 @@
+"""A sensor that returns to a model with lags goes on from where it was imputed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.records import FloatArray
+from models.thermal.estimate import Estimation
+from models.thermal.lag_imputation import imputed_features
+from models.thermal.lagged import LaggedEstimator, LagState
+from models.thermal.watch import MISSING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LagReference:
+    """What the thermal error counts from: the states at the reference, and what keeps a return without a step."""
+
+    state: LagState
+    """At the reference; sensors that returned since were set anew in it."""
+    rest_um: FloatArray
+    """What was left over at the latest return [um], shape (n_channels,): several ridges impute differently."""
+    shift_degc: FloatArray
+    """What the lags of now were moved by at returns [degC], shape (n_lags, n_sensors); a history does not tell it."""
+    rest_since_min: float
+    """Time of the latest return [min]; from there on `rest_um` fades with the longest lag, a shift with its own."""
+
+
+def lag_reference(estimator: LaggedEstimator, state: LagState) -> LagReference:
+    """Return the reference that some states are.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        At the instant of the reference.
+
+    """
+    return LagReference(
+        state=state,
+        rest_um=np.zeros(len(estimator.model.channels)),
+        shift_degc=np.zeros_like(state.lagged),
+        rest_since_min=state.time_min,
+    )
+
+
+def estimate_since(estimator: LaggedEstimator, state: LagState, reference: LagReference) -> Estimation | None:
+    """Return the thermal error since a reference in which sensors may have been set anew.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
+
+    Returns
+    -------
+    Estimation or None
+        As `LaggedEstimator.estimate`.
+
+    """
+    found = estimator.estimate(state, reference.state)
+    if found is None or not reference.rest_um.any():
+        return found
+    rest_um = _rest_um(estimator, reference, state.time_min)
+    return replace(found, thermal_error_um=found.thermal_error_um + rest_um)
+
+
+def _rest_um(estimator: LaggedEstimator, reference: LagReference, time_min: float) -> FloatArray:
+    """Return what is left of the rest [um], shape (n_channels,)."""
+    longest_min = max(estimator.model.layout.lags_min, default=np.inf)
+    faded: FloatArray = reference.rest_um * np.exp(-max(time_min - reference.rest_since_min, 0.0) / longest_min)
+    return faded
+
+
+def returning(
+    estimator: LaggedEstimator, state: LagState, reference: LagReference, absent: Sequence[int]
+) -> tuple[int, ...]:
+    """Return which sensors may count again and must be set anew for it.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
+    absent
+        Indices of the sensors that have been imputed until now.
+
+    Returns
+    -------
+    tuple of int
+        Indices of sensors with a value that were away, or were not known at the reference. One that the watch
+        excludes for what it said is not among them.
+
+    """
+    then = reference.state
+    back = then.missing | (state.since_min > then.known_min)
+    back[list(absent)] = True
+    back &= ~state.missing
+    if state.watch is not None:
+        back[[blame.sensor for blame in state.watch.blamed if blame.sign != MISSING]] = False
+    return tuple(int(index) for index in np.flatnonzero(back))
+
+
+def rebased(
+    estimator: LaggedEstimator, state: LagState, reference: LagReference, returned: Sequence[int]
+) -> tuple[LagState, LagReference] | None:
+    """Return the states and the reference with which returned sensors count on from what they were imputed with.
+
+    Their temperatures and lags at the reference are set so that both have gone on since as all others let it be
+    expected; their lags of now begin where the others let them be expected. The thermal error does not move; what
+    these sensors say from then on counts.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
+    returned
+        Indices from `returning`.
+
+    Returns
+    -------
+    tuple of LagState and LagReference, or None
+        None when no other sensor is left to impute from.
+
+    """
+    hidden = state.missing.copy()
+    hidden[list(returned)] = True
+    before = estimate_since(estimator, replace(state, missing=hidden), reference)
+    if before is None:
+        return None
+    begun = estimator.begun(estimator.welcomed(state, returned), returned)
+    then = _set_anew(estimator, replace(begun, missing=hidden), reference.state, returned)
+    after = estimator.estimate(begun, then)
+    assert after is not None, "more sensors count now than before"
+    return begun, LagReference(
+        state=then,
+        rest_um=before.thermal_error_um - after.thermal_error_um,
+        shift_degc=_faded_shift(estimator, reference, state.time_min) + (begun.lagged - state.lagged),
+        rest_since_min=state.time_min,
+    )
+
+
+def resumed(
+    estimator: LaggedEstimator, state: LagState, reference: LagReference, columns: Mapping[int, Sequence[float]]
+) -> tuple[LagState, LagReference]:
+    """Return the states and the reference after a restart, with what sensors that had returned before count from.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now, rebuilt from the history.
+    reference
+        Rebuilt from the history, with rest and shifts as they were kept.
+    columns
+        By index of the sensor: its temperature [degC] at the reference, and its lags in turn [degC].
+
+    Returns
+    -------
+    tuple of LagState and LagReference
+        As if nobody had been away.
+
+    """
+    welcome = estimator.welcomed(state, sorted(columns))
+    lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)
+    then = _with_columns(reference.state, columns, state.time_min)
+    return replace(welcome, lagged=lagged), replace(reference, state=then)
+
+
+def _faded_shift(estimator: LaggedEstimator, reference: LagReference, time_min: float) -> FloatArray:
+    constants_min = np.array(estimator.model.layout.lags_min)[:, None]
+    elapsed_min = max(time_min - reference.rest_since_min, 0.0)
+    faded: FloatArray = reference.shift_degc * np.exp(-elapsed_min / constants_min)
+    return faded
+
+
+def _set_anew(estimator: LaggedEstimator, hidden: LagState, then: LagState, returned: Sequence[int]) -> LagState:
+    """Return the states at the reference with the columns of returned sensors set anew."""
+    count = estimator.model.layout.sensors
+    now = estimator.features(hidden)
+    without = estimator.excluded(hidden, then)
+    change = imputed_features(estimator.model, now - estimator.features(then), without)
+    columns = (now - change)[: estimator.model.layout.temperature_columns].reshape(-1, count)
+    return _with_columns(then, {sensor: columns[:, sensor].tolist() for sensor in returned}, hidden.time_min)
+
+
+def _with_columns(then: LagState, columns: Mapping[int, Sequence[float]], time_min: float) -> LagState:
+    """Return the states at a reference with temperature and lags of some sensors set anew, which count so from now."""
+    degc, lagged, missing, known_min = then.degc.copy(), then.lagged.copy(), then.missing.copy(), then.known_min.copy()
+    for sensor, (temperature, *lags) in columns.items():
+        degc[sensor], lagged[:, sensor] = temperature, lags
+        missing[sensor], known_min[sensor] = False, time_min
+    return replace(then, degc=degc, lagged=lagged, missing=missing, known_min=known_min)

@@ -1,0 +1,225 @@
+"""Sensors that return to a model with lags: no step, lags that follow, and what was wrong fades."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models.dataset import Recording
+from models.records import FloatArray
+from models.thermal.lag_imputation import imputed_features
+from models.thermal.lagged import LaggedEstimator, LagState
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.lagged_rebase import LagReference, estimate_since, lag_reference, rebased, returning
+from models.thermal.lags import lag_table
+from models.thermal.train_family import train_family
+
+SENSORS = 5
+MINUTES = 1500
+REFERENCE = 1000
+LONGEST_LAG_MIN = 240.0
+
+
+def machine(seed: int) -> Recording:
+    """A spindle that heats two parts; five sensors see them in other shares."""
+    rng = np.random.default_rng(seed)
+    rpm = np.resize(np.repeat(rng.permutation([0.0, 6000.0, 2000.0, 4500.0, 3000.0]), 60), MINUTES)
+    time_min = np.arange(float(MINUTES))
+    heat = np.column_stack([(rpm / 6000.0) ** 2, rpm / 6000.0])
+    body = np.hstack(list(lag_table(time_min, heat, (12.0, 60.0))))
+    places = np.random.default_rng(0).uniform(0.2, 1.0, (4, SENSORS))
+    degc = 22.0 + 8.0 * body @ places + rng.normal(0.0, 0.02, (MINUTES, SENSORS))
+    um = body @ np.array([[10.0, -25.0], [5.0, 10.0], [40.0, 3.0], [0.0, 20.0]])
+    return Recording(
+        name=f"machine{seed}",
+        time_s=60.0 * time_min,
+        speed_rpm=rpm,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=degc,
+        displacement_names=("c1", "c2"),
+        displacements_um=um + rng.normal(0.0, 0.05, um.shape),
+    )
+
+
+@pytest.fixture(scope="module")
+def model() -> LaggedModel:
+    made = train_family([machine(0)], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    assert isinstance(made, LaggedModel)
+    return made
+
+
+@pytest.fixture(scope="module")
+def at_reference(model: LaggedModel) -> LagState:
+    return Run(model).state
+
+
+class Run:
+    """A recording played to a model minute by minute, as the daemon does it."""
+
+    of = machine(5)
+
+    def __init__(self, model: LaggedModel, at_reference: LagState | None = None) -> None:
+        self.estimator = LaggedEstimator(model)
+        state = at_reference or self.estimator.rebuild(self._sample(minute) for minute in range(REFERENCE))
+        assert state is not None
+        self.state: LagState = state
+        self.reference: LagReference = lag_reference(self.estimator, state)
+        self.minute = REFERENCE
+        self.absent: set[int] = set()
+
+    def _sample(self, minute: int) -> tuple[float, FloatArray, float]:
+        assert self.of.speed_rpm is not None
+        return float(minute), self.of.temperatures_degc[minute].copy(), float(self.of.speed_rpm[minute])
+
+    def run(self, minutes: int, gone: tuple[int, ...] = (), offset_k: FloatArray | float = 0.0) -> FloatArray:
+        """Go on; return the thermal error of every minute [um]."""
+        errors = []
+        for _ in range(minutes):
+            time_min, degc, speed = self._sample(self.minute)
+            degc += offset_k
+            degc[list(gone)] = np.nan
+            self.state = self.estimator.advance(self.state, time_min, degc, speed)
+            back = returning(self.estimator, self.state, self.reference, sorted(self.absent))
+            if back and (found := rebased(self.estimator, self.state, self.reference, back)) is not None:
+                self.state, self.reference = found
+            self.absent = set(gone)
+            estimation = estimate_since(self.estimator, self.state, self.reference)
+            if estimation is not None:
+                self.latest = estimation
+                errors.append(estimation.thermal_error_um)
+            self.minute += 1
+        return np.array(errors)
+
+
+def test_what_is_imputed_is_what_the_fit_without_the_sensors_takes_theirs_for(model: LaggedModel) -> None:
+    rng = np.random.default_rng(1)
+    for without in ((0,), (1, 3), (0, 2, 4)):
+        change = rng.normal(0.0, 1.0, model.layout.columns)
+        for ridge in model.ridges:
+            whole = ridge.imputed(change, without) @ ridge.coefficients()
+            np.testing.assert_allclose(whole, change @ ridge.coefficients(without), atol=1e-6)
+        found = imputed_features(model, change, without)
+        others = np.delete(np.arange(model.layout.columns), model.layout.of_sensors(without))
+        np.testing.assert_array_equal(found[others], change[others])
+
+
+@pytest.mark.parametrize(("away_min", "offset_k"), [(3, 0.0), (3, 1.5), (40, 3.0), (40, -8.0), (200, 0.0), (200, -8.0)])
+def test_a_sensor_that_returns_moves_nothing_and_then_counts(
+    model: LaggedModel, away_min: int, offset_k: float
+) -> None:
+    run, frame = Run(model), np.where(np.arange(SENSORS) == 1, offset_k, 0.0)
+    usual = np.abs(np.diff(run.run(100), axis=0)).max()
+    gone = run.run(away_min, gone=(1,))
+    assert run.latest.imputed == (model.sensor_ids[1],)
+    assert run.latest.confidence > 0.4, "four of five sensors are there, and they have not gone far"
+    back = run.run(30, offset_k=frame)
+    assert not run.latest.imputed and run.latest.confidence > 0.6
+    assert np.abs(back[0] - gone[-1]).max() < 2.0 * usual, "no step"
+    assert np.abs(np.diff(back, axis=0)).max() < 2.0 * usual
+    estimation = run.latest.thermal_error_um
+    assert np.abs(run.run(1, offset_k=frame + np.eye(SENSORS)[1])[-1] - estimation).max() > 0.05, "it counts"
+
+
+def test_a_return_leaves_the_estimate_as_good_as_it_is_without_an_absence(model: LaggedModel) -> None:
+    undisturbed, disturbed = Run(model), Run(model)
+    frame = np.where(np.arange(SENSORS) == 1, 5.0, 0.0)
+    undisturbed.run(100)
+    disturbed.run(100)
+    undisturbed.run(120)
+    disturbed.run(120, gone=(1,))
+    whole, back = undisturbed.run(150), disturbed.run(150, offset_k=frame)
+    assert np.abs(whole).max() > 10.0
+    assert np.abs(whole - back).max() < 1.5, "an offset of 5 K is not taken for a movement"
+
+
+def test_lags_started_from_a_guess_follow_the_sensor(model: LaggedModel) -> None:
+    """What was guessed about the lags is forgotten with them: a later reference is not biased."""
+    run, other = Run(model), Run(model)
+    run.run(100)
+    run.run(200, gone=(2,))
+    run.run(1)
+    other.run(301)
+    guess = np.abs(run.state.lagged[:, 2] - other.state.lagged[:, 2])
+    assert guess.max() < 0.5
+    run.run(190)
+    other.run(190)
+    left = np.abs(run.state.lagged[:, 2] - other.state.lagged[:, 2])
+    faded = np.exp(-190.0 / np.array(model.layout.lags_min))
+    np.testing.assert_allclose(left, guess * faded, atol=1e-9)
+
+
+def test_a_silence_of_one_sensor_leaves_the_states_settled_and_of_all_does_not(model: LaggedModel) -> None:
+    run = Run(model)
+    run.run(30, gone=(3,))
+    run.run(2)
+    assert run.estimator.settled(run.state) == 1.0
+    for minute in range(20):
+        silent = np.full(SENSORS, np.nan)
+        run.state = run.estimator.advance(run.state, run.minute + float(minute), silent, 0.0)
+    run.minute += 20
+    run.state = run.estimator.advance(run.state, float(run.minute), run._sample(run.minute)[1], 0.0)
+    assert run.estimator.settled(run.state) == 0.0
+    assert returning(run.estimator, run.state, run.reference, []) == (0, 1, 2, 3, 4)
+    assert rebased(run.estimator, run.state, run.reference, (0, 1, 2, 3, 4)) is None, "nobody to go on from"
+
+
+def test_a_sensor_missing_at_the_reference_joins_without_a_step(model: LaggedModel) -> None:
+    run = Run(model)
+    run.run(60, gone=(0,))
+    run.reference = lag_reference(run.estimator, run.state)
+    before = run.run(40, gone=(0,))
+    after = run.run(5)
+    assert run.latest.imputed == ()
+    assert np.abs(after[0] - before[-1]).max() < 1.0
+
+
+def test_what_the_watch_found_wrong_does_not_return(model: LaggedModel) -> None:
+    run = Run(model)
+    run.run(5)
+    run.run(3, offset_k=np.where(np.arange(SENSORS) == 4, 30.0, 0.0))
+    run.run(20, gone=(4,))
+    run.run(3)
+    assert run.latest.imputed == (model.sensor_ids[4],)
+
+
+def test_a_returned_sensor_is_watched_from_what_is_expected_of_it(model: LaggedModel) -> None:
+    frame = np.where(np.arange(SENSORS) == 1, 4.0, 0.0)
+    run = Run(model)
+    run.run(60, gone=(1,))
+    run.run(60, offset_k=frame)
+    assert not run.latest.imputed, "an offset of before is no departure"
+    for k in range(60):
+        run.run(1, offset_k=frame * (1.0 + 0.1 * k))
+    assert run.latest.imputed == (model.sensor_ids[1],), "a drift of now is one"
+
+
+@given(
+    gone=st.lists(
+        st.tuples(st.sets(st.integers(0, SENSORS - 1), max_size=SENSORS - 1), st.integers(1, 25)),
+        min_size=1,
+        max_size=6,
+    ),
+    offsets=st.lists(st.floats(-6.0, 6.0), min_size=SENSORS, max_size=SENSORS),
+)
+@settings(max_examples=25, deadline=None)
+def test_whoever_comes_and_goes_a_return_is_never_a_step(
+    at_reference: LagState, model: LaggedModel, gone: list[tuple[set[int], int]], offsets: list[float]
+) -> None:
+    """In the minute of a return the estimate is what it is without those who return."""
+    run = Run(model, at_reference)
+    for sensors, minutes in gone:
+        run.run(minutes, gone=tuple(sensors))
+        time_min, degc, speed = run._sample(run.minute)
+        state = run.estimator.advance(run.state, time_min, degc + np.array(offsets), speed)
+        back = returning(run.estimator, state, run.reference, sorted(run.absent))
+        found = rebased(run.estimator, state, run.reference, back) if back else None
+        if found is None:
+            continue
+        hidden = replace(found[0], missing=np.isin(np.arange(SENSORS), back))
+        before = estimate_since(run.estimator, hidden, run.reference)
+        after = estimate_since(run.estimator, *found)
+        assert before is not None and after is not None
+        np.testing.assert_allclose(after.thermal_error_um, before.thermal_error_um, atol=1e-6)
+        run.run(5, offset_k=np.array(offsets))
