@@ -134,10 +134,12 @@ class CycleAssembler:
         """Take bytes that arrived together and return the cycles that they complete or close."""
         cycles = self.poll(arrived)
         self._arrivals.append((self._parser.bytes_fed + len(data), arrived))
+        earlier = self._arrivals[-2][0] if len(self._arrivals) > 1 else 0
         for record in self._parser.feed(data):
             self._last_record = arrived
             if isinstance(record, Frame):
-                cycles += self._on_frame(record)
+                if not (record.offset >= earlier and self._goes_on(record, arrived)):
+                    cycles += self._on_frame(record)
             else:
                 self._on_error(record)
         while len(self._arrivals) > 1 and self._arrivals[0][0] <= self._parser.bytes_judged:
@@ -186,6 +188,19 @@ class CycleAssembler:
         elif self._announced is None:
             self._announced = error.wire_id
             self._rejected_before += error.end - error.offset if error.wire_id is None else 0
+
+    def _goes_on(self, frame: Frame, arrived: Instant) -> bool:
+        """Take a frame within a pass that follows its predecessor, as nearly all do; False when it needs a closer look.
+
+        All of it arrived with the latest bytes, and it is not the one that ends the pass.
+        """
+        if self._pass is None or frame.wire_id <= self._lowest_awaited or frame.wire_id in self._silent:
+            return False
+        if not self._pass.go_on(frame, arrived):
+            return False
+        self._counts["frames"] += 1
+        self._last_end = frame.end
+        return True
 
     def _on_frame(self, frame: Frame) -> list[TemperatureCycle]:
         self._counts["frames"] += 1

@@ -42,6 +42,17 @@ class LinePass:
         self.rejects_in_last_step = 0
         self._pending: Arrival | None = None
 
+    def go_on(self, frame: Frame, arrived: Instant) -> bool:
+        """Take a frame below its predecessor while nothing waits to be judged; False when it is not such a one."""
+        if self._pending is not None or frame.wire_id >= self.lowest:
+            return False
+        self.before = self.lowest
+        self.lowest = frame.wire_id
+        self.frames[frame.wire_id] = frame
+        self.last_byte = arrived
+        self.rejects_in_last_step, self.rejects_since = self.rejects_since, 0
+        return True
+
     def take(self, arrival: Arrival) -> tuple[Arrival, ...]:
         """Put one frame in its place; return the frames of the next pass once two of them show that it began."""
         wire_id = arrival.frame.wire_id

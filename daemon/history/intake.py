@@ -17,27 +17,57 @@ Execute = Callable[[sqlite3.Connection, LayoutIds], object]
 
 
 class Commit:
-    """Resolves when the record is committed; awaitable in a loop, or `result(timeout_s)` in a thread."""
+    """Resolves when the record is committed; awaitable in a loop, or `result(timeout_s)` in a thread.
+
+    Hardly anybody waits for one of the many commits, so a future is made only for who does.
+    """
+
+    __slots__ = ("_error", "_future", "_value", "done")
+    _making = threading.Lock()
 
     def __init__(self) -> None:
-        self._future: concurrent.futures.Future[Any] = concurrent.futures.Future()
-        self._future.set_running_or_notify_cancel()  # so that a cancelled waiter does not cancel the commit
+        self._future: concurrent.futures.Future[Any] | None = None
+        self._value: Any = None
+        self._error: BaseException | None = None
+        self.done = False
 
     def __await__(self) -> Generator[Any, None, Any]:
-        return asyncio.wrap_future(self._future).__await__()
+        return asyncio.wrap_future(self._waited()).__await__()
 
     def result(self, timeout_s: float | None = None) -> Any:
-        return self._future.result(timeout_s)
-
-    @property
-    def done(self) -> bool:
-        return self._future.done()
+        return self._waited().result(timeout_s)
 
     def resolve(self, value: Any = None) -> None:
-        self._future.set_result(value)
+        self._end(value, None)
 
     def fail(self, error: BaseException) -> None:
-        self._future.set_exception(error)
+        self._end(None, error)
+
+    def _end(self, value: Any, error: BaseException | None) -> None:
+        with self._making:
+            if self.done:
+                raise concurrent.futures.InvalidStateError("a commit ends once")
+            self._value, self._error, self.done = value, error, True
+            future = self._future
+        if future is not None:
+            self._tell(future)
+
+    def _waited(self) -> "concurrent.futures.Future[Any]":
+        with self._making:
+            if self._future is not None:
+                return self._future
+            future = self._future = concurrent.futures.Future()
+            future.set_running_or_notify_cancel()  # so that a cancelled waiter does not cancel the commit
+            done = self.done
+        if done:
+            self._tell(future)
+        return future
+
+    def _tell(self, future: "concurrent.futures.Future[Any]") -> None:
+        if self._error is not None:
+            future.set_exception(self._error)
+        else:
+            future.set_result(self._value)
 
 
 @dataclass(slots=True, kw_only=True)

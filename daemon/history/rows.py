@@ -1,6 +1,7 @@
 """From records to the parameters of SQL statements."""
 
 import json
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -27,6 +28,7 @@ FLAG = np.dtype([("position", "<u2"), ("quality", "u1"), ("reason", "u1")])
 """One value of a cycle that is not GOOD."""
 
 Parameters = tuple[Any, ...]
+_ENCODER = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 
 
 def _insert(table: str, columns: str) -> str:
@@ -83,18 +85,18 @@ def _times(instant: Instant) -> tuple[int, int]:
 
 
 def _number(value: float, decimals: int) -> float | None:
-    return round(float(value), decimals) if np.isfinite(value) else None
+    return round(float(value), decimals) if math.isfinite(value) else None
 
 
 def _mapping(keys: Iterable[str], values: Iterable[float], decimals: int | None = None) -> str:
     numbers = zip(keys, values, strict=True)
     if decimals is None:
-        return _json({key: None if np.isnan(value) else float(value) for key, value in numbers})
+        return _json({key: None if math.isnan(value) else float(value) for key, value in numbers})
     return _json({key: _number(value, decimals) for key, value in numbers})
 
 
 def _json(value: object) -> str:
-    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+    return _ENCODER.encode(value)
 
 
 def cycle_row(
@@ -142,7 +144,7 @@ def cnc_row(layout: MachineLayout, sample: CncSample) -> Parameters:
         sample.sequence_number,
         _number(sample.spindle_speed_rpm, 2),
         _number(sample.motor_temperature_degc, 2),
-        round(clock_ms) if np.isfinite(clock_ms) else None,
+        round(clock_ms) if math.isfinite(clock_ms) else None,
         sample.power_on_count,
         sample.work_offset,
         sample.tool_number,

@@ -1,5 +1,6 @@
 """The block of macro variables: encoding a command, decoding the echo, telling ours from foreign."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -129,10 +130,10 @@ class MacroBlock:
         written is plausible as well.
         """
         echo = self.echo(macros)
-        written_um = np.nan_to_num(self.values_um(macros))
+        written = self.values_um(macros).tolist()
+        written_um = [0.0 if math.isnan(um) else um for um in written]
         problems = []
-        for i, axis in enumerate(self._axes):
-            applied_um = echo.applied_um[i]
+        for i, (axis, applied_um) in enumerate(zip(self._axes, echo.applied_um.tolist(), strict=True)):
             if abs(applied_um) > limits.absolute_bound_um[i] + self.slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "

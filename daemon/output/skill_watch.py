@@ -27,13 +27,15 @@ class SkillWatch:
         self._least_error_um = configuration.compensation.output.harm_above_um
         self._counted: tuple[str | None, str | None] = (None, None)
         self._records: dict[str, SkillRecord] = {}
+        self._obstacle: str | None = ""
+        """The latest verdict; None when a measurement has come since."""
         self._zero: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def count_from(self, reference_id: str | None, model_id: str | None) -> None:
         """Begin anew with every reference and every model."""
         if (reference_id, model_id) != self._counted:
             self._counted = (reference_id, model_id)
-            self._records, self._zero = {}, None
+            self._records, self._zero, self._obstacle = {}, None, ""
 
     def displacement(
         self, sample: DisplacementSample, estimate: ThermalErrorEstimate | None, applied_um: FloatArray
@@ -61,6 +63,11 @@ class SkillWatch:
 
     def obstacle(self) -> str:
         """Return why the model must not be followed any more, '' while it does no harm."""
+        if self._obstacle is None:
+            self._obstacle = self._judged()
+        return self._obstacle
+
+    def _judged(self) -> str:
         for axis, record in self._records.items():
             if does_harm(record, self._least_error_um):
                 left_um, without_um = rms_um(record.left_um), rms_um(record.measured_um)
@@ -74,3 +81,4 @@ class SkillWatch:
     def _take(self, axis: str, measured_um: float, estimated_um: float) -> None:
         record = self._records.get(axis, SkillRecord())
         self._records[axis] = with_measurement(record, float(measured_um), float(estimated_um))
+        self._obstacle = None

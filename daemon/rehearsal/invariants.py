@@ -89,6 +89,7 @@ class WriteWatch:
     def __init__(self, configuration: Configuration, ledger: Ledger) -> None:
         self._ledger = ledger
         self._map: MacroMapConfig = configuration.cnc.macros
+        self._allowed = frozenset(self._map.allowed)
         self._axes = configuration.compensation.axes
         self._axis_of = {number: axis for axis, number in self._map.values.items()}
         self._bad_after_s = configuration.compensation.output.stale_after_s
@@ -111,8 +112,9 @@ class WriteWatch:
         """Take one group of (macro, value) that arrived; `taken` says that the CNC accepted it."""
         check = self._ledger.check
         for number, value in group:
-            check("allow_list", number in self._map.allowed, f"{time_s:.1f} s: #{number} was written")
-            check("finite", math.isfinite(value), f"{time_s:.1f} s: #{number} = {value}")
+            allowed, finite = number in self._allowed, math.isfinite(value)
+            check("allow_list", allowed, "" if allowed else f"{time_s:.1f} s: #{number} was written")
+            check("finite", finite, "" if finite else f"{time_s:.1f} s: #{number} = {value}")
         state = claims.state if claims is not None else ""
         check("nothing_written_in_fault", state != "FAULT", f"{time_s:.1f} s: {group} in FAULT")
         link = claims is not None and claims.link
@@ -131,16 +133,15 @@ class WriteWatch:
         for axis, um in applied_um.items():
             limits = self._axes[axis]
             inside = math.isfinite(um) and abs(um) <= limits.absolute_bound_um + SLACK_UM
-            self._ledger.check("bound_applied", inside, f"{time_s:.1f} s: {axis} at {um} um")
+            self._ledger.check("bound_applied", inside, "" if inside else f"{time_s:.1f} s: {axis} at {um} um")
             before = self._applied.get(axis)
             if before is None:
                 continue
             moved_um = abs(um - before)
-            self._ledger.check(
-                "step_applied", moved_um <= limits.step_um + SLACK_UM, f"{time_s:.1f} s: {axis} by {moved_um:.3f} um"
-            )
+            what = "" if moved_um == 0.0 else f"{time_s:.1f} s: {axis} by {moved_um:.3f} um"
+            self._ledger.check("step_applied", moved_um <= limits.step_um + SLACK_UM, what)
             if self._cutting and cutting:
-                self._ledger.check("no_motion_in_cut", moved_um == 0.0, f"{time_s:.1f} s: {axis} by {moved_um:.3f} um")
+                self._ledger.check("no_motion_in_cut", moved_um == 0.0, what)
         self._applied = dict(applied_um)
         self._cutting = cutting
 

@@ -31,6 +31,8 @@ from models.records import FloatArray
 CHANNEL_AXES = {channel: channel[0].lower() for channel in CHANNELS}
 """Axis along which each displacement channel measures."""
 TOOL_LENGTH_MM = 150.0
+MOTOR_PERIOD_S = 5.0
+"""The control looks at the spindle motor's temperature this often [s]."""
 TOOL_EXPANSION_UM_PER_M_K = 11.0
 """Tool and holder of the shipped programs: steel, from the spindle nose to the tip."""
 
@@ -75,6 +77,7 @@ class CfrpMachine:
         )
         self.guard = SafePointApplication(macro_map, axes, guard)
         self._programs = NcPrograms(self.guard, self._nc)
+        self._motor_due_s = 0.0
         self._tool_m = tool_length_mm * 1e-3
         self._tool_um_per_m_k = tool_expansion_um_per_m_k
         self._wiring = wiring
@@ -160,4 +163,6 @@ class CfrpMachine:
         self.time_s = self.body.time_s
         self._nc.clock_s = self._nc.clock_at(self.time_s)
         self._nc.spindle_speed_rpm = self.body.spindle_speed_rpm
-        self._nc.motor_temperature_degc = float(round(self.body.motor_degc))
+        if self.time_s >= self._motor_due_s:
+            self._motor_due_s = self.time_s + MOTOR_PERIOD_S
+            self._nc.motor_temperature_degc = float(round(self.body.motor_degc))

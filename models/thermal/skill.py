@@ -71,5 +71,7 @@ def does_harm(record: SkillRecord, least_error_um: float) -> bool:
         True when what is left exceeds `MARGIN` times the measured error, and `least_error_um`.
 
     """
+    if len(record.left_um) < LEAST_PAIRS:
+        return False
     left = rms_um(record.left_um)
-    return len(record.left_um) >= LEAST_PAIRS and left > max(MARGIN * rms_um(record.measured_um), least_error_um)
+    return left > max(MARGIN * rms_um(record.measured_um), least_error_um)
