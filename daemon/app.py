@@ -181,6 +181,7 @@ class Daemon:
             self._report("daemon", "stopped")
             await asyncio.to_thread(self._history.close)
             self._last_block.close()
+            self.control.side.close()
 
     def reload_model(self) -> None:
         """Take up a model that was released meanwhile; the old one stays where the new one is refused."""

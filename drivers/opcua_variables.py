@@ -49,6 +49,7 @@ VACANT = frozenset(
     }
 )
 UNKNOWN_NODE = frozenset({StatusCodes.BadNodeIdUnknown, StatusCodes.BadNodeIdInvalid})
+FORBIDDEN = frozenset({StatusCodes.BadUserAccessDenied, StatusCodes.BadNotReadable})
 
 
 class Variables:
@@ -173,4 +174,6 @@ def _number(name: str, answer: ua.DataValue) -> float:
 def _unreadable(name: str, status: ua.StatusCode) -> LinkError | FatalDriverError:
     if status.value in UNKNOWN_NODE:
         return FatalDriverError(f"the CNC's OPC UA server has no {name}: check cnc.opcua.nodes ({status.name})")
+    if status.value in FORBIDDEN:
+        return FatalDriverError(f"the CNC does not let its user read the {name}: give it the right ({status.name})")
     return LinkError(f"the CNC's {name} cannot be read: {status.name}, {status.doc}")

@@ -13,31 +13,48 @@ class SpeedMacrosConfig(Section):
     """The block that carries speed and feed to the CNC, and what the NC program says of its operation."""
 
     sequence_a: MacroNumber = Field(description="written first; equal to sequence_b: whole", examples=[530])
-    for_speed: MacroNumber = Field(description="programmed speed that the pair belongs to [1/min]", examples=[531])
-    speed: MacroNumber = Field(description="spindle speed to take [1/min]", examples=[532])
-    feed: MacroNumber = Field(description="feed that belongs to it [mm/min]", examples=[533])
+    for_tool: MacroNumber = Field(description="tool that the pair was made for", examples=[531])
+    for_speed: MacroNumber = Field(description="programmed speed that it was made for [1/min]", examples=[532])
+    for_feed: MacroNumber = Field(description="programmed feed that it was made for [mm/min]", examples=[533])
+    for_depth: MacroNumber = Field(description="axial depth that it was made for, as the call says it", examples=[534])
+    for_radial: MacroNumber = Field(description="radial depth that it was made for, as the call says", examples=[535])
+    for_kind: MacroNumber = Field(description="K of the call that it was made for", examples=[536])
+    speed: MacroNumber = Field(description="spindle speed to take [1/min]", examples=[537])
+    feed: MacroNumber = Field(description="feed that belongs to it [mm/min]", examples=[538])
     valid_until: MacroNumber = Field(
         description="CNC clock until which the pair is valid [s]; must lie where power-off clears it (100-199)",
         examples=[121],
     )
-    enable: MacroNumber = Field(description="1: the pair counts; 0: the programmed one does", examples=[534])
-    sequence_b: MacroNumber = Field(description="written last", examples=[535])
-    calls: MacroNumber = Field(description="raised by the NC with each call of the speed program", examples=[540])
-    called_speed: MacroNumber = Field(description="programmed speed of the operation [1/min]", examples=[541])
-    called_feed: MacroNumber = Field(description="its programmed feed [mm/min]", examples=[542])
-    called_depth: MacroNumber = Field(description="its axial depth [mm]; 0: the configured one", examples=[543])
-    called_radial: MacroNumber = Field(description="its radial depth [mm]; 0: that of the case", examples=[544])
-    wanted: MacroNumber = Field(description="1: the program wants the operation tuned", examples=[545])
-    echo_speed: MacroNumber = Field(description="speed that the NC has taken [1/min]", examples=[546])
-    echo_feed: MacroNumber = Field(description="feed that the NC has taken [mm/min]", examples=[547])
-    echo_status: MacroNumber = Field(description="what the speed program did: 0 the pair, else why not", examples=[548])
+    enable: MacroNumber = Field(description="1: the pair counts; 0: the programmed one does", examples=[539])
+    sequence_b: MacroNumber = Field(description="written last", examples=[540])
+    calls: MacroNumber = Field(
+        description="raised by the NC with each call of the speed program; negative while the call is being told",
+        examples=[550],
+    )
+    called_tool: MacroNumber = Field(description="tool of the operation, by `tool_variable`", examples=[551])
+    called_speed: MacroNumber = Field(description="its programmed speed [1/min]", examples=[552])
+    called_feed: MacroNumber = Field(description="its programmed feed [mm/min]", examples=[553])
+    called_depth: MacroNumber = Field(description="its axial depth [mm]; 0: the configured one", examples=[554])
+    called_radial: MacroNumber = Field(description="its radial depth [mm]; 0: that of the case", examples=[555])
+    called_kind: MacroNumber = Field(
+        description="K of the call, 1 where it says none; 0: this operation is not to be tuned", examples=[556]
+    )
+    called_text: MacroNumber = Field(description="number of the speed program's text, by its limits", examples=[557])
+    echo_speed: MacroNumber = Field(description="speed that the NC has taken [1/min]", examples=[558])
+    echo_feed: MacroNumber = Field(description="feed that the NC has taken [mm/min]", examples=[559])
+    echo_status: MacroNumber = Field(description="what the speed program did: 0 the pair, else why not", examples=[560])
 
     @property
     def ours(self) -> tuple[int, ...]:
         """Macros that the daemon writes, in order."""
         return (
             self.sequence_a,
+            self.for_tool,
             self.for_speed,
+            self.for_feed,
+            self.for_depth,
+            self.for_radial,
+            self.for_kind,
             self.speed,
             self.feed,
             self.valid_until,
@@ -103,6 +120,9 @@ class SpindleSpeedConfig(Section):
     """The spindle speed follows the stability pockets. Limits, hysteresis and step have no defaults."""
 
     program: int = Field(9020, ge=1, le=9999, description="O number of the speed program that the CNC runs")
+    tool_variable: int = Field(
+        4120, ge=100, le=9999, description="variable in which the NC finds the number of the tool in the spindle"
+    )
     macros: SpeedMacrosConfig = Field(description="macro variables; those that are written, within `writable`")
     thermomechanical_model: Path = Field(
         description="released model of the bearings over temperature (JSON), in a directory that the daemon cannot "
@@ -159,6 +179,11 @@ class SpindleSpeedConfig(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def highest_of(self, operation: SpeedOperationConfig | None) -> float:
+        """Return the highest speed of machine and tool [1/min]."""
+        tool_rpm = None if operation is None else operation.highest_rpm
+        return self.highest_rpm if tool_rpm is None else min(self.highest_rpm, tool_rpm)
 
     def operation_of(self, tool_number: int, program: int) -> SpeedOperationConfig | None:
         """Return the operation of a tool in a program; one that names the program goes before one that does not."""

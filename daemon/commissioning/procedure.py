@@ -138,8 +138,9 @@ class Commissioning:
             await self._overwrite(found)
         elif found.vacant:
             await self._agree(f"Set the vacant variables {_numbers(found.vacant)} to 0?")
-        valid_until = self._configuration.cnc.macros.valid_until
-        numbers = (*found.vacant, *(number for number in found.foreign if number != valid_until))
+        speed = self._configuration.spindle_speed
+        at_rest = {self._configuration.cnc.macros.valid_until, None if speed is None else speed.macros.valid_until}
+        numbers = (*found.vacant, *(number for number in found.foreign if number not in at_rest))
         if numbers:
             await station.initialise(numbers, found, self._plan.person)
             self._event(f"initialised {_numbers(numbers)}")

@@ -63,6 +63,7 @@ class Station:
         self.axes = tuple(configuration.compensation.axes)
         self.limits = output_limits(configuration)
         self._block = MacroBlock(configuration.cnc.macros, self.axes, {})
+        self._speed = configuration.spindle_speed.macros if configuration.spindle_speed is not None else None
         self._telemetry = Telemetry()
         self._cnc: Cnc | None = None
         self._session: CncSession | None = None
@@ -117,7 +118,7 @@ class Station:
     async def look(self) -> CncSample:
         """Read state and block once, before there is a heartbeat."""
         macros = self._configuration.cnc.macros
-        numbers = dict.fromkeys((*self._block.polled, *ours_to_initialise(macros, self._block)))
+        numbers = dict.fromkeys((*self._block.polled, *ours_to_initialise(macros, self._block, self._speed)))
         return await self._connected().read(tuple(numbers))
 
     # --- initialising --------------------------------------------------------------------
@@ -126,11 +127,13 @@ class Station:
         """Sort the variables of the block by what the last write and the audit say they may hold."""
         kept = self._last_block.load()
         known = kept if kept is not None else self._history.last_written_macros()
-        return find_block(self._configuration.cnc.macros, self._block, known, sample.macros)
+        if self._speed is not None:
+            known = {**(known or {}), **(LastBlock.of_speed(self._history.path).load() or {})}
+        return find_block(self._configuration.cnc.macros, self._block, known, sample.macros, self._speed)
 
     async def initialise(self, numbers: tuple[int, ...], found: BlockFound, person: str) -> None:
         """Set these variables to 0, read them back, and leave intent and outcome in the audit."""
-        groups = zero_groups(self._configuration.cnc.macros, numbers)
+        groups = zero_groups(self._configuration.cnc.macros, numbers, self._speed)
         pairs = tuple(pair for group in groups for pair in group)
         if not pairs:
             return

@@ -124,7 +124,7 @@ class ControlTask:
         )
         self._output = configuration.compensation.output
         self._guard_watch = GuardWatch()
-        self.side = SideMacros(configuration, clock, telemetry, self.journal, self._permission, lambda: self.phase)
+        self.side = SideMacros(configuration, clock, telemetry, self.journal, self._permission, self._references)
         self._beginning = Beginning(
             resume,
             self._references,

@@ -1,6 +1,7 @@
 """What the output did and why: events, notices, alarm, the latched FAULT, and what a restart needs."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import structlog
 
@@ -53,6 +54,14 @@ class Journal:
         """Clear the FAULT that a person acknowledged, except for what remains."""
         self.fault = remains or None
         self._history.put_state("fault", self.fault)
+
+    def keep(self, key: str, value: Any) -> None:
+        """Keep a JSON value for the next start of the daemon."""
+        self._history.put_state(key, value)
+
+    def kept(self, key: str) -> Any:
+        """Return a value that `keep` kept, None where there is none."""
+        return self._history.get_state(key)
 
     def watch(self, before: OutputMemory, after: OutputMemory, alarm: str) -> None:
         """Record a change of state, and keep what a restart takes up again."""

@@ -31,6 +31,11 @@ class LastBlock:
         """Return the file that belongs to a store."""
         return cls(store.with_name(store.name + ".last-block"))
 
+    @classmethod
+    def of_speed(cls, store: Path) -> "LastBlock":
+        """Return the file for the block of the spindle speed, which is written apart."""
+        return cls(store.with_name(store.name + ".last-speed"))
+
     def keep(self, possible: Mapping[int, tuple[float, ...]]) -> None:
         """Hand what the macros may hold to the operating system; a failure is logged, the audit then stands alone."""
         content = json.dumps({str(number): values for number, values in possible.items()}).encode()

@@ -1,16 +1,15 @@
 """Macros beside the block of the compensation: one temperature, and the spindle speed."""
 
-from collections.abc import Callable
-
 from config.schema import Configuration
 from daemon.output.cnc_session import CncSession
 from daemon.output.journal import Journal
 from daemon.output.permission import Permission
+from daemon.output.references import References
 from daemon.output.spindle_speed import SpindleSpeedOutput
 from daemon.output.temperature_macro import TemperatureMacro
 from daemon.telemetry import Telemetry
 from drivers.clock import Clock
-from models.records import MachineTemperatures, Phase
+from models.records import MachineTemperatures
 
 
 class SideMacros:
@@ -23,11 +22,11 @@ class SideMacros:
         telemetry: Telemetry,
         journal: Journal,
         permission: Permission,
-        phase: Callable[[], Phase],
+        references: References,
     ) -> None:
         self._temperature = TemperatureMacro(configuration, telemetry, journal, permission)
         self.speed = SpindleSpeedOutput(configuration, clock, journal, permission)
-        self._phase = phase
+        self._references = references
 
     @property
     def due(self) -> bool:
@@ -42,4 +41,8 @@ class SideMacros:
     async def show(self, session: CncSession | None) -> None:
         """Write what is due; returns soon when nothing is."""
         await self._temperature.show(session)
-        await self.speed.follow(session, self._phase())
+        await self.speed.follow(session, self._references.phase, self._references.sample)
+
+    def close(self) -> None:
+        """Release what is open."""
+        self.speed.close()

@@ -6,24 +6,57 @@ from dataclasses import dataclass
 
 from config.schema.spindle_speed import SpeedMacrosConfig
 from daemon.output.macro_block import LAST_SEQUENCE
-from daemon.stability.tool_points import CalledOperation
-from models.records import CncSample
 
 Found = Mapping[int, float | None]
 Groups = tuple[tuple[tuple[int, float], ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedPair:
-    """What the block says: speed and feed for one programmed speed, or nothing."""
+class MadeFor:
+    """What a pair is made for: the operation as the NC program calls it, in the order of the macros."""
 
-    for_rpm: float
+    tool_number: float
+    speed_rpm: float
+    feed_mm_min: float
+    depth_mm: float
+    """0: the configured one."""
+    radial_mm: float
+    """0: that of the case."""
+    kind: float
+    """K of the call; 0: not to be tuned."""
+
+    def __str__(self) -> str:
+        words = [f"T{self.tool_number:g} S{self.speed_rpm:g} F{self.feed_mm_min:g}"]
+        words += [f"D{self.depth_mm:g}"] if self.depth_mm else []
+        words += [f"E{self.radial_mm:g}"] if self.radial_mm else []
+        words += [f"K{self.kind:g}"] if self.kind != 1.0 else []
+        return " ".join(words)
+
+
+NOTHING = MadeFor(tool_number=0.0, speed_rpm=0.0, feed_mm_min=0.0, depth_mm=0.0, radial_mm=0.0, kind=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedCall:
+    """One call of the speed program."""
+
+    count: int
+    operation: MadeFor
+    text: float
+    """Number of the text that the control runs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedPair:
+    """What the block says: speed and feed for one operation, or nothing."""
+
+    made_for: MadeFor
     speed_rpm: float
     feed_mm_min: float
     enable: bool
 
 
-DISABLED = SpeedPair(for_rpm=0.0, speed_rpm=0.0, feed_mm_min=0.0, enable=False)
+DISABLED = SpeedPair(made_for=NOTHING, speed_rpm=0.0, feed_mm_min=0.0, enable=False)
 
 
 class SpeedBlock:
@@ -34,23 +67,68 @@ class SpeedBlock:
         self.numbers = macros.numbers
         self.ours = macros.ours
 
-    def called(self, found: Found, sample: CncSample) -> CalledOperation | None:
-        """Return the operation that the NC program has begun; None before its first call."""
-        speed_rpm, feed_mm_min = self._number(found, self._map.called_speed), self._number(found, self._map.called_feed)
-        if self._number(found, self._map.calls) <= 0.0 or speed_rpm <= 0.0 or feed_mm_min <= 0.0:
+    def call(self, found: Found) -> SpeedCall | None:
+        """Return the latest call of the NC program; None before the first, and while one is being told."""
+        told = self._map
+        values = [found.get(number) for number in (told.calls, *self._called, told.called_text)]
+        numbers = [value for value in values if value is not None and math.isfinite(value)]
+        if len(numbers) < len(values):
             return None
-        return CalledOperation(
-            tool_number=sample.tool_number,
-            program=sample.program,
+        count, tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind, text = numbers
+        if count <= 0.0 or speed_rpm <= 0.0 or feed_mm_min <= 0.0:
+            return None
+        operation = MadeFor(
+            tool_number=tool_number,
             speed_rpm=speed_rpm,
             feed_mm_min=feed_mm_min,
-            depth_mm=self._number(found, self._map.called_depth),
-            radial_mm=self._number(found, self._map.called_radial),
+            depth_mm=depth_mm,
+            radial_mm=radial_mm,
+            kind=kind,
+        )
+        return SpeedCall(count=round(count), operation=operation, text=text)
+
+    def made_for(self, found: Found) -> MadeFor | None:
+        """Return the operation that the NC program has called last; None as for `call`."""
+        call = self.call(found)
+        return None if call is None else call.operation
+
+    @property
+    def _called(self) -> tuple[int, ...]:
+        told = self._map
+        return (
+            told.called_tool,
+            told.called_speed,
+            told.called_feed,
+            told.called_depth,
+            told.called_radial,
+            told.called_kind,
         )
 
-    def wanted(self, found: Found) -> bool:
-        """Whether the NC program wants its operation tuned."""
-        return found.get(self._map.wanted) == 1.0
+    @property
+    def _made_for(self) -> tuple[int, ...]:
+        ours = self._map
+        return (ours.for_tool, ours.for_speed, ours.for_feed, ours.for_depth, ours.for_radial, ours.for_kind)
+
+    def pair(self, found: Found) -> SpeedPair:
+        """Return the pair that a whole block holds."""
+        if found.get(self._map.enable) != 1.0:
+            return DISABLED
+        tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind = (
+            found.get(number) or 0.0 for number in self._made_for
+        )
+        return SpeedPair(
+            made_for=MadeFor(
+                tool_number=tool_number,
+                speed_rpm=speed_rpm,
+                feed_mm_min=feed_mm_min,
+                depth_mm=depth_mm,
+                radial_mm=radial_mm,
+                kind=kind,
+            ),
+            speed_rpm=found.get(self._map.speed) or 0.0,
+            feed_mm_min=found.get(self._map.feed) or 0.0,
+            enable=True,
+        )
 
     def applied_rpm(self, found: Found) -> float | None:
         """Return the speed that the NC has taken [1/min]."""
@@ -65,11 +143,30 @@ class SpeedBlock:
         """Return the sequence number in the CNC, 0 when vacant."""
         return round(found.get(self._map.sequence_b) or 0.0)
 
+    def whole(self, found: Found) -> bool:
+        """Whether the sequence numbers are there and equal."""
+        first = found.get(self._map.sequence_a)
+        return first is not None and first == found.get(self._map.sequence_b)
+
+    def enabled(self, found: Found, clock_s: float) -> bool:
+        """Whether the NC may take the pair at this time of its clock [s]."""
+        valid_until_s = found.get(self._map.valid_until)
+        return found.get(self._map.enable) != 0.0 and valid_until_s is not None and valid_until_s > clock_s
+
     def encode(self, pair: SpeedPair, *, after: int, valid_until_s: float) -> Groups:
         """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
         sequence = float(after % LAST_SEQUENCE + 1)
+        made_for = pair.made_for
+        values = (
+            made_for.tool_number,
+            made_for.speed_rpm,
+            made_for.feed_mm_min,
+            made_for.depth_mm,
+            made_for.radial_mm,
+            made_for.kind,
+        )
         content = (
-            (self._map.for_speed, pair.for_rpm),
+            *zip(self._made_for, values, strict=True),
             (self._map.speed, pair.speed_rpm),
             (self._map.feed, pair.feed_mm_min),
             (self._map.valid_until, round(valid_until_s, 3) if pair.enable else 0.0),
@@ -77,17 +174,19 @@ class SpeedBlock:
         )
         return ((self._map.sequence_a, sequence),), content, ((self._map.sequence_b, sequence),)
 
-    def foreign(self, written: Mapping[int, float], found: Found) -> str:
-        """Return what is not as it was written, in words; power-off clears valid_until, so that one may be vacant."""
-        problems = []
-        for number, value in written.items():
-            now = found.get(number)
-            if now is None and number == self._map.valid_until:
-                continue
-            if now is None or abs(now - value) > max(1e-6, 1e-9 * abs(value)):
-                problems.append(f"macro #{number} holds {'nothing' if now is None else f'{now:g}'}, we wrote {value:g}")
-        return "; ".join(problems)
+    def vacant(self, found: Found) -> str:
+        """Return which of our macros are vacant, in words; power-off clears valid_until, so that one may be."""
+        vacant = [f"#{n}" for n in self.ours if found.get(n) is None and n != self._map.valid_until]
+        if not vacant:
+            return ""
+        return f"macro {', '.join(vacant)} vacant; `toolpoint commission --initialise-only` initialises it"
 
-    def _number(self, found: Found, number: int) -> float:
-        value = found.get(number)
-        return value if value is not None and math.isfinite(value) else 0.0
+    def foreign(self, known: Mapping[int, tuple[float, ...]], found: Found) -> str:
+        """Return what holds none of the values that are known, in words."""
+        problems = []
+        for number, values in known.items():
+            now = found.get(number)
+            if now is not None and not any(abs(now - value) <= max(1e-6, 1e-9 * abs(value)) for value in values):
+                expected = " or ".join(f"{value:g}" for value in values) or "nothing"
+                problems.append(f"macro #{number} holds {now:g}, we wrote {expected}")
+        return "; ".join(problems)

@@ -77,8 +77,12 @@ class SimulatedCncServer:
         *,
         port: int | None = None,
         security: ServerSecurity | None = None,
+        readable: Iterable[int] = (),
     ) -> None:
-        """Prepare the server; `port` None takes the configured endpoint's, 0 any free one."""
+        """Prepare the server; `port` None takes the configured endpoint's, 0 any free one.
+
+        `readable` are macro variables that are served beside those of the macro map.
+        """
         limit_library_log()
         self._nc = nc
         self._config = config
@@ -86,6 +90,7 @@ class SimulatedCncServer:
         self._path = url.path
         self._port = (url.port or 4840) if port is None else port
         self._security = security
+        self._readable = frozenset(readable)
         self._server: Server | None = None
         self._publisher: asyncio.Task[None] | None = None
 
@@ -162,7 +167,7 @@ class SimulatedCncServer:
             await add(getattr(nodes, key), key, kind, _state_reader(nc, attribute, kind))
         echo = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
         writable: dict[ua.NodeId, int] = {}
-        for number in sorted(macros.allowed.union(macros.block)):
+        for number in sorted(macros.allowed.union(macros.block, self._readable)):
             text = nodes.macro.format(number=number)
             node_id = await add(text, f"Macro{number}", ua.VariantType.Double, _macro_reader(nc, number))
             if number in macros.allowed and number not in echo:

@@ -222,7 +222,14 @@ async def _cnc_face(
     url = urlparse(configuration.cnc.opcua.endpoint)
     relayed = bool(of_kind(faults, FaultKind.FROZEN_CNC, FaultKind.KILLED_CNC))
     port = 4840 if url.port is None else url.port
-    server = SimulatedCncServer(machine.nc, configuration.cnc, port=0 if relayed else port, security=security)
+    tuning = configuration.spindle_speed
+    server = SimulatedCncServer(
+        machine.nc,
+        configuration.cnc,
+        port=0 if relayed else port,
+        security=security,
+        readable=() if tuning is None else tuning.macros.numbers,
+    )
     relay: TcpRelay | None = None
     try:
         await server.start()

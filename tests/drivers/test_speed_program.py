@@ -1,6 +1,7 @@
 """The speed program as `toolpoint guard --speed` prints it, run by the simulated NC."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from speed_machine import MACROS, speed_machine
 
-from config.guard.speed_text import SpeedStatus, speed_program
+from config.guard.speed_text import SpeedStatus, speed_program, speed_text_number
 from config.machines import shipped_file
 from daemon.cli import main
-from daemon.output.speed_block import DISABLED, SpeedBlock, SpeedPair
+from daemon.output.speed_block import DISABLED, NOTHING, MadeFor, SpeedBlock, SpeedCall, SpeedPair
 from drivers.sim.custom_macro import Interpreter, MacroControl, compile_programs
 from drivers.sim.nc import MacroTable
 
@@ -27,6 +28,7 @@ class SpeedBench:
         self.macros = MacroTable()
         self.control = MacroControl(self.macros, addresses=["X", "Y", "Z"], increment_mm=0.001)
         self.control.clock_s = CLOCK_S
+        self.control.tool_number = 1
         self.interpreter = Interpreter(compile_programs(speed_program(self.configuration)), self.control)
         self.block = SpeedBlock(MACROS)
 
@@ -35,8 +37,12 @@ class SpeedBench:
             for number, value in group:
                 self.macros.set(number, value)
 
+    def told(self) -> SpeedCall | None:
+        """What the daemon would read now."""
+        return self.block.call({number: self.macros.get(number) for number in MACROS.numbers})
+
     def call(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
-        self.interpreter.run(9020, **({"S": 9000.0, "F": 1800.0} | arguments))
+        self.interpreter.run(9020, **(CALL | arguments))
         assert (self.macros.get(MACROS.echo_speed), self.macros.get(MACROS.echo_feed)) == (
             self.control.spindle_rpm,
             self.control.feed_mm_min,
@@ -45,7 +51,9 @@ class SpeedBench:
         return self.control.spindle_rpm, self.control.feed_mm_min, status
 
 
-PAIR = SpeedPair(for_rpm=9000.0, speed_rpm=9400.0, feed_mm_min=1880.0, enable=True)
+OPERATION = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=4.5, radial_mm=5.0, kind=1.0)
+CALL = {"S": 9000.0, "F": 1800.0, "D": 4.5, "E": 5.0}
+PAIR = SpeedPair(made_for=OPERATION, speed_rpm=9400.0, feed_mm_min=1880.0, enable=True)
 PROGRAMMED = (9000.0, 1800.0)
 
 
@@ -56,19 +64,104 @@ def bench(tmp_path: Path) -> SpeedBench:
 
 def test_the_pair_is_taken_and_the_call_is_told(bench: SpeedBench) -> None:
     bench.write(PAIR)
-    assert bench.call(D=4.5, E=5.0) == (9400.0, 1880.0, SpeedStatus.APPLIED)
-    told = [bench.macros.get(number) for number in (MACROS.called_speed, MACROS.called_feed, MACROS.called_depth)]
-    assert told == [9000.0, 1800.0, 4.5]
-    assert bench.macros.get(MACROS.called_radial) == 5.0
-    assert (bench.macros.get(MACROS.calls), bench.macros.get(MACROS.wanted)) == (1.0, 1.0)
-    assert bench.call()[2] is SpeedStatus.APPLIED
-    assert (bench.macros.get(MACROS.calls), bench.macros.get(MACROS.called_depth)) == (2.0, 0.0)
+    assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
+    assert bench.told() == SpeedCall(count=1, operation=OPERATION, text=speed_text_number(bench.configuration))
+    assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
+    bench.interpreter.run(9020, S=9000.0, F=1800.0)
+    told = bench.told()
+    assert told is not None
+    assert (told.count, told.operation) == (3, replace(OPERATION, depth_mm=0.0, radial_mm=0.0))
 
 
 def test_a_call_without_tuning_takes_the_programmed_pair(bench: SpeedBench) -> None:
     bench.write(PAIR)
     assert bench.call(K=0.0) == (*PROGRAMMED, SpeedStatus.NOT_WANTED)
-    assert bench.macros.get(MACROS.wanted) == 0.0
+    assert bench.macros.get(MACROS.called_kind) == 0.0
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"D": 8.0}, {"D": 4.6}, {"E": 9.0}, {"F": 1700.0}, {"S": 9001.0}, {"K": 2.0}, {"tool": 2.0}, {"tool": 0.0}],
+)
+def test_a_pair_for_another_operation_is_left_alone(bench: SpeedBench, other: dict[str, float]) -> None:
+    bench.write(PAIR)
+    arguments = dict(other)
+    bench.control.tool_number = round(arguments.pop("tool", 1.0))
+    programmed = (arguments.get("S", 9000.0), arguments.get("F", 1800.0))
+    assert bench.call(**arguments) == (*programmed, SpeedStatus.ANOTHER)
+    told = bench.told()
+    assert told is not None
+    assert told.operation.tool_number == bench.control.tool_number
+    bench.control.tool_number = 1
+    assert bench.call()[2] is SpeedStatus.APPLIED
+
+
+def test_an_operation_without_depth_and_width_is_one_of_its_own(bench: SpeedBench) -> None:
+    bench.write(replace(PAIR, made_for=replace(OPERATION, depth_mm=0.0, radial_mm=0.0)))
+    assert bench.call()[2] is SpeedStatus.ANOTHER
+    bench.interpreter.run(9020, S=9000.0, F=1800.0)
+    assert bench.control.spindle_rpm == 9400.0
+
+
+def test_no_look_in_between_takes_a_call_half_told(bench: SpeedBench) -> None:
+    """After every single block of the program the daemon would read a whole call, old or new, or none."""
+    bench.call()
+    old = bench.told()
+    bench.interpreter.start(9020, **(CALL | {"S": 7000.0, "D": 2.0, "K": 2.0}))
+    seen = []
+    while bench.interpreter.running:
+        bench.interpreter.step()
+        seen.append(bench.told())
+    new = bench.told()
+    assert old is not None and new is not None
+    assert (new.count, new.operation.speed_rpm, new.operation.kind) == (old.count + 1, 7000.0, 2.0)
+    order = [old, None, new]
+    assert set(seen) == set(order)
+    assert [order.index(each) for each in seen] == sorted(order.index(each) for each in seen)
+
+
+def test_a_call_that_a_reset_broke_off_is_never_taken_and_the_next_one_counts_on(bench: SpeedBench) -> None:
+    bench.call()
+    bench.interpreter.start(9020, **CALL)
+    while bench.told() is not None:
+        bench.interpreter.step()
+    bench.interpreter.reset()
+    assert bench.macros.get(MACROS.calls) == -2.0
+    bench.call()
+    told = bench.told()
+    assert told is not None
+    assert told.count == 3
+
+
+def test_the_tool_s_own_limit_stands_in_the_text(tmp_path: Path) -> None:
+    operation = speed_machine(tmp_path).spindle_speed.operations[0]
+    low = operation.model_copy(update={"highest_rpm": 9300.0})
+    lower = operation.model_copy(update={"program": 7, "highest_rpm": 9200.0})
+    other = operation.model_copy(update={"tool_number": 2, "highest_rpm": 9500.0})
+    bench = SpeedBench(tmp_path, operations=[low, lower, other])
+    bench.write(PAIR)
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.OUT_OF_BOUNDS)
+    bench.write(replace(PAIR, speed_rpm=9200.0, feed_mm_min=1840.0))
+    assert bench.call() == (9200.0, 1840.0, SpeedStatus.APPLIED)
+    bench.write(replace(PAIR, speed_rpm=9201.0, feed_mm_min=1840.2))
+    assert bench.call()[2] is SpeedStatus.OUT_OF_BOUNDS
+    bench.control.tool_number = 2
+    bench.write(replace(PAIR, made_for=replace(OPERATION, tool_number=2.0)))
+    assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
+
+
+def test_the_text_s_number_follows_its_limits(tmp_path: Path) -> None:
+    numbers = [speed_text_number(speed_machine(tmp_path, **changes)) for changes in ({}, {}, {"within_percent": 19.0})]
+    assert numbers[0] == numbers[1] != numbers[2]
+    assert f"(TEXT {numbers[0]})" in speed_program(speed_machine(tmp_path))
+
+
+def test_another_variable_may_hold_the_tool(tmp_path: Path) -> None:
+    bench = SpeedBench(tmp_path, tool_variable=700)
+    bench.write(PAIR)
+    assert bench.call()[2] is SpeedStatus.ANOTHER
+    bench.macros.set(700, 1.0)
+    assert bench.call()[2] is SpeedStatus.APPLIED
 
 
 @pytest.mark.parametrize(
@@ -77,10 +170,10 @@ def test_a_call_without_tuning_takes_the_programmed_pair(bench: SpeedBench) -> N
         (DISABLED, {}, SpeedStatus.DISABLED),
         (PAIR, {"valid_until_s": CLOCK_S - 1.0}, SpeedStatus.EXPIRED),
         (PAIR, {"valid_until_s": CLOCK_S + 1e4}, SpeedStatus.EXPIRED),
-        (SpeedPair(for_rpm=8000.0, speed_rpm=8300.0, feed_mm_min=1660.0, enable=True), {}, SpeedStatus.ANOTHER),
-        (SpeedPair(for_rpm=9000.0, speed_rpm=10900.0, feed_mm_min=2180.0, enable=True), {}, SpeedStatus.OUT_OF_BOUNDS),
-        (SpeedPair(for_rpm=9000.0, speed_rpm=9400.0, feed_mm_min=2500.0, enable=True), {}, SpeedStatus.OUT_OF_BOUNDS),
-        (SpeedPair(for_rpm=9000.0, speed_rpm=9400.0, feed_mm_min=0.0, enable=True), {}, SpeedStatus.OUT_OF_BOUNDS),
+        (replace(PAIR, made_for=NOTHING), {}, SpeedStatus.ANOTHER),
+        (replace(PAIR, speed_rpm=10900.0, feed_mm_min=2180.0), {}, SpeedStatus.OUT_OF_BOUNDS),
+        (replace(PAIR, feed_mm_min=2500.0), {}, SpeedStatus.OUT_OF_BOUNDS),
+        (replace(PAIR, feed_mm_min=0.0), {}, SpeedStatus.OUT_OF_BOUNDS),
     ],
 )
 def test_everything_else_is_the_programmed_pair(
@@ -98,7 +191,7 @@ def test_vacant_torn_and_cleared_macros_are_the_programmed_pair(bench: SpeedBenc
     bench.write(PAIR)
     bench.macros.power_off()
     assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
-    for number in (MACROS.for_speed, MACROS.speed, MACROS.feed, MACROS.enable):
+    for number in set(MACROS.ours) - {MACROS.valid_until}:
         bench.write(PAIR)
         bench.macros.set(number, None)
         assert bench.call()[:2] == PROGRAMMED
@@ -108,15 +201,16 @@ def test_a_plain_feed_must_be_the_programmed_one(tmp_path: Path) -> None:
     bench = SpeedBench(tmp_path, keep_feed_per_tooth=False)
     bench.write(PAIR)
     assert bench.call() == (*PROGRAMMED, SpeedStatus.OUT_OF_BOUNDS)
-    bench.write(SpeedPair(for_rpm=9000.0, speed_rpm=9400.0, feed_mm_min=1800.0, enable=True))
+    bench.write(replace(PAIR, feed_mm_min=1800.0))
     assert bench.call() == (9400.0, 1800.0, SpeedStatus.APPLIED)
 
 
-@pytest.mark.parametrize("arguments", [{"S": 0.0}, {"F": 0.0}])
-def test_a_call_without_speed_or_feed_is_an_alarm(bench: SpeedBench, arguments: dict) -> None:
+@pytest.mark.parametrize("arguments", [{"S": 0.0}, {"F": 0.0}, {"D": -1.0}, {"E": -1.0}, {"K": -1.0}])
+def test_a_call_that_makes_no_sense_is_an_alarm(bench: SpeedBench, arguments: dict) -> None:
     bench.interpreter.run(9020, **({"S": 9000.0, "F": 1800.0} | arguments))
     assert bench.control.alarm is not None
     assert bench.control.alarm[0] == 130
+    assert bench.macros.get(MACROS.calls) is None
 
 
 def test_inch_mode_is_an_alarm_and_modals_are_restored(bench: SpeedBench) -> None:

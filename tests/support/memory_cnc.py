@@ -21,6 +21,7 @@ class MemoryNc:
         self.identity = SIMULATED_CNC_IDENTITY
         self.secure = False
         self.program, self.sequence_number, self.work_offset = 1000, 0, 54
+        self.tool_number = 1
         self.run = CncRun.START
         self.power_on_count = 7
         self.clock_zero_s = 500.0
@@ -85,7 +86,7 @@ class MemoryCnc:
             clock_s=nc.clock_s,
             power_on_count=nc.power_on_count,
             work_offset=nc.work_offset,
-            tool_number=1,
+            tool_number=nc.tool_number,
             macros=found,
         )
 

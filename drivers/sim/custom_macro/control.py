@@ -11,6 +11,8 @@ LOCALS = 34
 """Local variables are #1 to #33."""
 EXTERNAL_OFFSET = 5200
 """#5201.. hold the external work offset of axis 1.. [mm, or inches in G20]."""
+TOOL = 4120
+"""The control's own number of the tool (modal T)."""
 TIMER_WRAP_MS = 2_147_483_648
 """#3001 begins again from 0 here."""
 MM_PER_INCH = 25.4
@@ -32,6 +34,7 @@ class MacroControl:
         self.increment_mm = increment_mm
         """The control keeps offsets in steps of this [mm]."""
         self.clock_s = 0.0
+        self.tool_number = 0
         self.timer_zero_ms = 0.0
         self.external_mm = [0.0] * len(self.addresses)
         """External work offset of each axis [mm]: the operator's own, and what a program has added."""
@@ -58,6 +61,8 @@ class MacroControl:
                 raise MacroError(str(error.args[0])) from error
         if number == 3001:
             return float(math.floor(self.clock_s * 1000.0 - self.timer_zero_ms + 1e-6) % TIMER_WRAP_MS)
+        if number == TOOL:
+            return float(self.tool_number)
         if number - 4000 in self.modal:
             return float(self.modal[number - 4000])
         if (axis := number - EXTERNAL_OFFSET - 1) in range(len(self.external_mm)):

@@ -1,0 +1,87 @@
+"""The tuning of the spindle speed on a CNC in this process that runs the shipped speed program."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from control_rig import HandClock, Rig, record_for
+from memory_cnc import MemoryNc
+from speed_machine import MACROS, bearing_model, speed_machine
+
+from config.guard.speed_text import SpeedStatus, speed_program
+from daemon.output.spindle_speed import SpindleSpeedOutput
+from drivers.sim.custom_macro import Interpreter, compile_programs
+from models.records import MachineTemperatures, Trace
+from models.thermomechanics.artifact import model_to_json
+
+CUT, SAFE = 200, 900
+
+
+class SpeedRig:
+    """A rig with the speed program on its NC."""
+
+    def __init__(self, folder: Path, *, model: Any = None, **changes: Any) -> None:
+        (folder / "bearings.json").write_text(model_to_json(model or bearing_model()), encoding="utf-8")
+        configuration, clock = speed_machine(folder, **changes), HandClock()
+        self.configuration, self.clock = configuration, clock
+        self.nc = MemoryNc(configuration, clock)
+        for number in MACROS.ours:
+            self.nc.macros.set(number, None if number == MACROS.valid_until else 0.0)
+        self.control = self.nc.guard.control
+        self.program = Interpreter(compile_programs(speed_program(configuration)), self.control)
+        self.degc = 28.0
+        self.rig = self.new_rig()
+
+    def new_rig(self, **record: Any) -> Rig:
+        """Another run of the daemon on the same control."""
+        self.rig = Rig(self.configuration, self.nc, self.clock, record=record_for(self.configuration, **record))
+        return self.rig
+
+    @property
+    def speed(self) -> SpindleSpeedOutput:
+        return self.rig.control.side.speed
+
+    async def pass_by(self, seconds: float, sequence_number: int, *, temperatures: bool = True) -> None:
+        """Let time pass in a block of the part program, second by second."""
+        self.nc.sequence_number = sequence_number
+        for second in range(round(seconds)):
+            if temperatures and second % 5 == 0:
+                self.rig.control.deliver(self.cycle())
+            await self.rig.turn(after_s=1.0, safe=False)
+            await self.rig.control._guarded(self.rig.control.side.show(self.rig.link.session))
+            await self.speed.worker.settled()
+
+    def call(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
+        """Let the part program call the speed program at a safe block; return what the NC then turns at."""
+        self.control.common, self.control.clock_s = self.nc.macros, self.nc.clock_s
+        self.control.tool_number = self.nc.tool_number
+        self.program.run(9020, **({"S": 9000.0, "F": 1800.0, "D": 2.0} | arguments))
+        status = SpeedStatus(round(self.nc.macros.get(MACROS.echo_status) or 0.0))
+        return self.control.spindle_rpm, self.control.feed_mm_min, status
+
+    async def operation(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
+        """Call, wait at the safe block until the daemon has decided, and call again."""
+        self.nc.sequence_number = SAFE
+        self.call(**arguments)
+        await self.pass_by(8.0, SAFE)
+        return self.call(**arguments)
+
+    def cycle(self) -> MachineTemperatures:
+        now, codes = self.clock.now(), np.zeros(5, dtype=np.uint8)
+        return MachineTemperatures(
+            line="spindle",
+            measured_degc=np.full(5, self.degc),
+            degc=np.full(5, self.degc),
+            quality=codes,
+            reason=codes.copy(),
+            age_s=np.zeros(5),
+            trace=Trace(first_byte=now, last_byte=now, cleansed=now),
+        )
+
+    def written(self) -> list[float]:
+        return [value for number, value in self.nc.written if number == MACROS.speed]
+
+    def picture(self) -> dict[str, Any]:
+        picture = self.speed.picture()
+        assert picture is not None
+        return picture
