@@ -64,7 +64,7 @@ def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
     document = read_yaml(text)
     problems = [_problem(file, fault.position, fault.path, fault.sentence) for fault in document.faults]
     if not problems and document.value is None:
-        problems.append(_problem(file, (1, 1), (), "the file is empty; `toolpoint sample-config` prints a beginning"))
+        problems.append(_problem(file, (1, 1), (), f"the file is empty; {_beginning(model)}"))
     elif not problems and not isinstance(document.value, dict):
         problems.append(_problem(file, (1, 1), (), f"must be keys with values, not {_described(document.value)}"))
     if problems and not isinstance(document.value, dict):
@@ -79,6 +79,13 @@ def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
     if problems:
         raise ConfigurationError(problems)
     return instance
+
+
+def _beginning(model: type[BaseModel]) -> str:
+    """Return what to do about an empty file."""
+    if issubclass(model, Configuration):
+        return "`toolpoint sample-config` prints a beginning"
+    return f"it needs {', '.join(name for name, field in model.model_fields.items() if field.is_required())}"
 
 
 def with_absolute_paths(section: Model, folder: Path) -> Model:
@@ -224,6 +231,8 @@ def _wish(detail: Any) -> str | None:
         return FORMS.get(context["pattern"], f"text of the form {context['pattern']}")
     if kind == "string_too_long":
         return f"at most {context['max_length']} characters long"
+    if kind == "too_long":
+        return f"at most {context['max_length']} long"
     if kind in ("too_short", "string_too_short"):
         return "filled in" if context["min_length"] == 1 else f"at least {context['min_length']} long"
     return None

@@ -1,5 +1,6 @@
 """A milling case for stability lobes: tool, engagement, cutting coefficients, structure (YAML)."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,15 +13,17 @@ from models.stability.errors import StabilityError
 from models.stability.milling import Cut, MillingMode, engagement_rad
 
 ALL_DIRECTIONS = "all"
+SMALLEST_RESIDUE, LARGEST_RESIDUE = 1e-18, 1e6
+"""Range of the size of a residue [m/(N s)], as wide as that of masses and frequencies."""
 
 
 class ModeCase(Section):
     """One mode: frequency, damping, and one of mass, stiffness and residue."""
 
-    frequency_hz: float = Field(gt=0, description="undamped natural frequency [Hz]")
-    damping_ratio: float = Field(gt=0, lt=1, description="share of critical damping")
-    mass_kg: float | None = Field(None, gt=0, description="modal mass [kg]")
-    stiffness_n_per_m: float | None = Field(None, gt=0, description="modal stiffness [N/m]")
+    frequency_hz: float = Field(ge=0.1, le=1e6, description="undamped natural frequency [Hz]")
+    damping_ratio: float = Field(ge=1e-6, lt=1, description="share of critical damping")
+    mass_kg: float | None = Field(None, ge=1e-9, le=1e9, description="modal mass [kg]")
+    stiffness_n_per_m: float | None = Field(None, ge=1e-3, le=1e15, description="modal stiffness [N/m]")
     residue: list[float] | None = Field(
         None,
         min_length=2,
@@ -36,6 +39,10 @@ class ModeCase(Section):
             raise KeyProblems([((), f"give one of mass_kg, stiffness_n_per_m and residue, not {found}")])
         if self.residue is not None and not any(self.residue):
             raise KeyProblems([(("residue",), "a residue of [0, 0] is no mode; remove the mode")])
+        size = 0.0 if self.residue is None else math.hypot(*self.residue)
+        if self.residue is not None and not SMALLEST_RESIDUE <= size <= LARGEST_RESIDUE:
+            sentence = f"{size:g} m/(N s) is no residue of a machine; it is 1 over (2 mass angular frequency)"
+            raise KeyProblems([(("residue",), sentence)])
         return self
 
 
@@ -69,7 +76,7 @@ def _feed_form(value: Any) -> str:
 
 
 Feed = Annotated[
-    Annotated[Literal["all"], Tag("all")] | Annotated[float, Tag("angle")],
+    Annotated[Literal["all"], Tag("all")] | Annotated[float, Field(ge=-3600, le=3600), Tag("angle")],
     Discriminator(_feed_form),
 ]
 
@@ -78,13 +85,15 @@ class StabilityCase(Section):
     """Tool, engagement, cutting coefficients and structure of one milling operation."""
 
     teeth: int = Field(ge=1, le=100, description="number of teeth, evenly pitched")
-    diameter_mm: float = Field(gt=0, description="diameter of the tool [mm]")
+    diameter_mm: float = Field(ge=1e-3, le=1e4, description="diameter of the tool [mm]")
     radial_depth_mm: float | None = Field(
         None, gt=0, description="radial depth of cut a_e [mm]; the diameter where milling is slot"
     )
     milling: Literal["up", "down", "slot"] = Field(description="up: against the feed; down: climb milling; slot")
-    kt_n_per_m2: float | None = Field(None, gt=0, description="tangential cutting coefficient K_tc [N/m^2]")
-    kr_ratio: float | None = Field(None, ge=0, description="radial over tangential coefficient K_rc / K_tc")
+    kt_n_per_m2: float | None = Field(
+        None, ge=1e4, le=1e13, description="tangential cutting coefficient K_tc [N/m^2]; 1 N/mm^2 is 1e6 N/m^2"
+    )
+    kr_ratio: float | None = Field(None, ge=0, le=100, description="radial over tangential coefficient K_rc / K_tc")
     material: str | None = Field(None, description="a material with known coefficients, instead of the two above")
     x: Direction = Field(description="tool point in the machine's X: modes, frf, or rigid")
     y: Direction = Field(description="tool point in the machine's Y: modes, frf, or rigid")

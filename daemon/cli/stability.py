@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from models.stability.lobes import StabilityLobes
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
+FASTEST_RPM, DEEPEST_MM = 1e6, 1e4
+"""Beyond these a number is a slip of the pen."""
+SPEED = FiniteFloat(min=0.0, min_open=True, max=FASTEST_RPM)
+DEPTH = FiniteFloat(min=0.0, min_open=True, max=DEEPEST_MM)
 
 
 def _points(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
@@ -28,8 +32,11 @@ def _points(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) 
             point = float(speed), float(depth)
         except ValueError:
             raise click.BadParameter(f"{text!r} is no speed and depth such as 12000:0.5") from None
-        if not all(math.isfinite(number) and number > 0.0 for number in point):
-            raise click.BadParameter(f"{text!r}: speed and depth must be above 0")
+        if not (0.0 < point[0] <= FASTEST_RPM and 0.0 < point[1] <= DEEPEST_MM):
+            raise click.BadParameter(
+                f"{text!r}: the speed must be above 0 and at most {FASTEST_RPM:g} 1/min, the depth above 0 and at most "
+                f"{DEEPEST_MM:g} mm"
+            )
         found.append(point)
     return tuple(found)
 
@@ -52,12 +59,12 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     show_default=True,
     help="zoa: zeroth-order solution; sdm: semi-discretisation, which also shows flip lobes.",
 )
-@click.option("--from-rpm", type=POSITIVE, default=2000.0, show_default=True, help="First spindle speed [1/min].")
-@click.option("--to-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
+@click.option("--from-rpm", type=SPEED, default=2000.0, show_default=True, help="First spindle speed [1/min].")
+@click.option("--to-rpm", type=SPEED, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
 @click.option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 100 (sdm).")
 @click.option(
     "--max-depth-mm",
-    type=POSITIVE,
+    type=DEPTH,
     help="Look no deeper than this [mm]; a speed that is stable up to there shows this depth and no frequency.",
 )
 @click.option(
@@ -193,13 +200,11 @@ def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_pat
 
 @stability.command()
 @click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
-@click.option("--programmed-rpm", type=POSITIVE, required=True, help="Programmed spindle speed [1/min].")
-@click.option("--depth-mm", type=POSITIVE, required=True, help="Programmed axial depth of cut [mm].")
+@click.option("--programmed-rpm", type=SPEED, required=True, help="Programmed spindle speed [1/min].")
+@click.option("--depth-mm", type=DEPTH, required=True, help="Programmed axial depth of cut [mm].")
+@click.option("--min-rpm", type=SPEED, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min].")
 @click.option(
-    "--min-rpm", type=POSITIVE, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min]."
-)
-@click.option(
-    "--max-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Highest speed of machine and tool [1/min]."
+    "--max-rpm", type=SPEED, default=14000.0, show_default=True, help="Highest speed of machine and tool [1/min]."
 )
 @click.option(
     "--within-percent",

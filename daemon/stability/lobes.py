@@ -11,15 +11,19 @@ from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
-from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
+from models.stability.semi_discretisation import (
+    FEWEST_PER_CYCLE,
+    fine_steps,
+    periods_per_passing,
+    semi_discretisation,
+    spectral_radius,
+)
 from models.stability.spindle_speed import SpeedChoice, SpeedDemand, SpeedLimits, choose_speed
 from models.stability.state_space import state_space
 
 POINTS = {"zoa": 400, "sdm": 100}
 CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 """Speeds among which one is chosen."""
-STEPS_AT_A_POINT = 200
-"""Converged to 1e-3 in spectral radius; see the page on stability."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,8 +80,18 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
     cut, structure = case.cut(), state_space(modes, float(case.feed_deg))
     found = []
     for speed, depth in points:
-        taken = steps or max(STEPS_AT_A_POINT, default_steps(structure, cut, speed))
+        taken = steps or fine_steps(structure, cut, speed)
+        if (periods := periods_per_passing(structure, cut, speed)) * FEWEST_PER_CYCLE > taken:
+            raise StabilityError(
+                f"--steps {taken} do not follow {periods:.4g} vibrations from tooth to tooth at {speed:g} 1/min; take "
+                "more, or leave --steps out"
+            )
         radius = spectral_radius(semi_discretisation(structure, cut, taken), speed, np.array([depth]))[0]
+        if not np.isfinite(radius):
+            raise StabilityError(
+                f"at {speed:g} 1/min and {depth:g} mm the vibration grows beyond all numbers: this is far above any "
+                "limiting depth; check the depth, which is in mm"
+            )
         found.append(
             {"speed_rpm": speed, "depth_mm": depth, "spectral_radius": float(radius), "stable": bool(radius < 1.0)}
         )

@@ -60,7 +60,7 @@ class OperationPlanning:
         assemblies: dict[str, SpindleAssembly] = {
             axis: read_spindle(path, rotary).assembly() for axis, path in operation.spindles.items()
         }
-        near_hz: dict[str, float] = {**operation.near_hz}
+        near_hz = {str(axis): value for axis, value in operation.near_hz.items()}
         try:
             tracker = ToolPointTracker(model, assemblies, labels, near_hz=near_hz)
             self.estimator = TrackedToolPoint(tracker, labels)

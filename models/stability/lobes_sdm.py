@@ -30,12 +30,14 @@ LOWEST_CANDIDATES = 3
 
 
 def typical_depth_mm(response: ModalResponse, cut: Cut) -> float:
-    """Return the order of magnitude of the limiting depth [mm]: loop gain 1 at the softest frequency."""
-    frequency_hz = response.frequencies_hz(0.0)
-    softest = float(np.linalg.norm(response.receptance_m_per_n(frequency_hz), axis=(1, 2)).max())
-    angles = np.linspace(0.0, 2.0 * np.pi / cut.teeth, 721)
-    mean = float(np.linalg.norm(directional_matrix(cut, angles), axis=(1, 2)).mean())
-    return mm_from_m(1.0 / (cut.tangential_n_per_m2 * mean * softest))
+    """Return the order of magnitude of the limiting depth [mm]: loop gain 1 where it is greatest over frequency."""
+    receptances = response.receptance_m_per_n(response.frequencies_hz(0.0))
+    pitch, arc = 2.0 * np.pi / cut.teeth, cut.exit_rad - cut.start_rad
+    angles = np.linspace(0.0, pitch, 721) if arc > pitch else cut.start_rad + arc * (np.arange(720) + 0.5) / 720
+    coupled = np.square(np.abs(directional_matrix(cut, angles))).sum(axis=1)
+    moved = np.square(np.abs(receptances)).sum(axis=2)
+    gain_m_per_n = float(np.sqrt(moved @ coupled.T).mean(axis=1).max()) * min(arc / pitch, 1.0)
+    return mm_from_m(1.0 / (cut.tangential_n_per_m2 * gain_m_per_n))
 
 
 def spectral_radius_chart(

@@ -14,6 +14,9 @@ import numpy as np
 from models.records import FloatArray
 from models.stability.errors import StabilityError
 
+LEAST_IMMERSION = 1e-6
+"""Radial depth over diameter; less is no cut."""
+
 
 class MillingMode(StrEnum):
     """Which side of the tool is in the work."""
@@ -75,10 +78,10 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
     """
     if not diameter_mm > 0.0:
         raise StabilityError(f"the diameter {diameter_mm:g} mm is none; give the tool's diameter in mm")
-    if not 0.0 < radial_depth_mm <= diameter_mm:
+    if not LEAST_IMMERSION * diameter_mm <= radial_depth_mm <= diameter_mm:
         raise StabilityError(
-            f"the radial depth {radial_depth_mm:g} mm is outside 0 to {diameter_mm:g} mm, the diameter; "
-            "give the width that is really cut"
+            f"the radial depth {radial_depth_mm:g} mm is outside 0 to {diameter_mm:g} mm, the diameter, of which a "
+            "millionth is the least; give the width that is really cut"
         )
     if mode is MillingMode.SLOT:
         if radial_depth_mm < diameter_mm:
@@ -87,7 +90,7 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
                 "say up or down, or give the diameter as radial depth"
             )
         return 0.0, math.pi
-    swept = math.acos(1.0 - 2.0 * radial_depth_mm / diameter_mm)
+    swept = 2.0 * math.asin(math.sqrt(radial_depth_mm / diameter_mm))
     return (0.0, swept) if mode is MillingMode.UP else (math.pi - swept, math.pi)
 
 

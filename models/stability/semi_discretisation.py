@@ -27,7 +27,13 @@ DEFAULT_STEPS = 40
 STEPS_PER_CYCLE = 7
 """At least this many steps in one period of the highest mode."""
 MOST_STEPS = 400
+FEWEST_PER_CYCLE = 3.5
+"""Fewer steps in a period do not follow the vibration: what comes out is no spectral radius."""
+FINE_PER_CYCLE, FINE_STEPS, MOST_FINE_STEPS = 10, 200, 2000
+"""Of a single point: converged to 1e-3 in spectral radius."""
 FAINT = 0.05
+LARGEST_ENTRY = 1e100
+"""A map with a larger entry has no eigenvalues that a computer can tell."""
 GAUSS_POINTS = 4
 PRESENT = (-2.0, -1.0, 0.0, 1.0)
 """Points of the present displacement's cubic, in steps from the step's beginning."""
@@ -54,12 +60,39 @@ def default_steps(structure: StateSpace, cut: Cut, speed_rpm: float) -> int:
     """Return a number of steps that resolves every mode that counts at a speed [1/min].
 
     The structure moves exactly whatever the step; only displacements are interpolated. So a mode
-    whose peak is below `FAINT` of the highest peak needs no steps of its own.
+    whose peak is below `FAINT` of the highest peak needs no steps of its own. Raises StabilityError
+    where even `MOST_STEPS` do not resolve them.
     """
+    return _steps(structure, cut, speed_rpm, DEFAULT_STEPS, STEPS_PER_CYCLE, MOST_STEPS)
+
+
+def fine_steps(structure: StateSpace, cut: Cut, speed_rpm: float) -> int:
+    """Return a number of steps for a single spectral radius at a speed [1/min]; raises as `default_steps`."""
+    return _steps(structure, cut, speed_rpm, FINE_STEPS, FINE_PER_CYCLE, MOST_FINE_STEPS)
+
+
+def periods_per_passing(structure: StateSpace, cut: Cut, speed_rpm: float) -> float:
+    """Return how many periods of the highest mode that counts fit into a tooth passing at a speed [1/min]."""
+    return _highest_hz(structure) * 60.0 / (cut.teeth * speed_rpm)
+
+
+def _highest_hz(structure: StateSpace) -> float:
     peaks = [_peak_m_per_n(mode) for mode in structure.modes]
-    counted = [mode for mode, peak in zip(structure.modes, peaks, strict=True) if peak >= FAINT * max(peaks)]
-    cycles = max(mode.frequency_hz for mode in counted) * 60.0 / (cut.teeth * speed_rpm)
-    return min(max(DEFAULT_STEPS, math.ceil(STEPS_PER_CYCLE * cycles)), MOST_STEPS)
+    return max(
+        mode.frequency_hz for mode, peak in zip(structure.modes, peaks, strict=True) if peak >= FAINT * max(peaks)
+    )
+
+
+def _steps(structure: StateSpace, cut: Cut, speed_rpm: float, fewest: int, per_cycle: float, most: int) -> int:
+    cycles = periods_per_passing(structure, cut, speed_rpm)
+    if cycles * FEWEST_PER_CYCLE > most:
+        slowest_rpm = speed_rpm * cycles * FEWEST_PER_CYCLE / most
+        raise StabilityError(
+            f"at {speed_rpm:g} 1/min the mode at {_highest_hz(structure):.0f} Hz vibrates {cycles:.4g} times from "
+            f"tooth to tooth, more than the {most} steps of the semi-discretisation follow; take speeds from "
+            f"{slowest_rpm:.3g} 1/min up, or --method zoa"
+        )
+    return min(max(fewest, math.ceil(per_cycle * cycles)), most)
 
 
 def _peak_m_per_n(mode: Mode) -> float:
@@ -138,13 +171,22 @@ def transition_matrices(method: SemiDiscretisation, speed_rpm: float, depth_mm: 
     depths = np.asarray(depth_mm, dtype=np.float64)
     if not (speed_rpm > 0.0 and bool(np.all(depths > 0.0))):
         raise StabilityError("speed and depth of cut must be above 0")
-    structure, steps = method.structure, method.steps
-    moving, states = structure.outputs.shape
-    size, count = states + (steps + 1) * moving, len(depths)
-    step_s = 60.0 / (speed_rpm * method.cut.teeth * steps)
+    structure = method.structure
+    step_s = 60.0 / (speed_rpm * method.cut.teeth * method.steps)
     move = structure.transition(np.array(step_s))
     present, delayed = _weights(method, step_s)
     gain = (depths * 1e-3 * method.cut.tangential_n_per_m2)[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _maps(method, gain, move, present, delayed)
+
+
+def _maps(
+    method: SemiDiscretisation, gain: FloatArray, move: FloatArray, present: FloatArray, delayed: FloatArray
+) -> FloatArray:
+    """Return the maps; numbers beyond all bounds where a depth is."""
+    structure, steps = method.structure, method.steps
+    moving, states = structure.outputs.shape
+    size, count = states + (steps + 1) * moving, len(gain)
     implicit = _inverse(np.eye(moving) - gain[:, :, None, None] * (structure.outputs @ present[:, 3]))
 
     state = np.zeros((states, count, size))
@@ -206,7 +248,9 @@ def _applied(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
 def _inverse(matrices: FloatArray) -> FloatArray:
     if matrices.shape[-1] == 1:
         return 1.0 / matrices
-    return np.linalg.inv(matrices).astype(np.float64)
+    countable = np.asarray(np.isfinite(matrices).all(axis=(-2, -1), keepdims=True))
+    found = np.linalg.inv(np.where(countable, matrices, np.eye(matrices.shape[-1])))
+    return np.where(countable, found, np.nan).astype(np.float64)
 
 
 def _solved(inverse: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -221,11 +265,13 @@ def _solved(inverse: FloatArray, vectors: FloatArray) -> FloatArray:
 def spectral_radius(method: SemiDiscretisation, speed_rpm: float, depth_mm: FloatArray) -> FloatArray:
     """Return the spectral radius of the map over one tooth passing at one speed.
 
-    Below 1 the cut is stable. `depth_mm` [mm] has the shape (n,), as has the result. Raises
-    StabilityError when speed or a depth is not above 0.
+    Below 1 the cut is stable; inf where the vibration grows beyond all numbers. `depth_mm` [mm] has
+    the shape (n,), as has the result. Raises StabilityError when speed or a depth is not above 0.
     """
-    multipliers = np.linalg.eigvals(transition_matrices(method, speed_rpm, depth_mm))
-    radius: FloatArray = np.abs(multipliers).max(axis=1)
+    maps = transition_matrices(method, speed_rpm, depth_mm)
+    radius = np.full(len(maps), np.inf)
+    countable = np.abs(maps).max(axis=(1, 2)) < LARGEST_ENTRY
+    radius[countable] = np.abs(np.linalg.eigvals(maps[countable])).max(axis=1)
     return radius
 
 

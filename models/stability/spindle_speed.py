@@ -10,6 +10,9 @@ from models.records import FloatArray
 from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 
+SLOWEST_RPM, FASTEST_RPM = 1e-3, 1e7
+"""Beyond these no spindle turns."""
+
 
 def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe: int) -> float:
     """Return the speed of equation 5-9, ``60 (f_r - f_o) / (n_T k_c)``.
@@ -33,7 +36,7 @@ def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe:
     Raises
     ------
     StabilityError
-        When teeth or lobe are below 1, or nothing is left of the resonance.
+        When teeth or lobe are below 1, nothing is left of the resonance, or no spindle turns so fast or slowly.
 
     """
     if teeth < 1 or lobe < 1:
@@ -43,7 +46,13 @@ def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe:
             f"a resonance of {resonance_hz:g} Hz less an offset of {offset_hz:g} Hz leaves no frequency; "
             "the offset is signed and small against the resonance"
         )
-    return 60.0 * (resonance_hz - offset_hz) / (teeth * lobe)
+    speed_rpm = 60.0 * (resonance_hz - offset_hz) / (teeth * lobe)
+    if not SLOWEST_RPM <= speed_rpm <= FASTEST_RPM:
+        raise StabilityError(
+            f"a resonance of {resonance_hz:g} Hz less an offset of {offset_hz:g} Hz gives {speed_rpm:.4g} 1/min with "
+            f"{teeth} teeth and lobe {lobe:g}, which no spindle turns at; check all four"
+        )
+    return speed_rpm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
