@@ -63,6 +63,12 @@ class Claims:
     in_domain: bool
     estimate_reference: str | None
     reason: str
+    estimated: bool = True
+    """Every axis that is switched on has an estimate."""
+    model: str | None = None
+    """Identity of the model that made the estimate."""
+    tool: int = 0
+    """The tool that the daemon believes to be in the spindle."""
 
 
 class WriteWatch:

@@ -1,23 +1,21 @@
 """Whether the output comes back to the state that its table gives, and how soon.
 
-After every incident the conditions of the table are worked out from what the machine's side knows to be
-true, and the table is followed from the state that the daemon then claimed. That is where it must be
-within some seconds of the first good input.
+After every incident the situation is worked out from what the machine's side knows to be true, and the
+specification's table of states (`state_oracle`, not the product's own) is followed from the state that the
+daemon then claimed. That is where it must be within some seconds of the first good input.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from daemon.rehearsal.invariants import Claims, Ledger
+from daemon.rehearsal.state_oracle import Situation, resting_state
 from drivers.latsis_numbering import RELEASED_AFTER_CYCLES
 from drivers.sim.campaign_script import Happening, Incident
 from drivers.sim.faults import FaultKind
-from models.compensation import TRANSITIONS, Condition
-from models.records import OutputState
 
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
-LONGEST_WALK = 8
 STARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE)
 """Incidents after which a daemon begins to live."""
 
@@ -35,6 +33,10 @@ class Truth:
     echo_known: bool
     at_zero: bool
     """The NC applies nothing."""
+    zero_first: bool = False
+    """The NC program has passed its retreat block and not been positioned since, under that policy."""
+    reference_blind: bool = False
+    """Lines were silent when the reference was set, so that some labels may count from nothing."""
 
 
 def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
@@ -47,36 +49,21 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and claims.estimate_reference == claims.reference
         and claims.confidence >= least_confidence
         and claims.in_domain
+        and (claims.estimated or not truth.reference_blind)
     )
 
 
-def where_it_leads(
-    state: str,
-    truth: Truth,
-    claims: Claims,
-    least_confidence: float,
-    table: Mapping[OutputState, tuple[tuple[Condition, OutputState], ...]] = TRANSITIONS,
-) -> str:
-    """Follow the table from a state until nothing leaves it; conditions that only time fulfils are left out."""
-    wanted = any(claims.wanted)
-    good = ready(truth, claims, least_confidence)
-    holds = {
-        Condition.OUTPUT_FAULT: truth.distrust,
-        Condition.WANTED: wanted and truth.reachable and truth.echo_known,
-        Condition.NONE_WANTED: not wanted,
-        Condition.READY: wanted and good,
-        Condition.BAD_INPUT: not good,
-        Condition.HELD_TOO_LONG: False,
-        Condition.RETREATED: truth.reachable and truth.at_zero,
-        Condition.ACKNOWLEDGED: False,
-    }
-    here = OutputState(state)
-    for _ in range(LONGEST_WALK):
-        target = next((target for condition, target in table[here] if holds.get(condition, False)), None)
-        if target is None:
-            break
-        here = target
-    return here.value
+def where_it_leads(state: str, truth: Truth, claims: Claims, least_confidence: float) -> str:
+    """Return where the table of states leads from a state; what only time brings about is left out."""
+    now = Situation(
+        asked_for=any(claims.wanted),
+        trusted=not truth.distrust,
+        zero_first=truth.zero_first,
+        connected=truth.reachable and truth.echo_known,
+        at_zero=truth.at_zero,
+        can_follow=ready(truth, claims, least_confidence),
+    )
+    return resting_state(state, now)
 
 
 class GoodInput:
@@ -175,7 +162,7 @@ class RecoveryWatch:
         """FAULT has been left: only a person may have done that; it leads to HOLD, and the way back begins anew."""
         self.ledger.check("fault_is_latched", acknowledged, f"{time_s:.1f} s: FAULT was left, nobody acknowledged it")
         if self._case is not None and self._case.good_s is not None:
-            self._case.state_then = OutputState.HOLD.value
+            self._case.state_then = "HOLD"
             self._case.good_s, self._case.wrong_since_s = time_s, None
 
     def look(self, time_s: float, truth: Truth, claims: Claims) -> None:
@@ -208,4 +195,4 @@ class RecoveryWatch:
 
 def _same(first: str, second: str) -> bool:
     """Tell whether two states are one; a retreat takes the time that the slew rate and the safe points give it."""
-    return first == second or {first, second} == {OutputState.RETREAT.value, OutputState.OFF.value}
+    return first == second or {first, second} == {"RETREAT", "OFF"}
