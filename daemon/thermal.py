@@ -64,9 +64,11 @@ class ReferenceRebased:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceEnded:
-    """A reference counts no longer."""
+    """A reference is valid no longer."""
 
     reference_id: str
+    for_good: bool = True
+    """False: it is still estimated how far the machine has gone since, because tool settings count from it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +162,7 @@ class ThermalTask:
         elif isinstance(item, ThermalModel | LaggedModel):
             await self.use_model(item)
         elif isinstance(item, ReferenceEnded):
-            if self._reference is not None and self._reference.reference_id == item.reference_id:
+            if item.for_good and self._reference is not None and self._reference.reference_id == item.reference_id:
                 self._reference = None
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)

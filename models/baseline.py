@@ -6,6 +6,7 @@ Setting a reference, setting a tool and changing the model never move the output
 does, and the limits of `models.compensation` bound how fast.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -23,7 +24,7 @@ SETTLED_UM = 1e-3
 """The CNC holds a value when what was read back differs by less than this [um]."""
 
 
-def follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
     """Make what is applied the baseline of a new reference; keep the output where it is.
 
     While the CNC does not yet hold the new command, the guard may still apply the old one: what
@@ -35,6 +36,8 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory
         From the previous step.
     inputs
         What is known now.
+    stale_after_s
+        An older estimate does not tell how far the machine has gone until a new reference [s].
 
     Returns
     -------
@@ -43,9 +46,9 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory
 
     """
     if inputs.reference_id != memory.reference_id:
-        return _new_reference(memory, inputs)
+        return _new_reference(memory, inputs, stale_after_s)
     if memory.reference_id is None:
-        return memory
+        return _without_reference(memory, inputs)
     if memory.settling:
         return _settle(memory, inputs)
     return _follow_model(memory, inputs)
@@ -232,9 +235,56 @@ def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: Output
     return replace(memory, weight=weight_of(inputs.confidence, limits))
 
 
-def _new_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Remember the latest estimate, from which a new reference tells how far the machine had gone until then.
+
+    Parameters
+    ----------
+    memory
+        From the previous step.
+    inputs
+        Estimate and what it counts from.
+
+    Returns
+    -------
+    OutputMemory
+        With the estimate of each axis that has one, when it counts from the latest reference.
+
+    """
+    if inputs.estimate_reference_id is None or inputs.estimate_reference_id != memory.error_reference_id:
+        return memory
+    known = np.isfinite(inputs.thermal_error_um)
+    if not known.any() or not np.isfinite(inputs.estimate_age_s):
+        return memory
+    before = memory.error_um if memory.error_um is not None else np.zeros_like(inputs.thermal_error_um)
+    return replace(
+        memory,
+        error_um=np.where(known, inputs.thermal_error_um, before),
+        error_s=inputs.now_s - inputs.estimate_age_s,
+    )
+
+
+def _without_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Keep the tool settings while no reference is valid; without what they count from they end.
+
+    Another model tells anew how far the machine has gone since the reference that has ended. What was
+    estimated until now stays, so the settings are counted from where the new model sees that reference.
+    """
+    if memory.error_reference_id is None:
+        return memory
+    if inputs.kept_reference_id != memory.error_reference_id:
+        return replace(memory, error_um=None, error_reference_id=None, tools=MappingProxyType({}))
+    if inputs.model_id in (None, memory.model_id) or inputs.estimate_reference_id != memory.error_reference_id:
+        return memory
+    if memory.model_id is None or memory.error_um is None:
+        return replace(memory, model_id=inputs.model_id)
+    change = np.nan_to_num(inputs.thermal_error_um - memory.error_um)
+    return replace(memory, model_id=inputs.model_id, tools=_counted_from(memory.tools, -change, 0.0))
+
+
+def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
     if inputs.reference_id is None:
-        return replace(memory, reference_id=None, settling=False, error_um=None, tools=MappingProxyType({}))
+        return _without_reference(replace(memory, reference_id=None, settling=False), inputs)
     if not (inputs.link and np.all(np.isfinite(inputs.applied_um))):
         return memory
     return replace(
@@ -247,20 +297,32 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         settling=memory.state in SETTLING_STATES,
         pending_um=inputs.written_um,
         error_um=np.zeros_like(memory.command_um),
-        tools=_tools_since(memory, inputs.tool_number),
+        error_s=inputs.now_s,
+        error_reference_id=inputs.reference_id,
+        tools=_tools_since(memory, inputs, stale_after_s),
     )
 
 
-def _tools_since(memory: OutputMemory, in_spindle: int) -> MappingProxyType[int, ToolRest]:
-    """Return the tool settings counted from a new reference; the tool in the spindle begins with it."""
-    if memory.error_um is None:
+def _tools_since(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> MappingProxyType[int, ToolRest]:
+    """Return the tool settings counted from a new reference; the tool in the spindle is set anew by it."""
+    if memory.error_um is None or inputs.now_s - memory.error_s > stale_after_s:
         return MappingProxyType({})
-    since = memory.error_um
-    others = {number: rest for number, rest in memory.tools.items() if number != in_spindle}
+    tools = dict(_counted_from(memory.tools, memory.error_um, memory.offset_um))
+    if (here := tools.get(inputs.tool_number)) is not None:
+        nothing = np.zeros_like(memory.command_um)
+        baseline = np.where(np.isfinite(here.baseline_um), inputs.applied_um, np.nan)
+        tools[inputs.tool_number] = ToolRest(baseline_um=baseline, error_um=nothing, offset_um=nothing)
+    return MappingProxyType(tools)
+
+
+def _counted_from(
+    tools: Mapping[int, ToolRest], error_um: FloatArray, offset_um: FloatArray | float
+) -> MappingProxyType[int, ToolRest]:
+    """Return tool settings counted from where estimate and offset were these [um]."""
     return MappingProxyType(
         {
-            number: replace(rest, error_um=rest.error_um - since, offset_um=rest.offset_um - memory.offset_um)
-            for number, rest in others.items()
+            number: replace(rest, error_um=rest.error_um - error_um, offset_um=rest.offset_um - offset_um)
+            for number, rest in tools.items()
         }
     )
 

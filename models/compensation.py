@@ -14,6 +14,7 @@ import numpy as np
 
 from models.baseline import (
     follow_confidence,
+    follow_error,
     follow_reference,
     follow_tool,
     request_um,
@@ -140,18 +141,13 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
 
     """
     memory = _heed_requests(memory, inputs, limits)
-    memory = follow_tool(follow_reference(memory, inputs), inputs)
+    memory = follow_tool(follow_reference(memory, inputs, limits.stale_after_s), inputs)
     memory = follow_confidence(take_probe(memory, inputs), inputs, limits)
     memory = _change_state(memory, inputs, limits)
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)
-    error = inputs.thermal_error_um if memory.reference_id == inputs.estimate_reference_id else memory.error_um
     memory = replace(
-        memory,
-        command_um=command,
-        last_s=max(inputs.now_s, memory.last_s),
-        limits_hit=hit,
-        error_um=_last_finite(error, memory.error_um),
+        follow_error(memory, inputs), command_um=command, last_s=max(inputs.now_s, memory.last_s), limits_hit=hit
     )
     enable = _enable_bits(memory, inputs)
     return memory, CompensationCommand(
@@ -306,11 +302,3 @@ def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]
         return (False,) * len(memory.wanted)
     carries = (np.abs(inputs.applied_um) > ZERO_UM) | (memory.command_um != 0.0) | ~np.isfinite(inputs.applied_um)
     return tuple(bool(on or busy) for on, busy in zip(memory.wanted, carries, strict=True))
-
-
-def _last_finite(error_um: FloatArray | None, before_um: FloatArray | None) -> FloatArray | None:
-    """Return the latest estimate per axis, the one before where there is none now."""
-    if error_um is None:
-        return before_um
-    before = np.zeros_like(error_um) if before_um is None else before_um
-    return np.where(np.isfinite(error_um), error_um, before)

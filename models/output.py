@@ -80,6 +80,8 @@ class OutputInputs:
     """The valid reference; None when there is none."""
     estimate_reference_id: str | None
     """The reference that the estimate is relative to."""
+    kept_reference_id: str | None = None
+    """The latest reference, valid or ended, that estimates and tool settings count from; None when none may."""
     model_id: str | None = None
     output_fault: str | None = None
     """Why the output is not trusted (read-back differs, foreign value, exception)."""
@@ -128,6 +130,10 @@ class OutputMemory:
     settling: bool = False
     """A reference was set, and the CNC does not hold its value yet."""
     error_um: FloatArray | None = None
-    """The last finite estimate since the reference, without the tool [um]."""
+    """The last finite estimate since `error_reference_id`, without the tool [um]."""
+    error_s: float = 0.0
+    """Time of that estimate [s]."""
+    error_reference_id: str | None = None
+    """The reference that this estimate and the tool settings count from; it may have ended."""
     tools: Mapping[int, ToolRest] = field(default_factory=lambda: MappingProxyType({}))
     """Tool settings by tool number."""

@@ -57,6 +57,7 @@ class StatusBoard:
             "output": self._output(now.monotonic_s),
             "axes": self._axes(),
             "reference": self._reference(now.monotonic_s),
+            "tools_set": sorted(control.memory.tools) if control.memory else [],
             "model": self.model,
             "estimate": self._estimate(),
             "cnc": self._cnc(),
@@ -124,7 +125,6 @@ class StatusBoard:
             "source": reference.source,
             "age_s": now_s - reference.time.monotonic_s,
             "set_utc_s": reference.time.utc_s,
-            "tools_set": sorted(memory.tools) if (memory := self._control.memory) else [],
         }
 
     def _estimate(self) -> dict[str, Any] | None:

@@ -72,6 +72,8 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append("\nno reference: waiting for work positioning", style="dim")
     else:
         line.append(f"\nreference {reference['source']}, {reference['age_s'] / 60:.1f} min ago", style="dim")
+    if tools := picture.get("tools_set"):
+        line.append(f"\ntools set: {', '.join(f'T{number}' for number in tools)}", style="dim")
     if output["weight"] is not None and output["weight"] < 1.0:
         line.append(f"\nthe estimate counts {output['weight']:.0%}: sensors are missing", style="yellow")
     if output["alarm"]:

@@ -7,7 +7,7 @@ from itertools import compress
 from daemon.output.cnc_session import CncSession
 from daemon.output.journal import Journal
 from daemon.output.references import References
-from daemon.output.resume import ResumePoint, wanted_at_start, with_rest
+from daemon.output.resume import ResumePoint, wanted_at_start, with_rest, with_tools
 from daemon.output.tool_in_spindle import ToolInSpindle
 from models.compensation import initial_memory
 from models.output import OperatorRequest, OutputMemory
@@ -59,7 +59,9 @@ class Beginning:
             self._waiting = frozenset(compress(self._axes, wanted))
         self._journal.say("start", f"{memory.state.value}: {memory.reason}")
         reference = self._resume.reference
-        return memory if reference is None else self._with_reference(memory, reference)
+        if reference is not None:
+            memory = self._with_reference(memory, reference)
+        return memory if memory.reference_id is not None else self._with_tools(memory)
 
     def heed(self, request: OperatorRequest) -> OperatorRequest:
         """Take what a person says of the axes that wait; who speaks for one lets the others go on waiting.
@@ -83,6 +85,22 @@ class Beginning:
         return (
             f"the daemon was away too long to go on by itself: `toolpoint enable {axes}` or `toolpoint disable {axes}`"
         )
+
+    def _with_tools(self, memory: OutputMemory) -> OutputMemory:
+        """Go on with the tool settings of the previous run although no reference is valid."""
+        kept = self._resume.kept_reference
+        if kept is None:
+            return memory
+        found = with_tools(memory, self._resume.rest, self._axes, kept, self._model_id)
+        if not found.tools:
+            return memory
+        numbers = ", ".join(f"T{number}" for number in sorted(found.tools))
+        if ended := self._references.take_up_tools(kept):
+            self._journal.notice(f"the tool settings of {numbers} have ended: {ended}; set these tools again")
+            return memory
+        self._ask(kept)
+        self._journal.say("tool", f"the settings of {numbers} are taken up again")
+        return found
 
     def _with_reference(self, memory: OutputMemory, reference: Reference) -> OutputMemory:
         if ended := self._references.take_up(reference):

@@ -373,6 +373,7 @@ class ControlTask:
             in_domain=estimate.in_domain if estimate is not None else False,
             reference_id=self.reference.reference_id if self.reference is not None else None,
             estimate_reference_id=estimate.reference_id if estimate is not None else None,
+            kept_reference_id=self._references.kept.reference_id if self._references.kept is not None else None,
             model_id=estimate.model_id if estimate is not None else None,
             output_fault=self.journal.fault,
             refusals=self._refusals(

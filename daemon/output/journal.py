@@ -77,8 +77,8 @@ class Journal:
         )
         if before.tools and not after.tools:
             numbers = ", ".join(f"T{number}" for number in sorted(before.tools))
-            self.notice(f"the tool settings of {numbers} have ended with the reference; set these tools again")
-        if after.reference_id is not None and counts_anew:
+            self.notice(f"the tool settings of {numbers} have ended; set these tools again")
+        if (after.reference_id is not None or after.tools) and counts_anew:
             self._history.put_state("rest", rest_to_state(after, self._axes))
         if alarm and alarm.partition(":")[0] != self.alarm.partition(":")[0]:
             self.say("alarm", alarm)

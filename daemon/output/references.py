@@ -28,6 +28,7 @@ LONGEST_GAP_REAL_S = 0.5
 """A gap between polls shorter than this is this computer's, not the link's [s of the wall clock]."""
 SEEN_PERIOD_REAL_S = 10.0
 """The store is told this often what the CNC said [s of the wall clock]."""
+SWITCHED_OFF = "the CNC was switched off and on"
 IDLE = (CncRun.RESET, CncRun.STOP)
 
 
@@ -74,6 +75,8 @@ class References:
         self.outcomes: dict[str, str] = {}
         """What became of the references that were asked for: '' in force, else why not."""
         self.current: Reference | None = None
+        self.kept: Reference | None = None
+        """The reference in force or, when it has ended, the one that tool settings still count from."""
         self.phase = Phase.CUTTING
 
     @property
@@ -93,8 +96,11 @@ class References:
         self.phase = phase_of(sample, self._safe_sequence_numbers, self._safe_flag)
         self._remember(sample)
         self._retreat_block(sample)
+        cycled = self.kept is not None and self._cycled(self.kept, previous, sample)
         if self.current is not None and (ended := self._end(self.current, previous, sample)):
-            self.end(ended)
+            self.end(ended, for_good=cycled)
+        elif cycled:
+            self.end(SWITCHED_OFF, for_good=True)
         if positioning_passed(previous, sample, self._config.program, self._config.sequence_numbers):
             self._passed = True
             self.ask_for(f"O{sample.program} N{sample.sequence_number}", sample, positioning=True)
@@ -127,7 +133,7 @@ class References:
             self._refuse(reference.reference_id, asked, refusal)
             return refusal
         self._retreating = False
-        self.current = reference
+        self.current = self.kept = reference
         self._by_handshake = asked is not None and asked.handshake
         self.outcomes = {reference.reference_id: ""}
         self._history.reference(reference)
@@ -145,9 +151,12 @@ class References:
 
     def rebase(self, reference: Reference) -> None:
         """Keep the reference whose temperatures of returned sensors were set anew."""
-        if self.current is not None and reference.reference_id == self.current.reference_id:
+        if self.kept is None or reference.reference_id != self.kept.reference_id:
+            return
+        self.kept = reference
+        if self.current is not None:
             self.current = reference
-            self.keep()
+        self.keep()
 
     def away_s(self, sample: CncSample) -> float:
         """Return how long before this poll the previous run of the daemon last polled the CNC [s]; inf: never."""
@@ -162,26 +171,44 @@ class References:
         if ended:
             self._history.put_state("reference", None)
             return ended
-        self.current = reference
+        self.current = self.kept = reference
         self._by_handshake = bool(stored.get("by_handshake"))
         return ""
 
+    def take_up_tools(self, reference: Reference) -> str:
+        """Return why tool settings of the previous run no longer count, '' when they do, valid reference or not."""
+        assert self._previous is not None
+        cycled = reference.power_on_count != self._previous.power_on_count
+        if why := SWITCHED_OFF if cycled else self._unseen(self._previous):
+            return why
+        self.kept = reference
+        self.keep()
+        return ""
+
     def keep(self) -> None:
-        """Hand the reference in force to the store, with what tells that the NC program went on without a break."""
+        """Hand the reference in force to the store, with what tells that the NC program went on without a break.
+
+        One that has ended is kept apart, for the tool settings.
+        """
+        self._history.put_state("kept_reference", None if self.kept is None else reference_to_state(self.kept))
         if self.current is None:
             self._history.put_state("reference", None)
             return
         counts = {"request_counter": self._handshake.counter, "by_handshake": self._by_handshake}
         self._history.put_state("reference", reference_to_state(self.current) | counts)
 
-    def end(self, why: str) -> None:
-        """End the reference in force, and what was asked for before."""
+    def end(self, why: str, *, for_good: bool = False) -> None:
+        """End the reference in force, and what was asked for before; `for_good`: the tool settings with it."""
         self._asked.clear()
         if self.current is not None:
             self._say("notice", f"reference ended: {why}")
-            self._ask(ReferenceEnded(reference_id=self.current.reference_id))
-            self.current = None
-            self.keep()
+        elif not (for_good and self.kept is not None):
+            return
+        if self.kept is not None:
+            self._ask(ReferenceEnded(reference_id=self.kept.reference_id, for_good=for_good))
+        self.current = None
+        self.kept = None if for_good else self.kept
+        self.keep()
 
     def _objection(self, reference: Reference, asked: _Asked | None, applied_um: float) -> str:
         what = f"reference of {reference.source} refused"
@@ -201,8 +228,8 @@ class References:
         self._ask(ReferenceEnded(reference_id=reference_id))
         if asked is not None and asked.positioning:
             self.end(f"the work was positioned again, and that set none ({why})")
-        elif self.current is not None:
-            self._ask(self.current)
+        if self.kept is not None:
+            self._ask(self.kept)
 
     def _of_part_program(self, polled: CncSample) -> CncSample:
         """Return a poll as the part program stands in it: the guard's own programs are no other program."""
@@ -233,6 +260,10 @@ class References:
             return "the CNC's clock went back: it was switched off and on"
         return self._missed(previous, sample)
 
+    @staticmethod
+    def _cycled(reference: Reference, previous: CncSample | None, sample: CncSample) -> bool:
+        return sample.power_on_count != reference.power_on_count or power_cycled(previous, sample)
+
     def _missed(self, previous: CncSample | None, sample: CncSample) -> str:
         """Return why a positioning may have been missed between two polls, '' when none can have been."""
         if previous is None:
@@ -257,6 +288,17 @@ class References:
 
     def _away(self, sample: CncSample, stored: dict[str, Any]) -> str:
         """Return what may have happened while nobody polled the CNC that ends a stored reference."""
+        if unseen := self._unseen(sample):
+            return unseen
+        seen, away_s = self._seen_before, self.away_s(sample)
+        assert seen is not None
+        if stored.get("request_counter") != self._handshake.counter:
+            return "the NC program asked for something while the daemon was away"
+        by_handshake = bool(stored.get("by_handshake"))
+        return self._may_be_missed(away_s, seen["idle"], seen["sequence_number"], sample, by_handshake)
+
+    def _unseen(self, sample: CncSample) -> str:
+        """Return why nothing is known of the control while nobody polled it, '' when it has just gone on."""
         seen, away_s = self._seen_before, self.away_s(sample)
         if seen is None or away_s > self._config.max_outage_s:
             return f"the CNC was not polled for longer than {self._config.max_outage_s:g} s (reference.max_outage_s)"
@@ -265,7 +307,4 @@ class References:
                 "the CNC's clock and this computer's calendar went on differently while the daemon was away: the "
                 "control was switched off and on, or a clock was set"
             )
-        if stored.get("request_counter") != self._handshake.counter:
-            return "the NC program asked for something while the daemon was away"
-        by_handshake = bool(stored.get("by_handshake"))
-        return self._may_be_missed(away_s, seen["idle"], seen["sequence_number"], sample, by_handshake)
+        return ""

@@ -32,6 +32,8 @@ class ResumePoint:
     """The latched FAULT that nobody has acknowledged."""
     rest: dict[str, Any] | None = None
     """Where the output stood when the reference was set, from `rest_to_state`."""
+    kept_reference: Reference | None = None
+    """What the tool settings count from; the reference, or one that had ended."""
 
 
 def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
@@ -49,6 +51,7 @@ def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
     return {
         "reference_id": memory.reference_id,
         "model_id": memory.model_id,
+        "error_reference_id": memory.error_reference_id,
         "baseline_um": dict(zip(axes, memory.baseline_um.tolist(), strict=True)),
         "offset_um": dict(zip(axes, memory.offset_um.tolist(), strict=True)),
         "weight": memory.weight,
@@ -91,15 +94,36 @@ def with_rest(
         memory,
         reference_id=rest["reference_id"],
         model_id=rest["model_id"],
+        error_reference_id=rest["reference_id"],
         baseline_um=np.array([rest["baseline_um"][axis] for axis in axes]),
         offset_um=np.array([rest["offset_um"][axis] for axis in axes]),
         weight=rest.get("weight", memory.weight),
-        tools=MappingProxyType(
-            {int(number): _tool_rest(kept) for number, kept in rest.get("tools", {}).items()}
-            if list(rest["baseline_um"]) == list(axes)
-            else {}
-        ),
+        tools=_tools(rest, axes),
     )
+
+
+def with_tools(
+    memory: OutputMemory,
+    rest: dict[str, Any] | None,
+    axes: Sequence[str],
+    kept: Reference,
+    model_id: str | None,
+) -> OutputMemory:
+    """Return the memory with the tool settings of the previous run, which count on from a reference that has ended.
+
+    Without settings that belong to this reference, these axes and this model it is returned as it is.
+    """
+    if rest is None or rest.get("error_reference_id") != kept.reference_id or rest["model_id"] != model_id:
+        return memory
+    offset_um = np.array([rest["offset_um"].get(axis, 0.0) for axis in axes])
+    tools, basis = _tools(rest, axes), kept.reference_id
+    return replace(memory, tools=tools, error_reference_id=basis, model_id=model_id, offset_um=offset_um)
+
+
+def _tools(rest: dict[str, Any], axes: Sequence[str]) -> MappingProxyType[int, ToolRest]:
+    same = list(rest["baseline_um"]) == list(axes)
+    kept = rest.get("tools", {}).items() if same else ()
+    return MappingProxyType({int(number): _tool_rest(tool) for number, tool in kept})
 
 
 def _tool_rest(kept: dict[str, list[float | None]]) -> ToolRest:
@@ -147,6 +171,7 @@ def load_resume_point(
     resumable = 0 <= outage_s <= configuration.compensation.reference.max_outage_s
     stored = history.get_state("reference")
     reference = reference_from_state(stored, clock) if stored and resumable else None
+    kept_stored = history.get_state("kept_reference")
     if stored and not resumable:
         log.warning("reference.too_old", outage_s=outage_s)
     known, kept = history.last_written_macros(), last_block.load()
@@ -160,6 +185,7 @@ def load_resume_point(
         reference=reference,
         known_macros=kept if kept is not None else known,
         rest=history.get_state("rest"),
+        kept_reference=reference_from_state(kept_stored, clock) if kept_stored and resumable else None,
     )
 
 

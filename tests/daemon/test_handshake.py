@@ -9,41 +9,33 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import Bench, Z, running
+from nc_requests import (
+    ACKNOWLEDGE,
+    KIND,
+    PROBE,
+    REFERENCE,
+    TOOL_CHANGE,
+    Z_AXIS,
+    answer,
+    ask,
+    last_asked,
+    requesting_bench,
+)
 
 from daemon.history import HistoryReader
-from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest
+from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused
 from models.records import WriteOutcome
-
-COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE = 520, 521, 522, 523, 524
-REFERENCE, PROBE, TOOL_CHANGE = 1, 2, 3
-Y_AXIS, Z_AXIS = 2, 3
 
 
 @pytest.fixture
 def bench(tmp_path):
-    bench = Bench(tmp_path)
-    for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE):
-        bench.nc.macros.set(number, 0.0)
-    return bench
+    return requesting_bench(tmp_path)
 
 
 @pytest.fixture
 async def rig(bench):
     async with running(bench.rig()) as rig:
         yield rig
-
-
-def ask(bench, counter, kind, axis=0, value_mm=0.0):
-    for number, value in ((KIND, kind), (AXIS, axis), (VALUE, value_mm), (COUNTER, counter)):
-        bench.nc.macros.set(number, float(value))
-
-
-def answer(bench):
-    return bench.nc.macros.get(ACKNOWLEDGE)
-
-
-def last_asked(rig):
-    return next(item for item in reversed(rig.asked) if isinstance(item, ReferenceRequest))
 
 
 async def test_a_reference_is_answered_only_when_it_is_in_force_and_the_cnc_holds_its_value(rig, bench):

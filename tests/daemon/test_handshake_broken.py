@@ -9,41 +9,32 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import Bench, running
+from nc_requests import (
+    ACKNOWLEDGE,
+    KIND,
+    PROBE,
+    REFERENCE,
+    TOOL_CHANGE,
+    Z_AXIS,
+    answer,
+    ask,
+    last_asked,
+    requesting_bench,
+)
 
 from daemon.history import HistoryReader
-from daemon.thermal import ReferenceRequest
 from models.records import Reference
-
-COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE = 520, 521, 522, 523, 524
-REFERENCE, PROBE, TOOL_CHANGE = 1, 2, 3
-Y_AXIS, Z_AXIS = 2, 3
 
 
 @pytest.fixture
 def bench(tmp_path):
-    bench = Bench(tmp_path)
-    for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE):
-        bench.nc.macros.set(number, 0.0)
-    return bench
+    return requesting_bench(tmp_path)
 
 
 @pytest.fixture
 async def rig(bench):
     async with running(bench.rig()) as rig:
         yield rig
-
-
-def ask(bench, counter, kind, axis=0, value_mm=0.0):
-    for number, value in ((KIND, kind), (AXIS, axis), (VALUE, value_mm), (COUNTER, counter)):
-        bench.nc.macros.set(number, float(value))
-
-
-def answer(bench):
-    return bench.nc.macros.get(ACKNOWLEDGE)
-
-
-def last_asked(rig):
-    return next(item for item in reversed(rig.asked) if isinstance(item, ReferenceRequest))
 
 
 async def zero_first_rig(tmp_path):
@@ -161,16 +152,6 @@ async def test_a_restart_after_a_tool_change_takes_the_reference_up(bench):
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.control.reference is not None
-
-
-async def test_tool_settings_that_end_with_the_reference_are_named(rig, bench):
-    await rig.active()
-    ask(bench, 1, REFERENCE, Z_AXIS)
-    await rig.follow(0.0, 0.0, 3)
-    assert rig.control.memory.tools
-    bench.nc.work_offset = 55
-    await rig.turn()
-    assert any("tool settings of T1" in notice for notice in rig.control.journal.notices)
 
 
 async def test_programs_of_the_guard_are_no_other_program(rig, bench):

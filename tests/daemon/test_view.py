@@ -38,6 +38,7 @@ PICTURE = {
     "axes": {"z": AXIS, "x": AXIS | {"estimate_from": None}},
     "model": {"model_id": None, "problem": "model.json: nobody has released this model"},
     "reference": {"id": "r", "source": "O1000 N100", "age_s": 90.0, "set_utc_s": 0.0},
+    "tools_set": [2, 17],
     "temperatures": {
         "usable": 300,
         "total": 302,
@@ -76,6 +77,7 @@ def test_what_matters_is_on_the_screen():
     text = shown(status_view(PICTURE, footer="the footer"))
     for words in (
         *("HOLD", "temperatures are stale", "held for 400 s", "cutting", "insecure connection", "O1000 N100"),
+        "tools set: T2, T17",
         *("nobody has released this model", "allow_writable_model_directory"),
         *("-12.3", "+12.3", "no model for this axis", "300 of 302", "sensor 17", "ALARM", "9 of 10"),
         *("> 20 s", "1.2 s", "24.7 s", "latsis spindle", "no such port", "5 line cycles, 1 incomplete", "the footer"),

@@ -1,0 +1,111 @@
+"""Tool settings: kept per tool, over the end of the work's reference and a restart; never over a power cycle."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import running
+from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
+
+from daemon.thermal import ReferenceEnded
+from models.records import Reference
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return requesting_bench(tmp_path)
+
+
+async def tool_2_set(rig, bench):
+    """Set tool 2 with 8 um applied, then take tool 1, and let the machine go on by 4 um."""
+    await rig.active(handshake=True)
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    ask(bench, 2, REFERENCE, Z_AXIS)
+    await rig.follow(0.0, -8.0, 4)
+    assert answer(bench) == 2.0
+    ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+    await rig.follow(0.0, -12.0, 30)
+    assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
+
+
+async def take_tool_2(rig, bench, counter, z_um):
+    ask(bench, counter, TOOL_CHANGE, 0, 2.0)
+    await rig.follow(0.0, z_um, 40)
+
+
+async def test_another_work_offset_ends_the_reference_and_no_tool_setting(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.work_offset = 55
+        await rig.turn()
+        assert rig.control.reference is None and rig.state == "HOLD"
+        ended = [item for item in rig.asked if isinstance(item, ReferenceEnded)]
+        assert [(item.reference_id, item.for_good) for item in ended] == [("r1", False)]
+        await rig.follow(0.0, -15.0, 5, reference_id="r1")
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 5)
+        assert rig.applied["z"] == pytest.approx(12.0, abs=0.11), "tool 1 stays where it is"
+        await take_tool_2(rig, bench, 4, -1.0)
+        assert rig.applied["z"] == pytest.approx(8.0 + 7.0 + 1.0, abs=0.11)
+        assert not any("tool settings" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_power_cycle_ends_them_and_says_which(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.power_cycle()
+        await rig.turn()
+        await rig.turn()
+        assert not rig.control.memory.tools and rig.control._references.kept is None
+        assert any("settings of T2 have ended" in notice for notice in rig.control.journal.notices)
+        assert rig.asked[-1] == ReferenceEnded(reference_id="r1", for_good=True)
+
+
+async def test_a_power_cycle_after_the_end_of_the_reference_ends_them_too(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.program = 2000
+        await rig.turn()
+        assert list(rig.control.memory.tools) == [2]
+        bench.nc.power_cycle()
+        await rig.turn()
+        await rig.turn()
+        assert not rig.control.memory.tools
+
+
+@pytest.mark.parametrize("ended", [False, True])
+async def test_a_restart_takes_them_up_again_valid_reference_or_not(bench, ended):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        if ended:
+            bench.nc.work_offset = 55
+            await rig.turn()
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    bench.nc.work_offset = 55
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        assert [type(item) for item in rig.asked] == [Reference], "what the settings count from is estimated again"
+        await rig.follow(0.0, -13.0, 3, reference_id="r1")
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 10)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(12.0, abs=0.11)
+        await take_tool_2(rig, bench, 4, -1.0)
+        assert rig.applied["z"] == pytest.approx(8.0 + 5.0 + 1.0, abs=0.11)
+
+
+async def test_a_restart_after_a_power_cycle_does_not(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+    bench.nc.power_cycle()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert not rig.control.memory.tools
+        assert any("settings of T2 have ended" in notice for notice in rig.control.journal.notices)
+        assert rig.asked == []
