@@ -262,6 +262,8 @@ class _Follower:
             flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
         )
         command, memory = step(before.memory, inputs, self._settings)
+        if operation.wanted and planned is None:  # nobody has looked yet how far the wish is off: that stays noted
+            memory = replace(memory, off_since_s=before.memory.off_since_s)
         return _Standing(
             memory=memory,
             command=command,

@@ -1,0 +1,439 @@
+"""What must never happen to the spindle speed, each by the history that would bring it about."""
+
+import itertools
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import running
+from memory_cnc import MemoryCnc
+from speed_machine import MACROS, speed_machine
+from speed_rig import CUT, SAFE, SpeedRig
+
+from config.guard.speed_text import SpeedStatus
+from daemon.history.reader import HistoryReader
+from daemon.output.speed_block import DISABLED, MadeFor, SpeedBlock, SpeedPair
+from daemon.output.speed_writer import SpeedWriteError, SpeedWriter
+from drivers.contract import FatalDriverError
+from models.output import OperatorRequest
+
+PROGRAMMED = (9000.0, 1800.0)
+APPLIED = SpeedStatus.APPLIED
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> Any:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        yield bench
+
+
+async def acknowledge(bench: SpeedRig) -> None:
+    assert bench.rig.control.request(OperatorRequest(acknowledge=True), "a person") == ""
+    await bench.rig.turn(safe=False)
+
+
+async def events(bench: SpeedRig, *kinds: str) -> list[str]:
+    await bench.rig.history.flushed()
+    with HistoryReader(bench.rig.configuration.history.path) as reader:
+        return [event.text for event in reader.events(0.0, 1e12) if event.kind in kinds]
+
+
+# --- a pair belongs to its operation -------------------------------------------------------
+
+
+@pytest.mark.parametrize("other", [{"D": 8.0, "E": 9.0}, {"D": 1.0}, {"F": 1500.0}, {"K": 2.0}])
+async def test_a_deeper_or_otherwise_other_cut_does_not_take_the_pair(bench: SpeedRig, other: dict) -> None:
+    assert (await bench.operation())[2] is APPLIED
+    assert bench.call(**other)[0] == 9000.0
+    assert bench.call(**other)[2] is SpeedStatus.ANOTHER
+    assert bench.call()[2] is APPLIED
+
+
+async def test_another_tool_with_the_same_numbers_does_not_take_the_pair(bench: SpeedRig) -> None:
+    assert (await bench.operation())[2] is APPLIED
+    bench.nc.tool_number = 2
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.ANOTHER)
+    await bench.pass_by(3.0, SAFE)
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.DISABLED)
+    assert bench.picture()["state"] == "OFF"
+
+
+async def test_a_call_is_not_joined_with_the_tool_of_an_older_poll(bench: SpeedRig) -> None:
+    """The tool is changed and the call made between two polls; the daemon looks before it polls again."""
+    await bench.operation()
+    bench.nc.tool_number = 2
+    bench.call(D=3.0)
+    bench.clock.monotonic_s += 1.0
+    await bench.rig.control._guarded(bench.rig.control.side.show(bench.rig.link.session))
+    assert bench.picture()["operation"] == "T1 S9000 F1800 D2"
+    await bench.pass_by(2.0, SAFE)
+    assert bench.picture()["operation"] == "T2 S9000 F1800 D3"
+    assert bench.picture()["alarm"] == ""
+
+
+async def test_a_call_that_names_another_tool_than_the_cnc_is_not_tuned(bench: SpeedRig) -> None:
+    bench.nc.sequence_number = SAFE
+    bench.call()
+    bench.nc.macros.set(MACROS.called_tool, 7.0)
+    await bench.pass_by(5.0, SAFE)
+    assert "the call says tool 7 (#4120), the CNC says 1" in bench.picture()["alarm"]
+    assert bench.picture()["state"] == "OFF"
+    assert not any(bench.written())
+
+
+async def test_a_control_with_another_text_is_not_tuned(bench: SpeedRig) -> None:
+    bench.nc.sequence_number = SAFE
+    bench.call()
+    bench.nc.macros.set(MACROS.called_text, 1.0)
+    await bench.pass_by(5.0, SAFE)
+    assert "print it (`toolpoint guard --speed`) and load it" in bench.picture()["alarm"]
+    assert not any(bench.written())
+
+
+async def test_the_tool_s_own_limit_holds(tmp_path: Path) -> None:
+    free = SpeedRig(tmp_path)
+    async with running(free.rig):
+        await free.rig.turn()
+        wished_rpm = (await free.operation())[0]
+    assert wished_rpm > 9100.0
+    folder = tmp_path / "limited"
+    folder.mkdir()
+    assert free.configuration.spindle_speed is not None
+    operation = free.configuration.spindle_speed.operations[0].model_copy(update={"highest_rpm": 9100.0})
+    bench = SpeedRig(folder, operations=[operation])
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[0] <= 9100.0
+        assert bench.rig.control.journal.fault is None
+
+
+# --- an operation lasts from call to call --------------------------------------------------
+
+
+@pytest.mark.parametrize("program", [9020, 9010, 9013, 4711])
+async def test_a_poll_within_another_program_changes_nothing_in_the_cut(bench: SpeedRig, program: int) -> None:
+    """The guard's programs, the speed program and a subprogram."""
+    speed_rpm, *_ = await bench.operation()
+    await bench.pass_by(3.0, CUT)
+    count = len(bench.nc.written)
+    bench.nc.program = program
+    await bench.pass_by(14.0, CUT)
+    bench.nc.program = 1000
+    await bench.pass_by(14.0, CUT)
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.enable} == {1.0}
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.speed} == {speed_rpm}
+    assert bench.call()[0] == speed_rpm
+    await bench.pass_by(3.0, SAFE)
+    assert bench.call()[0] == speed_rpm
+
+
+async def test_a_call_that_is_being_told_is_not_taken(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    await bench.pass_by(2.0, CUT)
+    count = len(bench.nc.written)
+    calls = bench.nc.macros.get(MACROS.calls)
+    assert calls is not None
+    bench.nc.macros.set(MACROS.calls, -calls - 1.0)
+    bench.nc.macros.set(MACROS.called_depth, 0.0)
+    await bench.pass_by(12.0, CUT)
+    bench.nc.macros.set(MACROS.called_depth, 2.0)
+    bench.nc.macros.set(MACROS.calls, calls + 1.0)
+    await bench.pass_by(12.0, CUT)
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.speed} == {speed_rpm}
+    assert bench.call()[0] == speed_rpm
+
+
+async def test_an_operation_that_comes_again_goes_on_in_steps(bench: SpeedRig) -> None:
+    """Two operations in turn while the spindle warms: each moves by a step at most, or jumps to another pocket."""
+    taken: dict[float, list[float]] = {2.0: [], 1.5: []}
+    for number in range(24):
+        depth_mm = (2.0, 1.5)[number % 2]
+        speed_rpm, _, status = await bench.operation(D=depth_mm)
+        assert status is APPLIED
+        taken[depth_mm].append(speed_rpm)
+        bench.degc += 0.5
+        await bench.pass_by(25.0, CUT)
+    for speeds in taken.values():
+        steps = [abs(b - a) for a, b in itertools.pairwise(speeds)]
+        assert max(steps) > 0.0
+        assert max(steps) <= 200.5
+
+
+async def test_no_second_step_before_the_first_was_taken(bench: SpeedRig) -> None:
+    first, *_ = await bench.operation()
+    await bench.pass_by(2.0, CUT)
+    bench.degc += 14.0
+    await bench.pass_by(60.0, CUT)
+    for _ in range(4):
+        await bench.pass_by(30.0, SAFE)
+        await bench.pass_by(5.0, CUT)
+    assert 0.0 < abs(bench.call()[0] - first) <= 200.5
+
+
+# --- faults, prohibitions, a lost link -----------------------------------------------------
+
+
+async def test_in_fault_nothing_is_decided_and_afterwards_nothing_leaps(bench: SpeedRig) -> None:
+    first, *_ = await bench.operation()
+    await bench.pass_by(2.0, CUT)
+    said = await events(bench, "speed")
+    bench.rig.control.journal.raise_fault("compensation: read-back differs")
+    count = len(bench.nc.written)
+    for _ in range(4):
+        bench.degc += 3.0
+        await bench.pass_by(35.0, SAFE)
+        await bench.pass_by(2.0, CUT)
+    picture = bench.picture()
+    assert picture["state"] == "HOLD"
+    assert "FAULT: compensation: read-back differs" in picture["alarm"]
+    assert picture["commanded_rpm"] is picture["commanded_feed_mm_min"] is None
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
+    assert len(bench.nc.written) == count
+    assert await events(bench, "speed") == said
+    await acknowledge(bench)
+    await bench.pass_by(30.0, CUT)
+    assert set(bench.written()[-2:]) == {first}
+    assert bench.call()[:1] == (first,)
+    await bench.pass_by(30.0, CUT)
+    await bench.pass_by(30.0, SAFE)
+    assert 0.0 < abs(bench.call()[0] - first) <= 200.5
+
+
+async def test_where_nothing_may_be_written_it_says_so_and_decides_nothing(bench: SpeedRig) -> None:
+    bench.rig.control._permission._commissioning = None
+    assert (await bench.operation())[:2] == PROGRAMMED
+    await bench.pass_by(60.0, SAFE)
+    picture = bench.picture()
+    assert picture["state"] == "HOLD"
+    assert "commission" in picture["alarm"]
+    assert picture["commanded_rpm"] is None
+    assert not bench.written()
+    assert not [text for text in await events(bench, "speed") if "begins" not in text]
+    assert len([text for text in await events(bench, "alarm") if text.startswith("spindle speed")]) == 1
+
+
+@pytest.mark.parametrize("taken_groups", [0, 1, 2])
+async def test_a_link_lost_twice_in_a_cut_changes_nothing_in_it(bench: SpeedRig, taken_groups: int) -> None:
+    speed_rpm, *_ = await bench.operation()
+    bench.degc = 36.0
+    await bench.pass_by(3.0, CUT)
+    count = len(bench.nc.written)
+    for _ in range(2):
+        bench.nc.reachable = False
+        await bench.pass_by(2.0, CUT)
+        assert bench.picture()["commanded_rpm"] is None
+        bench.nc.reachable, bench.nc.groups_until_lost = True, taken_groups
+        await bench.rig.connected()
+        await bench.pass_by(3.0, CUT)
+    await bench.rig.connected()
+    await bench.pass_by(20.0, CUT)
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.speed} == {speed_rpm}
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.enable} == {1.0}
+    assert bench.call()[::2] == (speed_rpm, APPLIED)
+    assert bench.rig.control.journal.fault is None
+    await bench.pass_by(20.0, CUT)
+    await bench.pass_by(20.0, SAFE)
+    assert 0.0 < abs(bench.call()[0] - speed_rpm) <= 200.5
+
+
+async def test_a_step_whose_write_is_lost_is_decided_again_not_added_up(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    bench.degc += 14.0
+    await bench.pass_by(60.0, CUT)
+    for _ in range(3):
+        bench.nc.groups_until_lost = 1
+        await bench.pass_by(1.0, SAFE)
+        await bench.rig.connected()
+    await bench.pass_by(3.0, SAFE)
+    assert 0.0 < abs(bench.call()[0] - speed_rpm) <= 200.5
+    assert len([text for text in await events(bench, "speed") if text.startswith(("moves", "jumps"))]) == 2
+
+
+async def test_an_expired_pair_is_shown_as_none(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    await bench.pass_by(1.0, SAFE)
+    assert bench.picture()["commanded_rpm"] == speed_rpm
+    bench.clock.monotonic_s += 31.0
+    assert bench.picture()["commanded_rpm"] is None
+
+
+@pytest.mark.parametrize("refusal", ["refuses", "forgets"])
+async def test_a_refused_step_is_taken_back(bench: SpeedRig, refusal: str) -> None:
+    speed_rpm, *_ = await bench.operation()
+    bench.degc += 14.0
+    await bench.pass_by(60.0, CUT)
+    setattr(bench.nc, refusal, MACROS.speed)
+    await bench.pass_by(3.0, SAFE)
+    assert "spindle speed" in str(bench.rig.control.journal.fault)
+    setattr(bench.nc, refusal, None)
+    await acknowledge(bench)
+    assert bench.rig.control.journal.fault is None
+    await bench.pass_by(20.0, CUT)
+    assert bench.call()[0] == speed_rpm
+    assert not [text for text in await events(bench, "speed") if text.startswith("moves")]
+
+
+async def test_macros_that_cannot_be_read_cost_the_compensation_nothing(
+    bench: SpeedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_macros = MemoryCnc.read_macros
+
+    async def refusing(self: MemoryCnc, macros: Any) -> dict[int, float | None]:
+        if MACROS.echo_status in macros:
+            raise FatalDriverError("the CNC's OPC UA server has no macro variable #560")
+        return await read_macros(self, macros)
+
+    monkeypatch.setattr(MemoryCnc, "read_macros", refusing)
+    await bench.rig.active()
+    session = bench.rig.link.session
+    await bench.pass_by(60.0, SAFE)
+    await bench.rig.follow(5.0, 0.0, 4)
+    assert bench.rig.link.session is session
+    assert bench.rig.state == "ACTIVE"
+    assert "has no macro variable #560" in bench.picture()["alarm"]
+    monkeypatch.undo()
+    bench.nc.reachable = False
+    await bench.pass_by(2.0, SAFE)
+    bench.nc.reachable = True
+    await bench.rig.connected()
+    assert (await bench.operation())[2] is APPLIED
+
+
+# --- what stands in the macros at the start and after a connection -------------------------
+
+
+def fill(bench: SpeedRig, *, valid_for_s: float | None = None, **changes: float) -> None:
+    made_for = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0)
+    pair = SpeedPair(made_for=made_for, speed_rpm=10500.0, feed_mm_min=2100.0, enable=valid_for_s is not None)
+    groups = SpeedBlock(MACROS).encode(pair, after=3, valid_until_s=bench.nc.clock_s + (valid_for_s or 0.0))
+    for number, value in (each for group in groups for each in group):
+        bench.nc.macros.set(number, value)
+    for name, value in changes.items():
+        bench.nc.macros.set(getattr(MACROS, name), value)
+
+
+@pytest.mark.parametrize(
+    "found,sentence",
+    [
+        ({"valid_for_s": 500.0}, "nobody here has written the block, and it is enabled and valid"),
+        ({"valid_for_s": -5.0, "sequence_a": 9.0}, "its sequence numbers differ"),
+        ({"valid_for_s": 500.0, "enable": 3.0}, "enabled and valid"),
+    ],
+)
+async def test_a_block_that_nobody_here_has_written_is_a_fault(tmp_path: Path, found: dict, sentence: str) -> None:
+    bench = SpeedRig(tmp_path)
+    fill(bench, **found)
+    before = [bench.nc.macros.get(number) for number in MACROS.ours]
+    async with running(bench.rig):
+        await bench.rig.turn()
+        await bench.pass_by(3.0, SAFE)
+        await bench.operation()
+        assert sentence in str(bench.rig.control.journal.fault)
+        assert [bench.nc.macros.get(number) for number in MACROS.ours] == before
+        await acknowledge(bench)
+        await bench.pass_by(20.0, SAFE)
+        assert (await bench.operation())[2] is APPLIED
+
+
+@pytest.mark.parametrize("found", [{}, {"valid_for_s": -5.0}])
+async def test_a_whole_block_that_the_nc_does_not_follow_is_taken_over(tmp_path: Path, found: dict) -> None:
+    bench = SpeedRig(tmp_path)
+    fill(bench, **found)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[2] is APPLIED
+        assert bench.rig.control.journal.fault is None
+
+
+async def test_vacant_macros_are_a_fault_that_names_the_command(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    bench.nc.macros.set(MACROS.feed, None)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        await bench.operation()
+        assert "#538 vacant; `toolpoint commission --initialise-only`" in str(bench.rig.control.journal.fault)
+        await acknowledge(bench)
+        await bench.pass_by(2.0, SAFE)
+        assert "#538 vacant" in str(bench.rig.control.journal.fault)
+        assert not any(bench.written())
+        bench.nc.macros.set(MACROS.feed, 0.0)
+        await acknowledge(bench)
+        assert (await bench.operation())[2] is APPLIED
+
+
+async def test_what_somebody_wrote_while_the_link_was_away_is_a_fault(bench: SpeedRig) -> None:
+    await bench.operation()
+    bench.nc.reachable = False
+    await bench.pass_by(2.0, CUT)
+    bench.nc.macros.set(MACROS.speed, 11000.0)
+    bench.nc.reachable = True
+    await bench.rig.connected()
+    count = len(bench.nc.written)
+    await bench.pass_by(15.0, CUT)
+    assert "macro #537 holds 11000" in str(bench.rig.control.journal.fault)
+    assert len(bench.nc.written) == count
+
+
+@pytest.mark.parametrize("torn", [False, True])
+async def test_a_restart_within_a_cut_goes_on_with_the_pair(tmp_path: Path, torn: bool) -> None:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        speed_rpm, *_ = await bench.operation()
+        await bench.pass_by(3.0, CUT)
+        if torn:
+            bench.nc.groups_until_lost = 1
+            await bench.pass_by(12.0, CUT)
+    count = len(bench.nc.written)
+    async with running(bench.new_rig()) as rig:
+        await rig.turn(safe=False)
+        await bench.pass_by(25.0, CUT)
+        assert rig.control.journal.fault is None
+        written = {value for number, value in bench.nc.written[count:] if number == MACROS.speed}
+        assert written <= ({speed_rpm, 0.0} if torn else {speed_rpm})
+        if not torn:
+            assert bench.call()[::2] == (speed_rpm, APPLIED)
+        bench.degc += 14.0
+        await bench.pass_by(30.0, CUT)
+        await bench.pass_by(30.0, SAFE)
+        assert 0.0 <= abs(bench.call()[0] - speed_rpm) <= 200.5
+
+
+async def test_switching_the_control_off_and_on_expires_the_pair_and_is_no_fault(bench: SpeedRig) -> None:
+    await bench.operation()
+    bench.nc.power_cycle()
+    assert bench.call()[2] is SpeedStatus.EXPIRED
+    await bench.pass_by(12.0, CUT)
+    assert bench.rig.control.journal.fault is None
+    assert (await bench.operation())[2] is APPLIED
+
+
+# --- the bounds of the writer --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"speed_rpm": 12001.0, "feed_mm_min": 2400.2},
+        {"speed_rpm": 10000.0, "feed_mm_min": 1800.0},
+        {"speed_rpm": 9400.0, "feed_mm_min": float("nan")},
+        {"speed_rpm": float("nan"), "feed_mm_min": 1800.0},
+        {"speed_rpm": 9900.0, "feed_mm_min": 1980.0},
+    ],
+)
+async def test_a_pair_out_of_bounds_never_leaves(tmp_path: Path, change: dict) -> None:
+    tuning = speed_machine(tmp_path).spindle_speed
+    assert tuning is not None
+    writer = SpeedWriter(tuning, SpeedBlock(MACROS), tmp_path / "store.sqlite")
+    made_for = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0)
+    pair = replace(DISABLED, made_for=made_for, enable=True, **change)
+    operation = tuning.operations[0].model_copy(update={"highest_rpm": 9800.0})
+    with pytest.raises(SpeedWriteError, match="out of bounds"):
+        await writer.write(None, pair, operation, {}, clock_s=0.0, now_s=0.0)  # type: ignore[arg-type]
