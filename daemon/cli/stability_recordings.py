@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from daemon.stability.recordings import Passage
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
+SCALE = FiniteFloat(min=1e-6, max=1e6)
 
 
 def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> "tuple[Passage, ...]":
@@ -42,7 +43,7 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
     callback=_passages,
     help="A part of the recording cut at one depth (may be repeated); without, the whole is judged.",
 )
-@click.option("--full-scale-m-s2", type=POSITIVE, help="What full scale of a WAV file means [m/s^2].")
+@click.option("--full-scale-m-s2", type=SCALE, help="What full scale of a WAV file means [m/s^2].")
 @picture_option
 @json_option
 def chatter(

@@ -54,7 +54,8 @@ def judge_recording(
 def _part(recording: AccelerationRecording, passage: Passage) -> tuple[FloatArray, float]:
     rate_hz, start_s = recording.sample_rate_hz, recording.start_s
     length = len(recording.acceleration_m_s2)
-    first, last = (round((time_s - start_s) * rate_hz) for time_s in (passage.from_s, passage.to_s))
+    places = [(time_s - start_s) * rate_hz for time_s in (passage.from_s, passage.to_s)]
+    first, last = (round(min(max(place, -1.0), length + 2.0)) for place in places)
     if not 0 <= first < last <= length + 1:
         raise StabilityError(
             f"the passage from {passage.from_s:g} to {passage.to_s:g} s is not inside the recording, which runs from "

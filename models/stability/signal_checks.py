@@ -5,6 +5,9 @@ import numpy as np
 from models.records import FloatArray
 from models.stability.errors import StabilityError
 
+FAINTEST_M_S2, LOUDEST_M_S2 = 1e-9, 1e9
+"""Range of the largest acceleration of a recording; outside, its unit or its scale is wrong [m/s^2]."""
+
 
 def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
     """Refuse a signal that is shorter than a window.
@@ -32,7 +35,9 @@ def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
 
 
 def check_clipping(acceleration_m_s2: FloatArray) -> None:
-    """Refuse a signal that does not move, or stays at its largest or smallest value as only a limit makes it.
+    """Refuse a signal that does not move, is no acceleration, or stays at its largest or smallest value.
+
+    A signal stays there as only a limit makes it.
 
     Parameters
     ----------
@@ -49,6 +54,12 @@ def check_clipping(acceleration_m_s2: FloatArray) -> None:
         raise StabilityError(
             f"the recording stands at {float(acceleration_m_s2[0]):g} m/s^2 from beginning to end; check the sensor "
             "and its cable"
+        )
+    largest = float(np.abs(acceleration_m_s2).max())
+    if not FAINTEST_M_S2 <= largest <= LOUDEST_M_S2:
+        raise StabilityError(
+            f"the largest acceleration of the recording is {largest:g} m/s^2, which no accelerometer reads; check unit "
+            "and scale"
         )
     for extreme, name in ((float(acceleration_m_s2.max()), "upper"), (float(acceleration_m_s2.min()), "lower")):
         at_limit = acceleration_m_s2 == extreme

@@ -177,6 +177,14 @@ def test_an_frf_in_another_unit_is_refused(case: Path) -> None:
     scaled = [f"{a},{1e6 * float(b)!r},{1e6 * float(c)!r}" for a, b, c in (row.split(",") for row in rows[1:])]
     frf.write_text("\n".join([rows[0], *scaled]) + "\n")
     assert "softer than any tool; is the unit um/N" in refusal("lobes", path)
+    too_light = [f"{a},{200 * float(b)!r},{200 * float(c)!r}" for a, b, c in (row.split(",") for row in rows[1:])]
+    frf.write_text("\n".join([rows[0], *too_light]) + "\n")
+    said = refusal("lobes", path)
+    assert f"{frf}: read in m/N, a mass of 0.2 g moves with the tool point" in said
+    assert "is the unit mm/N" in said
+    trusted = other(case, (f"{{{MODE}}}", "{frf: x.csv, trust_units: true}"))
+    assert answer("lobes", trusted)["minimum"]["depth_mm"] == pytest.approx(0.29805 / 200, rel=1e-3)
+    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
     frf.write_text("\n".join([*rows[:4], "nonsense,1,2"]) + "\n")
     assert "x.csv:5: column frequency_hz: 'nonsense' is no finite number" in refusal("lobes", path)
     frf.write_text("\n".join(rows[:3]) + "\n")
@@ -296,9 +304,10 @@ def test_chatter_per_depth_with_a_spectrogram(tmp_path: Path) -> None:
         assert picture.stat().st_size > 10_000
     assert [(part["depth_mm"], part["chatter"]) for part in found["depths"]] == [(4, False), (6, True), (8, True)]
     assert (found["chatter"], found["lowest_chatter_depth_mm"]) == (True, 6)
-    assert "not inside the recording" in refusal(
-        "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", "5:9:10"
-    )
+    for outside in ("5:9:10", "0:1e308:10", "-1e308:2:10"):
+        assert "not inside the recording" in refusal(
+            "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", outside
+        )
 
 
 def test_recordings_that_cannot_be_judged(tmp_path: Path) -> None:

@@ -183,3 +183,10 @@ def test_a_dead_accelerometer_is_no_verdict(level: float) -> None:
 def test_harmonics_that_lie_too_close_are_no_verdict(speed_rpm: float) -> None:
     with pytest.raises(StabilityError, match="cannot be told from the cut"):
         detect_chatter(tone(873.0, 2.0, 1.0), 6400.0, speed_rpm, 2)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-12, 1e12, 1e300])
+def test_what_no_accelerometer_reads_is_no_verdict(scale: float) -> None:
+    signal = (forced(6000.0, 2.0) + tone(655.3, 2.0, 5.0)) * scale
+    with pytest.raises(StabilityError, match="which no accelerometer reads"):
+        detect_chatter(signal, RATE_HZ, 6000.0, 4)
