@@ -53,11 +53,16 @@ class DirectionCase(Section):
     frf: Path | None = Field(
         None, description="CSV file with frequency_hz,receptance_re,receptance_im [m/N]; relative to this file's folder"
     )
+    trust_units: bool = Field(
+        False, description="take the units of frf as stated, although no tool point seems to have such a response"
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
         if (self.modes is None) == (self.frf is None):
             raise KeyProblems([((), "give either modes or frf; a direction that does not move is `rigid`")])
+        if self.trust_units and self.frf is None:
+            raise KeyProblems([(("trust_units",), "belongs to frf; modes have no units to trust")])
         return self
 
 

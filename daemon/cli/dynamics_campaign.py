@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
-from daemon.cli.dynamics_options import POSITIVE, rotary_option, show_warnings
+from daemon.cli.dynamics_options import POSITIVE, rotary_option, show_warnings, trust_option
 
 if TYPE_CHECKING:
     from config.spindle import Rotary
@@ -59,6 +59,7 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
 @click.option("--signals", metavar="A,B,...", help="Signals to regress on. Without: chosen by correlation.")
 @click.option("--from-hz", type=POSITIVE, help="Lowest frequency used [Hz].")
 @click.option("--to-hz", type=POSITIVE, help="Highest frequency used [Hz]; up to where the beam model holds.")
+@trust_option
 @click.option("--bounds", "bounds_path", metavar="FILE", type=FILE, help="Physical bounds (YAML).")
 @click.option("--least-squares", is_flag=True, help="No penalty and all thirteen variables, as the source.")
 @click.option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
@@ -74,6 +75,7 @@ def campaign(
     signals: str | None,
     from_hz: float | None,
     to_hz: float | None,
+    trust_units: bool,
     bounds_path: Path | None,
     least_squares: bool,
     only_five: bool,
@@ -105,7 +107,7 @@ def campaign(
     try:
         configuration = None if config_path is None else load_configuration(config_path)
         spindle, bounds = read_spindle(told, rotary), load_bounds(bounds_path)
-        band = Band(from_hz=from_hz, to_hz=to_hz)
+        band = Band(from_hz=from_hz, to_hz=to_hz, trust_units=trust_units)
         runs = [read_run(*pair, configuration, band) for pair in zip(folders, recordings, strict=True)]
         with ProgressBar() as progress:
             result = run_campaign(
@@ -117,6 +119,7 @@ def campaign(
                 parameter_sets=(5,) if only_five else (5, 7, 12),
                 least_squares=least_squares,
                 progress=progress.show,
+                trust_units=trust_units,
             )
     except (ConfigurationError, FatalDriverError, MeasurementError, IdentificationError) as error:
         refuse(str(error))
@@ -142,8 +145,17 @@ def campaign(
 
 @click.command("simulate-campaign")
 @click.argument("folder", metavar="FOLDER", type=FILE)
-@click.option("--day", type=int, default=3, show_default=True, help="Seed of the simulated day.")
-@click.option("--df", "step_hz", type=POSITIVE, default=3.125, show_default=True, help="Step between frequencies [Hz].")
+@click.option(
+    "--day", type=click.IntRange(0, 2**32 - 1), default=3, show_default=True, help="Seed of the simulated day."
+)
+@click.option(
+    "--df",
+    "step_hz",
+    type=FiniteFloat(min=0.1, max=50.0),
+    default=3.125,
+    show_default=True,
+    help="Step between frequencies [Hz].",
+)
 def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
     """Write an impact campaign on the simulated machine into FOLDER: responses, recording, spindle file."""
     from daemon.rehearsal.impact_campaign import write_campaign

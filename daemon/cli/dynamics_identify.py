@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
-from daemon.cli.dynamics_options import POSITIVE, picture_option, rotary_option, show_warnings, spindle_argument
+from daemon.cli.dynamics_options import (
+    POSITIVE,
+    picture_option,
+    rotary_option,
+    show_warnings,
+    spindle_argument,
+    trust_option,
+)
 
 if TYPE_CHECKING:
     from config.spindle import Rotary
@@ -51,6 +58,7 @@ coherence_option = click.option(
 @from_option
 @to_option
 @coherence_option
+@trust_option
 @picture_option
 @json_option
 def identify(
@@ -63,6 +71,7 @@ def identify(
     from_hz: float | None,
     to_hz: float | None,
     least_coherence: float | None,
+    trust_units: bool,
     picture: Path | None,
     json_path: str | None,
 ) -> None:
@@ -80,9 +89,9 @@ def identify(
 
     try:
         spindle = read_spindle(spindle_path, rotary)
-        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence)
+        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
         response = measured_response(measured, band, int(parameters))
-        found = bearings_summary(spindle, response, int(parameters), method, fixed)
+        found = bearings_summary(spindle, response, int(parameters), method, fixed, trust_units=trust_units)
     except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
     except MeasurementError as error:
@@ -112,6 +121,7 @@ def identify(
 @from_option
 @to_option
 @coherence_option
+@trust_option
 @json_option
 def contact(
     spindle_path: Path,
@@ -123,6 +133,7 @@ def contact(
     from_hz: float | None,
     to_hz: float | None,
     least_coherence: float | None,
+    trust_units: bool,
     json_path: str | None,
 ) -> None:
     """Stiffness and damping of a joint of SPINDLE from responses MEASURED in front of it (CSV or universal file)."""
@@ -136,9 +147,9 @@ def contact(
 
     try:
         spindle = read_spindle(spindle_path, rotary)
-        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence)
+        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
         response = measured_response(measured, band, 4)
-        found = contact_summary(spindle, response, joint, after_segment, method)
+        found = contact_summary(spindle, response, joint, after_segment, method, trust_units=trust_units)
     except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
     except MeasurementError as error:

@@ -18,6 +18,12 @@ rotary_option = click.option(
     help="Rotary inertia of a segment's rigid rotation; published: 4-12 as printed. Without: what the file says.",
 )
 
+trust_option = click.option(
+    "--trust-units",
+    is_flag=True,
+    help="Take the units as stated (m/N over Hz), although the file's structure cannot have such a response.",
+)
+
 
 def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
     """Refuse a picture that cannot be written before the work is done."""

@@ -18,8 +18,9 @@ from drivers.impact_index import ImpactIndexError, first_time, read_index
 from drivers.recording_csv import SECONDS, read_header, read_recording
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import CondensedShaft
-from models.dynamics.identification import FIXED
+from models.dynamics.identification import FIXED, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
+from models.dynamics.plausibility import check_frequencies, check_level
 from models.dynamics.response_fit import IdentificationError
 from models.records import FloatArray
 from models.thermomechanics.artifact import model_to_json
@@ -90,9 +91,12 @@ def read_run(folder: Path, recording: Path, configuration: Configuration | None,
     by_axis: dict[str, list[tuple[float, Measurement]]] = {}
     for each in read_index(folder):
         minutes = (each.time - temperatures.start) * temperatures.seconds_per_unit / 60.0
-        measured = average(read_measurements(each.path)).between(band.from_hz, band.to_hz)
+        whole = average(read_measurements(each.path))
+        measured = whole.between(band.from_hz, band.to_hz)
         try:
-            check_for_identification(measured, 5)
+            if not band.trust_units and len(whole.frequency_hz):
+                check_frequencies(whole.frequency_hz)
+            check_for_identification(measured, 5, trust_units=band.trust_units)
         except MeasurementError as error:
             raise MeasurementError(f"{each.path}: {error}") from error
         by_axis.setdefault(each.axis, []).append((minutes, measured))
@@ -187,6 +191,7 @@ def run_campaign(
     parameter_sets: Sequence[int],
     least_squares: bool,
     progress: Progress,
+    trust_units: bool = False,
 ) -> CampaignResult:
     """Identify all responses and fit the regressions.
 
@@ -194,6 +199,8 @@ def run_campaign(
     ------
     IdentificationError
         When responses cannot be fitted, or minutes do not suffice.
+    MeasurementError
+        When a response is of another unit, unless `trust_units`.
     ImpactIndexError
         When runs do not fit together.
 
@@ -203,6 +210,8 @@ def run_campaign(
     axes, candidates = _common(runs)
     frequency_hz = runs[0].responses[axes[0]].measured[0].frequency_hz
     shaft = CondensedShaft(spindle.shaft, frequency_hz)
+    if not trust_units:
+        _check_levels(shaft, runs)
     series = {axis: _series(shaft, frequency_hz, runs, axis, parameter_sets, progress) for axis in axes}
     everything = {axis: _minutes(runs, series[axis][5], axis, candidates) for axis in axes}
     selection = _selected(candidates, everything, series)
@@ -236,6 +245,20 @@ def run_campaign(
         model=replace(model, model_id=f"bearings-{digest[:12]}"),
         warnings=_warnings(spindle, series),
     )
+
+
+def _check_levels(shaft: CondensedShaft, runs: Sequence[Run]) -> None:
+    """Refuse responses that the shaft cannot give in m/N over Hz; raises MeasurementError."""
+    lowest, highest = level_range_m_per_n(shaft)
+    for run in runs:
+        for axis, told in run.responses.items():
+            for minutes, measured in zip(told.time_min, told.measured, strict=True):
+                try:
+                    check_level(measured, lowest, highest)
+                except MeasurementError as error:
+                    raise MeasurementError(
+                        f"{run.folder}: response along {axis} at {minutes:.1f} min: {error}"
+                    ) from error
 
 
 def _common(runs: Sequence[Run]) -> tuple[list[str], tuple[str, ...]]:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from config.spindle_chain import Spindle
+from daemon.dynamics.other_units import refuse_other_units
 from daemon.dynamics.responses import ResponseError, properties
 from drivers.frf_measurement import read_measurements
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
@@ -15,10 +16,13 @@ from models.dynamics.bearings import CondensedShaft, parameters_from_properties
 from models.dynamics.chain import Chain, Part, SpringDamper
 from models.dynamics.contact import Interface, identify_contact
 from models.dynamics.coupling import chain_receptance
-from models.dynamics.identification import FIXED, Method, identify_bearings
+from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
+from models.dynamics.plausibility import check_frequencies, check_level
 from models.dynamics.response_fit import GOOD_FIT, Identified
 
+Fixed = Literal["auto", "source", "file"]
+"""Where the parameters that are not varied come from."""
 POOR_FIT = 0.5
 """Root mean square of |log(H / H_meas)| above which the model does not explain the measurement."""
 
@@ -30,6 +34,8 @@ class Band:
     from_hz: float | None = None
     to_hz: float | None = None
     least_coherence: float | None = None
+    trust_units: bool = False
+    """Whether the units are taken as stated, whatever the numbers look like."""
 
 
 def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
@@ -42,6 +48,8 @@ def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Mea
 
     """
     whole = average([each for path in paths for each in read_measurements(path)])
+    if not band.trust_units and len(whole.frequency_hz):
+        check_frequencies(whole.frequency_hz)
     part = whole.between(band.from_hz, band.to_hz)
     if band.least_coherence is not None:
         part = part.coherent(band.least_coherence)
@@ -49,7 +57,7 @@ def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Mea
         raise MeasurementError(
             f"no frequency is left; the files hold {whole.frequency_hz[0]:g} to {whole.frequency_hz[-1]:g} Hz"
         )
-    check_for_identification(part, parameters)
+    check_for_identification(part, parameters, trust_units=band.trust_units)
     return part
 
 
@@ -58,7 +66,9 @@ def bearings_summary(
     measurement: Measurement,
     parameters: int,
     method: Method = "lm",
-    fixed: Literal["auto", "source", "file"] = "auto",
+    fixed: Fixed = "auto",
+    *,
+    trust_units: bool = False,
 ) -> dict[str, Any]:
     """Return what `toolpoint dynamics identify` prints.
 
@@ -68,37 +78,58 @@ def bearings_summary(
     ------
     ResponseError
         When the spindle has no bearings.
+    MeasurementError
+        When the response is of another unit, unless `trust_units`.
 
     """
     if not spindle.shaft.supports:
         raise ResponseError("the file describes no bearings; give their positions and groups under `bearings`")
-    stated = parameters_from_properties(properties(spindle))
     shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
-    response = measurement.receptance_m_per_n
-    kept_by_file = {name: stated.get(name, value) for name, value in FIXED[parameters].items()}
-    source = "source"
-    if fixed == "file":
-        source = "file"
-        found = identify_bearings(
-            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
+    if not trust_units:
+        check_level(measurement, *level_range_m_per_n(shaft))
+    found, source = _identified(spindle, shaft, measurement, parameters, method, fixed)
+    if not trust_units:
+        few = min(parameters, 7)
+        refuse_other_units(
+            measurement, found.log_error, lambda other: _identified(spindle, None, other, few, "lm", fixed)[0].log_error
         )
-    else:
-        found = identify_bearings(shaft, response, parameters=parameters, start=stated, method=method)
-        if fixed == "auto" and parameters < 12 and found.log_error >= GOOD_FIT:
-            other = identify_bearings(
-                shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
-            )
-            evaluations = found.evaluations + other.evaluations
-            if other.log_error < 0.5 * found.log_error:
-                found, source = other, "file"
-            found = replace(found, evaluations=evaluations)
-    summary = _summary(spindle, found, method)
+    summary = _summary(spindle, measurement, found, method)
     summary["parameters"] = parameters
     summary["fixed_from"] = source if parameters < 12 else None
     return summary
 
 
-def _summary(spindle: Spindle, found: Identified, method: str) -> dict[str, Any]:
+def _identified(
+    spindle: Spindle,
+    shaft: CondensedShaft | None,
+    measurement: Measurement,
+    parameters: int,
+    method: Method,
+    fixed: Fixed,
+) -> tuple[Identified, str]:
+    """Return what was found, and where the parameters that were kept come from."""
+    shaft = shaft or CondensedShaft(spindle.shaft, measurement.frequency_hz)
+    stated = parameters_from_properties(properties(spindle))
+    response = measurement.receptance_m_per_n
+    kept_by_file = {name: stated.get(name, value) for name, value in FIXED[parameters].items()}
+    if fixed == "file":
+        found = identify_bearings(
+            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
+        )
+        return found, "file"
+    found, source = identify_bearings(shaft, response, parameters=parameters, start=stated, method=method), "source"
+    if fixed == "auto" and parameters < 12 and found.log_error >= GOOD_FIT:
+        other = identify_bearings(
+            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
+        )
+        evaluations = found.evaluations + other.evaluations
+        if other.log_error < 0.5 * found.log_error:
+            found, source = other, "file"
+        found = replace(found, evaluations=evaluations)
+    return found, source
+
+
+def _summary(spindle: Spindle, measurement: Measurement, found: Identified, method: str) -> dict[str, Any]:
     warnings = list(spindle.warnings)
     if found.log_error > POOR_FIT:
         warnings.append(
@@ -111,7 +142,10 @@ def _summary(spindle: Spindle, found: Identified, method: str) -> dict[str, Any]
     ]
     unseen = [name for name in found.free if not found.identifiable[name]]
     if unseen:
-        warnings.append(f"the data do not determine {', '.join(unseen)}; other values fit as well")
+        warnings.append(
+            f"the response from {measurement.frequency_hz[0]:g} to {measurement.frequency_hz[-1]:g} Hz does not "
+            f"determine {', '.join(unseen)}; other values fit as well. A wider band may, or fewer parameters"
+        )
     return {
         "name": spindle.description.name,
         "rigid_rotary_inertia": spindle.rotary,
@@ -134,12 +168,34 @@ JOINTS = ("spindle-holder", "holder-tool", "shaft")
 
 
 def contact_summary(
-    spindle: Spindle, measurement: Measurement, joint: str, after_segment: int | None, method: Method
+    spindle: Spindle,
+    measurement: Measurement,
+    joint: str,
+    after_segment: int | None,
+    method: Method,
+    *,
+    trust_units: bool = False,
 ) -> dict[str, Any]:
-    """Return what `toolpoint dynamics contact` prints; raises ResponseError when the file lacks the joint's sides."""
-    interface, start = _interface(spindle, measurement, joint, after_segment)
-    found = identify_contact(interface, measurement.receptance_m_per_n, start=start, method=method)
-    return {**_summary(spindle, found, method), "joint": joint}
+    """Return what `toolpoint dynamics contact` prints.
+
+    Raises
+    ------
+    ResponseError
+        When the file lacks the joint's sides.
+    MeasurementError
+        When the response is of another unit, unless `trust_units`.
+
+    """
+
+    def identified(measured: Measurement, method: Method) -> Identified:
+        """Return the contact that a response shows."""
+        interface, start = _interface(spindle, measured, joint, after_segment)
+        return identify_contact(interface, measured.receptance_m_per_n, start=start, method=method)
+
+    found = identified(measurement, method)
+    if not trust_units:
+        refuse_other_units(measurement, found.log_error, lambda other: identified(other, "lm").log_error)
+    return {**_summary(spindle, measurement, found, method), "joint": joint}
 
 
 def _interface(

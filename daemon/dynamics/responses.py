@@ -10,12 +10,17 @@ from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import BearingProperties
 from models.dynamics.chain import SpringDamper
+from models.dynamics.modes import HIGHEST_HZ as SEARCH_END_HZ
 from models.dynamics.modes import Mode, modes, rigid_body_modes
 from models.records import FloatArray
 
 DEFAULT_STEP_HZ = 12800.0 / 16384.0
 """Spectral line spacing of the source's analyser; 300 to 2500 Hz then are 2817 points."""
+LOWEST_HZ, HIGHEST_HZ = 1e-3, 1e6
+"""Where the beam model is computed: below, a free shaft only drifts; above, waves are shorter than the section."""
 MOST_POINTS = 1_000_000
+CLOSEST = 1e-12
+"""Smallest distance between two frequencies, as a share of them."""
 PLACES = {"nose": "the nose of the spindle alone", "holder": "the front of the holder", "tool": "the tip of the tool"}
 
 
@@ -27,14 +32,22 @@ def frequencies(from_hz: float, to_hz: float, points: int | None, step_hz: float
     """Return the frequencies that a command asks for [Hz], shape (n,); raises ResponseError."""
     if not 0.0 < from_hz < to_hz:
         raise ResponseError(f"frequencies from {from_hz:g} to {to_hz:g} Hz: the first must lie above 0, below the last")
+    if not LOWEST_HZ <= from_hz < to_hz <= HIGHEST_HZ:
+        raise ResponseError(
+            f"frequencies from {from_hz:g} to {to_hz:g} Hz: a spindle is computed between {LOWEST_HZ:g} and "
+            f"{HIGHEST_HZ:g} Hz; beyond there is nothing that a beam says"
+        )
     if points is not None and step_hz is not None:
         raise ResponseError("give --points or --df, not both")
     if points is not None:
+        if to_hz - from_hz < points * CLOSEST * to_hz:
+            raise ResponseError(f"{points} frequencies from {from_hz:g} to {to_hz:g} Hz lie too close; take fewer")
         return np.linspace(from_hz, to_hz, points, dtype=np.float64)
     step = DEFAULT_STEP_HZ if step_hz is None else step_hz
-    count = int(np.floor((to_hz - from_hz) / step * (1.0 + 1e-12))) + 1
-    if count > MOST_POINTS:
-        raise ResponseError(f"{count} frequencies are more than {MOST_POINTS}; widen --df")
+    steps = (to_hz - from_hz) / step
+    if not steps < MOST_POINTS:
+        raise ResponseError(f"steps of {step:g} Hz are more than {MOST_POINTS} frequencies; widen --df")
+    count = int(np.floor(steps * (1.0 + 1e-12))) + 1
     if count < 2:
         raise ResponseError(f"a step of {step:g} Hz leaves one frequency between {from_hz:g} and {to_hz:g} Hz")
     return np.asarray(from_hz + step * np.arange(count), dtype=np.float64)
@@ -117,10 +130,14 @@ def spindle_modes(spindle: Spindle, count: int) -> list[Mode]:
 def modes_summary(spindle: Spindle, count: int) -> dict[str, Any]:
     """Return what `toolpoint dynamics modes` prints."""
     whole = spindle.assembly().whole()
+    found = spindle_modes(spindle, count)
+    warnings = list(spindle.warnings)
+    if len(found) < count:
+        warnings.append(f"{len(found)} of {count} modes lie below {SEARCH_END_HZ:g} Hz, where the search ends")
     return {
         "name": spindle.description.name,
         "rigid_rotary_inertia": spindle.rotary,
-        "warnings": list(spindle.warnings),
+        "warnings": warnings,
         "mass_kg": whole.mass_kg,
         "length_mm": whole.length_m * 1e3,
         "rigid_body_modes": rigid_body_modes(whole),
@@ -130,6 +147,6 @@ def modes_summary(spindle: Spindle, count: int) -> dict[str, Any]:
                 "points_mm": (mode.position_m * 1e3).tolist(),
                 "shape": mode.displacement.tolist(),
             }
-            for mode in spindle_modes(spindle, count)
+            for mode in found
         ],
     }

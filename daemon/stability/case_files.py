@@ -6,7 +6,8 @@ import numpy as np
 
 from config.stability_case import DirectionCase, ModeCase, StabilityCase
 from drivers.frf_measurement import read_measurements
-from models.dynamics.measurement import Measurement
+from models.dynamics.measurement import Measurement, MeasurementError
+from models.dynamics.plausibility import check_tool_point
 from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.lobes import check_lines
@@ -40,7 +41,7 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
 
     """
     directions = {name: direction for name in PLACES if isinstance(direction := getattr(case, name), DirectionCase)}
-    files = {name: read_frf(direction.frf) for name, direction in directions.items() if direction.frf is not None}
+    files = {name: read_direction(case, name, direction) for name, direction in directions.items() if direction.frf}
     modes = {name: _modes(direction) for name, direction in directions.items() if direction.frf is None}
     if not files:
         return modal_response(modes)
@@ -52,6 +53,29 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
         elif name in modes:
             receptance[:, row, column] = modal_receptance(modes[name], frequency_hz)
     return SampledResponse(frequency_hz=frequency_hz, receptance=receptance)
+
+
+def read_direction(case: StabilityCase, name: str, direction: DirectionCase) -> Measurement:
+    """Return the frequency response that a direction (x, y, xy, yx) of a case names.
+
+    Raises
+    ------
+    MeasurementFileError
+        For a file that cannot be read.
+    StabilityError
+        When it is no response that a tool point of the case's diameter can have.
+
+    """
+    assert direction.frf is not None
+    found = read_frf(direction.frf)
+    if name in ("x", "y") and not direction.trust_units:
+        try:
+            check_tool_point(found, case.diameter_mm * 1e-3)
+        except MeasurementError as error:
+            raise StabilityError(
+                f"{direction.frf}: {error} (where it is right all the same: trust_units: true beside `frf`)"
+            ) from error
+    return found
 
 
 def read_frf(path: Path) -> Measurement:
@@ -105,7 +129,7 @@ def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tu
         if direction.frf is None:
             modes[name] = _modes(direction)
             continue
-        samples = read_frf(direction.frf)
+        samples = read_direction(case, name, direction)
         warnings += check_lines(samples.frequency_hz, case.teeth, from_rpm, to_rpm)
         fit = fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
         modes[name] = fit.modes

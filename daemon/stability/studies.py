@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from config.stability_case import DirectionCase, StabilityCase, load_stability_case
-from daemon.stability.case_files import read_frf
+from daemon.stability.case_files import read_direction
 from daemon.stability.lobes import LobesRequest, find_lobes
 from models.dynamics.measurement import Measurement
 from models.records import FloatArray
@@ -50,7 +50,7 @@ def fitted_modes(case: StabilityCase) -> dict[str, tuple[Measurement, ModalFit]]
     for name in ("x", "xy", "yx", "y"):
         direction = getattr(case, name)
         if isinstance(direction, DirectionCase) and direction.frf is not None:
-            samples = read_frf(direction.frf)
+            samples = read_direction(case, name, direction)
             try:
                 found[name] = samples, fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
             except StabilityError as error:

@@ -7,22 +7,31 @@ ten evaluations what Nelder and Mead's simplex on the source's own cost (4-36) f
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+import numpy as np
+
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
+from models.dynamics.plausibility import level_m_per_n
 from models.dynamics.response_fit import (
     GOOD_FIT,
     MOST_ITERATIONS,
+    SEARCH_RANGE,
     Found,
     Identified,
     Model,
     Response,
     descend,
+    evenly_spread,
     levenberg_marquardt,
     nelder_mead,
     report,
 )
 
 Method = Literal["lm", "nelder-mead"]
+
+LEVEL_POINTS = 64
+LEVEL_LINES = 200
+"""Sets of bearing properties, and about how many of the frequencies, at which the level of a shaft is looked at."""
 
 _NEGLIGIBLE = {"ct_34": 1e-5, "cr_12": 1e-5, "cr_34": 1e-5, "cr_5": 1e-5, "kr_5": 1e5}
 FIXED: Mapping[int, Mapping[str, float]] = {
@@ -99,6 +108,26 @@ def identify_bearings(
         found = _least_squares(model, response, measured, free, begin, two_stages)
     values = {name: {**begin, **found.values}[name] for name in present}
     return report(model, measured, values, free, found.evaluations)
+
+
+def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
+    """Return the lowest and the highest level that the nose of a shaft has on bearings of every usual kind [m/N].
+
+    The level is the geometric mean of the magnitudes; the properties are spread over `SEARCH_RANGE`.
+
+    Parameters
+    ----------
+    shaft
+        The shaft, condensed at the frequencies that are looked at.
+
+    """
+    ends = np.log([SEARCH_RANGE[name.partition("_")[0]] for name in PARAMETERS])
+    points = np.exp(ends[:, 0] + evenly_spread(LEVEL_POINTS, len(PARAMETERS)) * (ends[:, 1] - ends[:, 0]))
+    columns = {name: points[:, place] for place, name in enumerate(PARAMETERS)}
+    lines = slice(None, None, max(1, len(shaft.frequency_hz) // LEVEL_LINES))
+    a, b, d = shaft.nose_stiffnesses(columns, lines)
+    levels = [level_m_per_n(row) for row in d / (a * d - b * b)]
+    return min(levels), max(levels)
 
 
 def _simplex(

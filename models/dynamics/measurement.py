@@ -58,6 +58,12 @@ class Measurement:
             raise MeasurementError("the coherence was not measured, so it cannot decide what is used")
         return self._where(self.coherence >= least)
 
+    def thinned(self, lines: int) -> "Measurement":
+        """Return every k-th frequency, so that about as many are left."""
+        kept = np.zeros(len(self.frequency_hz), dtype=bool)
+        kept[:: max(1, len(kept) // lines)] = True
+        return self._where(kept)
+
     def _where(self, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> "Measurement":
         return Measurement(
             frequency_hz=self.frequency_hz[kept],
@@ -100,8 +106,11 @@ def average(measurements: Sequence[Measurement]) -> Measurement:
     return Measurement(frequency_hz=first.frequency_hz, receptance_m_per_n=mean, coherence=np.clip(share, 0.0, 1.0))
 
 
-def check_for_identification(measurement: Measurement, parameters: int) -> None:
-    """Refuse a response that cannot determine as many parameters; raises MeasurementError."""
+def check_for_identification(measurement: Measurement, parameters: int, *, trust_units: bool = False) -> None:
+    """Refuse a response that cannot determine as many parameters; raises MeasurementError.
+
+    `trust_units`: its units are right, whatever the numbers look like.
+    """
     frequency_hz = measurement.frequency_hz
     needed = max(FEWEST_POINTS, 2 * parameters)
     if len(frequency_hz) < needed:
@@ -112,7 +121,7 @@ def check_for_identification(measurement: Measurement, parameters: int) -> None:
     band = f"{low:g} to {high:g} Hz"
     size = np.abs(measurement.receptance_m_per_n)
     middle = float(np.median(size))
-    if not USUAL_M_PER_N[0] < middle < USUAL_M_PER_N[1]:
+    if not (trust_units or USUAL_M_PER_N[0] < middle < USUAL_M_PER_N[1]):
         raise MeasurementError(
             f"half of the receptances between {band} lie above {middle:.3g}, which is no spindle's in m/N "
             f"({USUAL_M_PER_N[0]:g} to {USUAL_M_PER_N[1]:g}); is the unit um/N, or is this an accelerance?"

@@ -139,7 +139,7 @@ def _starts(
 ) -> tuple[int, list[dict[str, float]]]:
     """Return further starts, the most promising first, and how often the response was computed for them."""
     ends = np.log([SEARCH_RANGE.get(name.partition("_")[0], BOUNDS["kt"]) for name in free])
-    points = ends[:, 0] + _evenly_spread(SEARCH_POINTS, len(free)) * (ends[:, 1] - ends[:, 0])
+    points = ends[:, 0] + evenly_spread(SEARCH_POINTS, len(free)) * (ends[:, 1] - ends[:, 0])
     fits = []
     for point in points:
         residual, _ = _residual(model, measured, free, point)
@@ -149,8 +149,11 @@ def _starts(
     return len(points), [told, *(dict(zip(free, np.exp(points[k]).tolist(), strict=True)) for k in order)]
 
 
-def _evenly_spread(points: int, dimensions: int) -> npt.NDArray[np.float64]:
-    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio)."""
+def evenly_spread(points: int, dimensions: int) -> FloatArray:
+    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio).
+
+    Shape (points, dimensions), from 0 to 1.
+    """
     ratio = 2.0
     for _ in range(40):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

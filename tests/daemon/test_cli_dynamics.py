@@ -364,3 +364,82 @@ def test_unfit_measurements_are_refused_with_a_sentence(spindle: Path, tmp_path:
     assert "no frequency is left" in refusal(
         "identify", spindle, write_csv(path, at, values), "--from-hz", 9000, "--to-hz", 9900
     )
+
+
+WRONG_UNITS = {
+    "mm/N": (1.0, 1e3, "numbers in mm/N"),
+    "m/kN": (1.0, 1e-3, "numbers in m/kN"),
+    "kHz": (1e-3, 1.0, "is the axis in kHz?"),
+    "rad/s": (2 * np.pi, 1.0, "is the axis in rad/s"),
+    "1/min": (60.0, 1.0, "is the axis in rad/s or 1/min?"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_UNITS)
+def test_a_response_in_another_unit_is_refused_unless_it_is_trusted(spindle: Path, tmp_path: Path, case: str) -> None:
+    scale, factor, words = WRONG_UNITS[case]
+    at, values = nose(spindle, "--points", 400)
+    path = write_csv(tmp_path / "m.csv", at * scale, values * factor)
+    said = refusal("identify", spindle, path)
+    assert words in said
+    assert str(path) in said
+    trusted = call("identify", spindle, path, "--trust-units", "--json", "-")
+    assert words not in trusted.stderr
+    assert "Traceback" not in trusted.output
+
+
+def test_a_mobility_named_receptance_is_refused(spindle: Path, tmp_path: Path) -> None:
+    at, values = nose(spindle, "--points", 400)
+    path = write_csv(tmp_path / "m.csv", at, values * 2j * np.pi * at)
+    assert "of a mobility in m/s per N" in refusal("identify", spindle, path)
+    named = answer("identify", spindle, write_csv(path, at, values * 2j * np.pi * at, "mobility"), "--fixed", "file")
+    assert named["log_error"] < 1e-6
+
+
+def test_the_unit_of_a_response_at_the_holder_is_found_by_what_fits(tmp_path: Path) -> None:
+    found = answer("frf", "holder_warm_y", "--at", "holder", "--points", 300)
+    values = np.array(found["receptance_re"]) + 1j * np.array(found["receptance_im"])
+    at = np.array(found["frequency_hz"])
+    for scale, factor, words in ((1.0, 1e3, "numbers in mm/N"), (2 * np.pi, 1.0, "numbers over rad/s")):
+        measured = write_csv(tmp_path / "h.csv", at * scale, values * factor)
+        assert words in refusal("contact", "holder_cold_y", measured, "--joint", "spindle-holder")
+    trusted = answer("contact", "holder_cold_y", measured, "--joint", "spindle-holder", "--trust-units")
+    assert trusted["log_error"] > 1.0
+
+
+def test_a_narrow_band_names_what_it_does_not_determine(spindle: Path, tmp_path: Path) -> None:
+    at, values = nose(spindle, "--from-hz", 8000, "--to-hz", 9000, "--points", 300)
+    found = answer("identify", spindle, write_csv(tmp_path / "m.csv", at, values), "--fixed", "file")
+    unseen = [name for name, seen in found["identifiable"].items() if not seen]
+    assert unseen
+    assert f"from 8000 to 9000 Hz does not determine {', '.join(unseen)}" in found["warnings"][-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--to-hz", "1e300"), "a spindle is computed between 0.001 and 1e+06 Hz"),
+        (("--to-hz", "1e300", "--points", 5), "a spindle is computed between"),
+        (("--from-hz", "1e-300", "--to-hz", "1e-299", "--points", 5), "a spindle is computed between"),
+        (("--from-hz", "1e308", "--to-hz", "1.7e308", "--points", 5), "a spindle is computed between"),
+        (("--df", "1e-300"), "are more than 1000000 frequencies"),
+        (("--df", "1e300"), "leaves one frequency"),
+        (("--from-hz", 500, "--to-hz", "500.0000000000001", "--points", 1000), "lie too close"),
+        (("--points", 10**9), "is not in the range"),
+    ],
+)
+def test_extreme_frequencies_are_refused_with_a_sentence(
+    spindle: Path, options: tuple[object, ...], words: str
+) -> None:
+    assert words in refusal("frf", spindle, *options)
+
+
+def test_the_outermost_frequencies_give_numbers(spindle: Path) -> None:
+    found = answer("frf", spindle, "--from-hz", "0.001", "--to-hz", "1e6", "--points", 50)
+    assert np.isfinite(found["receptance_re"]).all()
+
+
+def test_fewer_modes_than_asked_for_are_said(spindle: Path) -> None:
+    found = answer("modes", spindle, "--count", 100)
+    assert len(found["modes"]) < 100
+    assert f"{len(found['modes'])} of 100 modes lie below" in found["warnings"][0]
