@@ -16,7 +16,7 @@ from daemon.commissioning.refusal import CommissioningRefusedError, ForeignWrite
 from daemon.history.writer import HistoryWriter, WriteId
 from daemon.output.cnc_session import CncSession
 from daemon.output.last_block import LastBlock
-from daemon.output.limits import output_limits
+from daemon.output.limits import echo_slack_um, output_limits
 from daemon.output.macro_block import ECHO_SLACK_UM, Echo, MacroBlock
 from daemon.output.reference_watch import power_cycled
 from daemon.telemetry import Telemetry
@@ -62,7 +62,9 @@ class Station:
         self._last_block = last_block
         self.axes = tuple(configuration.compensation.axes)
         self.limits = output_limits(configuration)
-        self._block = MacroBlock(configuration.cnc.macros, self.axes, {})
+        self._block = MacroBlock(
+            configuration.cnc.macros, self.axes, {}, echo_slack_um(configuration), configuration.cnc.guard
+        )
         self._speed = configuration.spindle_speed.macros if configuration.spindle_speed is not None else None
         self._telemetry = Telemetry()
         self._cnc: Cnc | None = None

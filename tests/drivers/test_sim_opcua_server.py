@@ -146,6 +146,10 @@ async def test_subscribers_are_told_of_changes(client: Client) -> None:
             while number not in seen:
                 seen.append(await changes.get())
     await subscription.delete()
+    assert seen[-2:] == [20, 77], "each change once, in its order"
+    NC.sequence_number = 78
+    await asyncio.sleep(0.2)
+    assert changes.empty(), "nobody is told after the end of the subscription"
 
 
 async def test_stop_ends_connections_and_leaves_no_task_and_can_be_repeated() -> None:

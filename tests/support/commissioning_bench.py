@@ -15,6 +15,7 @@ from config.commissioning import CommissioningRecord
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
+from config.schema.guard import GuardConfig
 from daemon.commissioning.procedure import Plan
 from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.session import Sources, commission
@@ -96,7 +97,9 @@ class Bench:
         self.server = SimulatedCncServer(PresentNc(self), self._described.cnc, port=0)
         self.relay = TcpRelay(port=0, target_port=0)
 
-    def reset(self, wiring: Wiring = STRAIGHT, program: PartProgram | None = None) -> None:
+    def reset(
+        self, wiring: Wiring = STRAIGHT, program: PartProgram | None = None, guard: GuardConfig | None = None
+    ) -> None:
         """Put a new machine in the old one's place, with a commissioned block at zero, and take a new store."""
         self.wiring = wiring
         self.machine = CfrpMachine(
@@ -105,6 +108,7 @@ class Bench:
             self._described.temperatures.sensors,
             self._described.cnc.macros,
             self._described.compensation.axes,
+            guard,
             wiring=wiring,
         )
         self._origin_s = self.clock.now().monotonic_s
