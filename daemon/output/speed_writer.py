@@ -102,14 +102,18 @@ class SpeedWriter:
             pair, after=self._block.sequence(found), valid_until_s=clock_s + self._tuning.validity_s
         )
         self._expect(groups, found)
+        verified = False
         try:
             receipt = await session.write_apart(groups, cause=SPEED_CAUSE)
+            verified = receipt.outcome is WriteOutcome.VERIFIED
         except FatalDriverError as error:
             raise SpeedWriteError(f"a write of the spindle speed was refused: {error}") from error
-        if receipt.outcome is not WriteOutcome.VERIFIED:
+        finally:
+            self._certain = verified
+        if not verified:
             raise SpeedWriteError(f"read-back of the spindle speed differs: {receipt.detail}")
         self._known = {number: (value,) for group in groups for number, value in group}
-        self.pair, self._written_s, self._certain = pair, now_s, True
+        self.pair, self._written_s = pair, now_s
 
     def _expect(self, groups: Groups, found: Found) -> None:
         """Know before anything is sent that a macro holds what it did, or what it is to hold."""
@@ -117,7 +121,7 @@ class SpeedWriter:
         for number, value in (each for group in groups for each in group):
             before = found.get(number)
             known[number] = (value,) if before is None else (before, value)
-        self._known, self._certain = known, False
+        self._known = known
         self._last.keep(known)
 
     def _out_of_bounds(self, pair: SpeedPair, operation: SpeedOperationConfig | None) -> str:

@@ -289,16 +289,17 @@ class _Follower:
             return planned, str(error)
         return planned, ""
 
-    @staticmethod
-    def _wanted_pair(standing: _Standing, operation: SpeedOperation) -> SpeedPair:
+    def _wanted_pair(self, standing: _Standing, operation: SpeedOperation) -> SpeedPair:
         """Return what the block should say; before the first safe block of an operation, nothing."""
         command = standing.command
         if command is None or not standing.decided or command.state is SpeedState.OFF:
             return DISABLED
+        speed_rpm = float(round(command.speed_rpm))
+        share = speed_rpm / command.speed_rpm if self._tuning.keep_feed_per_tooth else 1.0
         return SpeedPair(
             made_for=operation.made_for,
-            speed_rpm=float(round(command.speed_rpm)),
-            feed_mm_min=round(command.feed_mm_min, FEED_DECIMALS),
+            speed_rpm=speed_rpm,
+            feed_mm_min=round(share * command.feed_mm_min, FEED_DECIMALS),
             enable=True,
         )
 

@@ -57,6 +57,8 @@ class NcPrograms:
             self._request(K=REFERENCE)
         if block.tool_number is not None:
             self._request(K=TOOL_CHANGE, V=float(block.tool_number))
+        if block.tool_setting is not None:
+            self._request(K=REFERENCE, A=self._axis_number[block.tool_setting])
         if block.probe is not None and probed_um is not None:
             self._request(K=PROBE, A=self._axis_number[block.probe], V=probed_um / UM_PER_MM)
         if self._at_safe_point:
@@ -88,6 +90,7 @@ class NcPrograms:
         """Run to the next dwell or to the end of the program."""
         at_s = self._resume_s
         interpreter = self._application.at(self._nc.macros, self._nc.clock_at(at_s))
+        self._application.control.tool_number = self._nc.tool_number
         if not interpreter.running:
             number, arguments = self._queue.popleft()
             interpreter.start(number, **arguments)

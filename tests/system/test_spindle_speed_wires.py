@@ -1,0 +1,120 @@
+"""The spindle speed over real wires: sensors on lines, the CNC over OPC UA, the NC program as it is shipped."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from milling_wires import CUT, SAFE, MillingWires, milling, tuned
+from speed_machine import MACROS, speed_machine
+
+from config.guard.speed_text import SpeedStatus
+from daemon.history import HistoryReader
+from models.records import WriteOutcome
+
+pytestmark = pytest.mark.wires
+
+ROUGH = {"S": 9000.0, "F": 1800.0, "D": 2.0}
+FINE = {"S": 9000.0, "F": 1800.0, "D": 1.5}
+STEP_RPM = 200.0
+
+
+async def cut(wires: MillingWires, seconds: float) -> set[float]:
+    """Cut for so long of the machine's time; return the speeds that the block has held meanwhile."""
+    wires.machine.nc.sequence_number = CUT
+    held, end_s = set(), wires.machine.time_s + seconds
+    while wires.machine.time_s < end_s:
+        held.add(wires.macro(MACROS.speed) or 0.0)
+        await asyncio.sleep(0.01)
+    return held
+
+
+def wished_away(wires: MillingWires) -> bool:
+    """The wish has left the command by more than the hysteresis, and has waited long enough."""
+    return "waiting for a safe block" in wires.picture()["reason"]
+
+
+async def test_a_part_is_milled_while_the_spindle_warms(tmp_path: Path) -> None:
+    operation = speed_machine(tmp_path).spindle_speed.operations[0]
+    tools = [operation, operation.model_copy(update={"tool_number": 2, "highest_rpm": 11000.0})]
+    async with milling(tmp_path, operations=tools, validity_s=600.0, stale_after_s=600.0) as wires:
+        nc = wires.machine.nc
+        async with tuned(wires) as daemon:
+            await wires.until("the first poll", lambda: daemon.control.phase == "cutting" and daemon.control.memory)
+            rough_rpm, feed_mm_min, status = await wires.operation(**ROUGH)
+            assert status is SpeedStatus.APPLIED
+            assert rough_rpm != 9000.0
+            assert feed_mm_min == pytest.approx(1800.0 * rough_rpm / 9000.0, rel=1e-5)
+            assert nc.spindle_speed_rpm == rough_rpm
+
+            # Within the cut the spindle warms and the wish moves: the command stays.
+            wires.machine.degc += 10.0
+            assert await cut(wires, 30.0) == {rough_rpm}
+            await wires.until("another wish", lambda: wished_away(wires))
+            assert wires.macro(MACROS.speed) == rough_rpm
+
+            # At the next safe block it follows, by a step at most.
+            nc.sequence_number = SAFE
+            assert wires.machine.call(**ROUGH)[::2] == (rough_rpm, SpeedStatus.APPLIED)
+            await wires.until("a step", lambda: wires.picture()["commanded_rpm"] not in (None, rough_rpm))
+            stepped_rpm, _, status = wires.machine.call(**ROUGH)
+            assert status is SpeedStatus.APPLIED
+            assert 0.0 < abs(stepped_rpm - rough_rpm) <= STEP_RPM + 1.0
+            assert await cut(wires, 15.0) == {stepped_rpm}
+
+            # Another tool with the same speed and feed does not take it, and gets one of its own.
+            nc.tool_number = 2
+            nc.sequence_number = SAFE
+            assert wires.machine.call(**ROUGH)[::2] == (9000.0, SpeedStatus.ANOTHER)
+            fine_rpm, _, status = await wires.operation(**FINE)
+            assert status is SpeedStatus.APPLIED
+            await cut(wires, 10.0)
+
+            # The link is lost in the cut, and comes back: nothing changes.
+            await wires.relay.stop()
+            await wires.until("the loss", lambda: wires.picture()["commanded_rpm"] is None)
+            assert wires.picture()["alarm"] == "no link to the CNC"
+            assert await cut(wires, 20.0) == {fine_rpm}
+            await wires.relay.start()
+            await wires.until("the link", lambda: wires.picture()["commanded_rpm"] == fine_rpm)
+            assert await cut(wires, 10.0) == {fine_rpm}
+            nc.sequence_number = SAFE
+            assert wires.machine.call(**FINE)[::2] == (fine_rpm, SpeedStatus.APPLIED)
+            await cut(wires, 5.0)
+
+            # The first tool comes back and goes on from where it was.
+            nc.tool_number = 1
+            again_rpm, _, status = await wires.operation(**ROUGH)
+            assert status is SpeedStatus.APPLIED
+            assert abs(again_rpm - stepped_rpm) <= STEP_RPM + 1.0
+            await cut(wires, 5.0)
+
+            # The program switches it off for the next operation.
+            nc.sequence_number = SAFE
+            assert wires.machine.call(**ROUGH, K=0.0) == (9000.0, 1800.0, SpeedStatus.NOT_WANTED)
+            await wires.until("the end", lambda: wires.macro(MACROS.enable) == 0.0)
+            assert wires.picture()["state"] == "OFF"
+            assert await cut(wires, 5.0) == {0.0}
+            await wires.operation(**ROUGH)
+            assert daemon.control.journal.fault is None
+
+        # Without a daemon the pair runs out, and the programmed one counts.
+        assert wires.machine.call(**ROUGH)[2] is SpeedStatus.APPLIED
+        nc.clock_s += 601.0
+        assert wires.machine.call(**ROUGH) == (9000.0, 1800.0, SpeedStatus.EXPIRED)
+
+        # The next run of the daemon takes its own block over and goes on.
+        async with tuned(wires) as daemon:
+            await wires.until("the first poll", lambda: daemon.control.memory is not None)
+            last_rpm, _, status = await wires.operation(**ROUGH)
+            assert status is SpeedStatus.APPLIED
+            assert abs(last_rpm - again_rpm) <= STEP_RPM + 1.0
+            assert daemon.control.journal.fault is None
+    with HistoryReader(wires.configuration.history.path) as reader:
+        audit = [record for record in reader.writes(0.0, 1e11) if record.cause == "spindle speed"]
+    assert len(audit) > 5
+    lost = [record for record in audit if record.outcome is not WriteOutcome.VERIFIED]
+    assert len(lost) <= 1  # the one, if any, that was under way when the link was lost
