@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 
 from config.spindle import shipped_spindles
 from daemon.cli import main
+from daemon.cli.dynamics_options import PICTURE_LIBRARIES
 
 STEEL = "E_gpa: 200, G_gpa: 76.9, nu: 0.3, density_g_cm3: 7.85"
 TURNING = "kr_nm_per_rad: 2.96e5, cr_nms_per_rad: 0.0338"
@@ -443,3 +444,12 @@ def test_fewer_modes_than_asked_for_are_said(spindle: Path) -> None:
     found = answer("modes", spindle, "--count", 100)
     assert len(found["modes"]) < 100
     assert f"{len(found['modes'])} of 100 modes lie below" in found["warnings"][0]
+
+
+@pytest.mark.parametrize("ending", [".png", ".html"])
+def test_a_picture_without_its_library_names_what_to_install(
+    spindle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    monkeypatch.setitem(PICTURE_LIBRARIES, ending, "library_that_nobody_installed")
+    said = refusal("modes", spindle, "--picture", tmp_path / f"p{ending}")
+    assert "this picture needs library_that_nobody_installed: install toolpoint[plots]" in said
