@@ -13,7 +13,7 @@ from drivers.recording_csv import read_recording
 from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.families import HyperParameters
-from models.thermal.folds import cycles, inner_folds
+from models.thermal.folds import cycles
 from models.thermal.inputs import (
     BoolArray,
     Inputs,
@@ -22,8 +22,7 @@ from models.thermal.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.linear_families import FAMILIES
-from models.thermal.train_family import family_inputs, require_rows
+from models.thermal.prepared import prepare
 from models.thermal.trial import Fault, FaultOutcome, Tester, Trial, trial_rows
 from models.thermal.trust import Trust, judge
 from models.thermal.watch_fit import fit_watch
@@ -165,11 +164,8 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     if not kept:
         raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
     chosen = [with_sensors(recording, kept) for recording in recordings]
-    inputs = family_inputs(chosen, sample_s, model)
-    rows = part.train & inputs.trainable()
-    require_rows(inputs, part.train, rows)
-    fold, _ = inner_folds(inputs, rows)
-    problem = FAMILIES[model][0](inputs, rows, fold, protocol.probe_min)
+    prepared = prepare(chosen, sample_s, model, part.train, protocol.probe_min)
+    inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(chosen, sample_s, rows, fold)
     tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter)

@@ -8,8 +8,8 @@ import numpy as np
 from models.dataset import Recording
 from models.thermal.folds import inner_folds
 from models.thermal.inputs import build_inputs, unusable_sensors, with_sensors
+from models.thermal.prepared import require_rows
 from models.thermal.selection import Method, SensorComparison
-from models.thermal.train_family import require_rows
 
 
 def compare_sensors(

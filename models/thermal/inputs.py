@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from models.cleanse import remove_jumps_at_switching
+from models.cleanse import remove_sudden_jumps
 from models.dataset import DatasetError, Recording
 from models.records import FloatArray
 from models.thermal.lags import lag_table, speed_inputs
@@ -260,7 +260,7 @@ def _bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, Bool
 def _without_jumps(recording: Recording) -> Recording:
     if recording.speed_rpm is None:
         return recording
-    cleansed_um = remove_jumps_at_switching(recording.displacements_um, recording.speed_rpm, JUMP_UM)
+    cleansed_um = remove_sudden_jumps(recording.time_s, recording.displacements_um, recording.speed_rpm, JUMP_UM)
     return replace(recording, displacements_um=cleansed_um)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.cleanse import remove_jumps_at_switching
+from models.cleanse import remove_sudden_jumps
 from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.evaluation import ResidualMetrics
@@ -144,8 +144,8 @@ def _common_period_s(recordings: Sequence[Recording]) -> float:
 def _cleansed(recording: Recording, choices: TrainingChoices) -> Recording:
     if recording.speed_rpm is None or choices.jump_threshold_um is None:
         return recording
-    without_jumps = remove_jumps_at_switching(
-        recording.displacements_um, recording.speed_rpm, choices.jump_threshold_um
+    without_jumps = remove_sudden_jumps(
+        recording.time_s, recording.displacements_um, recording.speed_rpm, choices.jump_threshold_um
     )
     return replace(recording, displacements_um=without_jumps)
 

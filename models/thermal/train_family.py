@@ -9,12 +9,11 @@ import numpy as np
 from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
 from models.thermal.families import Fit, HyperParameters
-from models.thermal.folds import inner_folds
 from models.thermal.inputs import BoolArray, Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.lagged import leverage
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
-from models.thermal.linear_families import FAMILIES
 from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
+from models.thermal.prepared import prepare
 from models.thermal.ridge import RidgeSolution
 from models.thermal.train import increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.trust import REFERENCES, Trust, judge
@@ -23,9 +22,6 @@ from models.thermal.watch_fit import fit_watch
 
 MOST_WATCHED = 400
 """A model of more sensors than this does not carry the watch: its file grows with their square."""
-
-LARGEST_INCOMPLETE_SHARE = 0.5
-"""When fewer training rows than this are complete, that is said instead of fitting the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,13 +36,6 @@ class FamilyTraining:
     folds: str
     """What was left out in turn: `run`, `cycle` or `block`."""
     warnings: tuple[str, ...]
-
-
-def family_inputs(recordings: Sequence[Recording], sample_s: float, family: str) -> Inputs:
-    """Return the rows that a family is fitted on: with lags, or temperatures alone."""
-    if FAMILIES[family][1]:
-        return build_inputs(recordings, sample_s=sample_s)
-    return build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
 
 
 def train_family(
@@ -90,12 +79,9 @@ def train_family(
     if not kept:
         raise DatasetError("no temperature can be used; every one is constant or mostly missing")
     used = [with_sensors(recording, kept) for recording in recordings]
-    inputs = family_inputs(used, sample_s, family)
-    rows = inputs.trainable()
-    require_rows(inputs, np.ones(inputs.rows, dtype=np.bool_), rows)
-    fold, folds = inner_folds(inputs, rows)
+    prepared = prepare(used, sample_s, family)
+    inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     progress(1, 4)
-    problem = FAMILIES[family][0](inputs, rows, fold, None)
     fit = problem.fit()
     progress(2, 4)
     trust = judge(inputs, rows, fold, problem)
@@ -123,7 +109,7 @@ def train_family(
         trust=trust,
         hyper_parameters=problem.hyper_parameters,
         left_out=left_out,
-        folds=folds,
+        folds=prepared.folds,
         warnings=warnings,
     )
 
@@ -132,24 +118,6 @@ def _ids(all_names: Sequence[str], kept: Sequence[str]) -> tuple[int, ...]:
     """Return the IDs that the kept sensors have among all columns of the recording."""
     by_name = dict(zip(all_names, sensor_ids_from_names(all_names), strict=True))
     return tuple(by_name[name] for name in kept)
-
-
-def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:
-    """Raise DatasetError unless enough of the wanted rows are complete, naming the worst column."""
-    if rows.sum() > inputs.layout.sensors and rows.sum() >= LARGEST_INCOMPLETE_SHARE * wanted.sum():
-        return
-    missing = (~np.isfinite(inputs.measured_um[wanted])).mean(axis=0)
-    worst = int(np.argmax(missing))
-    complaints = []
-    if missing[worst] > 0.0:
-        complaints.append(f"column {inputs.channels[worst]} misses {missing[worst]:.0%} of them")
-    if inputs.speed_missing[wanted].any():
-        complaints.append(f"spindle speed misses {inputs.speed_missing[wanted].mean():.0%}")
-    because = f" ({', '.join(complaints)})" if complaints else ""
-    raise DatasetError(
-        f"{', '.join(inputs.recording_names)}: of {int(wanted.sum())} training rows {int(rows.sum())} are complete, "
-        f"for {inputs.layout.sensors} temperatures{because}; record longer, or take incomplete columns out of the map"
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,10 +1,10 @@
 """Whether a fitted model may be used at all, and how wide its prediction band is: both from training rows alone."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from models.cleanse import scatter_um
 from models.dataset import DatasetError
 from models.records import FloatArray
 from models.thermal.families import Fit, Problem, fold_numbers, relative_rmse
@@ -260,27 +260,6 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
         noise_um=noise_um,
         largest_step_um=np.maximum(span, 1e-9),
     )
-
-
-def scatter_um(segments: Sequence[FloatArray]) -> FloatArray:
-    """Return the standard deviation of what is noise in displacements, robust against what moves smoothly.
-
-    Third differences are zero for a parabola; those of white noise have sqrt(20) times its deviation.
-
-    Parameters
-    ----------
-    segments
-        Displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_channels,)
-        [um]; zeros where no stretch has four rows with a value.
-
-    """
-    differences = np.vstack([np.diff(segment, n=3, axis=0) for segment in segments])
-    known = [column[np.isfinite(column)] for column in differences.T]
-    return np.array([1.4826 * np.median(np.abs(c)) / np.sqrt(20.0) if len(c) else 0.0 for c in known])
 
 
 def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:

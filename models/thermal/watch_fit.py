@@ -24,6 +24,10 @@ from models.thermal.watch import (
 
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Damping of the covariance that is tried, relative to the variance of a column."""
+RESTLESS_FLAT_MIN = 5.0
+"""A sensor that never had the same value in two rows of training is stuck after this time [min] ..."""
+FEWEST_FLAT_ROWS = 3
+"""... and so many rows without a change."""
 SMALLEST_THRESHOLD_K = 0.1
 """No departure below this is a fault [K]: less than two steps of a TMP102."""
 
@@ -64,8 +68,8 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         gain=gain,
         precision=_precisions(inputs, rows, centre, gain, [penalty])[0],
         threshold_k=_thresholds_k(largest_k),
-        slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN,
-        flat_min=np.maximum(FLAT_MIN, FLAT_FACTOR * _longest_flat_min(inputs, rows)),
+        slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
+        flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
         speed_scale_rpm=inputs.speed_scale_rpm,
     )
 
@@ -132,6 +136,15 @@ def _largest_slew(inputs: Inputs, rows: BoolArray) -> FloatArray:
     follows = (np.diff(inputs.run[used]) == 0) & (np.diff(inputs.time_min[used]) <= 1.5 * inputs.period_min)
     slew = np.abs(np.diff(inputs.degc[used], axis=0)) / np.maximum(np.diff(inputs.time_min[used]), 1e-9)[:, None]
     return np.asarray(slew[follows].max(axis=0, initial=0.0))
+
+
+def _flat_min(longest_min: FloatArray, period_min: float) -> FloatArray:
+    """Return how long each sensor may keep its value, from the longest time for which it did in training [min].
+
+    A sensor with enough noise never to repeat itself needs less patience than one that counts in steps.
+    """
+    patient = np.maximum(FLAT_MIN, FLAT_FACTOR * longest_min)
+    return np.where(longest_min > 0.0, patient, max(RESTLESS_FLAT_MIN, FEWEST_FLAT_ROWS * period_min))
 
 
 def _longest_flat_min(inputs: Inputs, rows: BoolArray) -> FloatArray:

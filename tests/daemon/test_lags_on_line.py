@@ -37,25 +37,41 @@ STEPS_AT_ONCE = 60
 CHAINS = {"spindle": slice(0, 3), "column": slice(3, 5)}
 
 
-def day(minutes=MINUTES, seed=3):
-    """Warm-up and cooling of two parts under a spindle that runs and stands: temperatures, speed, displacement."""
+def day(minutes=MINUTES, seed=3, *, by_load=False):
+    """Warm-up and cooling of two parts under a spindle that runs and stands: temperatures, speed, displacement.
+
+    With `by_load` the sensors see what the load warms, and only the speed tells of a third part.
+    """
     rng = np.random.default_rng(seed)
     speeds = rng.permutation([0.0, 6000.0, 1500.0, 5000.0, 3000.0])
     rpm = np.resize(np.repeat(speeds, 33), minutes)
-    fast, slow = np.zeros(minutes), np.zeros(minutes)
+    load = np.resize(np.repeat([0.2, 1.0, 0.5, 1.3, 0.0, 0.8, 0.4], 40), minutes)
+    fast, slow, unseen = np.zeros(minutes), np.zeros(minutes), np.zeros(minutes)
     for k in range(1, minutes):
-        heat = (rpm[k - 1] / 6000.0) ** 2
+        heat = load[k - 1] if by_load else (rpm[k - 1] / 6000.0) ** 2
+        unseen[k] = unseen[k - 1] + (by_load * (rpm[k - 1] / 6000.0) ** 2 - unseen[k - 1]) / 30.0
         fast[k] = fast[k - 1] + (heat - fast[k - 1]) / 14.0
         slow[k] = slow[k - 1] + (heat - slow[k - 1]) / 60.0
     places = np.random.default_rng(0).uniform(1.0, 8.0, (2, len(SENSOR_IDS)))
     degc = 22.0 + fast[:, None] * places[0] + slow[:, None] * places[1]
-    um = (-30.0 * fast + 12.0 * slow)[:, None] + rng.normal(0.0, 0.05, (minutes, 1))
+    um = (-30.0 * fast + 12.0 * slow - 20.0 * unseen)[:, None] + rng.normal(0.0, 0.05, (minutes, 1))
     return degc + rng.normal(0.0, 0.02, degc.shape), rpm, um
 
 
 @pytest.fixture(scope="module")
 def model():
-    degc, rpm, um = day(seed=1)
+    return trained(day(seed=1))
+
+
+@pytest.fixture(scope="module")
+def model_with_speed():
+    made = trained(day(seed=1, by_load=True))
+    assert made.layout.speed_lags_min
+    return made
+
+
+def trained(table):
+    degc, rpm, um = table
     recording = Recording(
         name="day",
         time_s=60.0 * np.arange(float(len(rpm))),
@@ -72,10 +88,10 @@ def model():
 class Shop:
     """A machine, its store, and one thermal task after the other."""
 
-    def __init__(self, directory, model):
+    def __init__(self, directory, model, *, by_load=False):
         self.configuration, self.model = machine(directory), model
         self.clock = HandClock()
-        self.degc, self.rpm, _ = day(seed=7)
+        self.degc, self.rpm, _ = day(seed=7, by_load=by_load)
         self.minute = 0.0
         self.begin()
 
@@ -156,8 +172,8 @@ def sample(now, rpm):
     )
 
 
-async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it_needs(tmp_path, model):
-    shop = Shop(tmp_path, model)
+async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it_needs(tmp_path, model_with_speed):
+    shop = Shop(tmp_path, model_with_speed, by_load=True)
     await shop.prepare()
     await shop.run(180)
     await shop.refer()
@@ -271,8 +287,8 @@ async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path,
     await shop.end()
 
 
-async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model):
-    shop = Shop(tmp_path, model)
+async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model_with_speed):
+    shop = Shop(tmp_path, model_with_speed, by_load=True)
     await shop.prepare()
     await shop.run(16.3 * 60)
     await shop.refer()

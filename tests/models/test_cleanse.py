@@ -14,8 +14,11 @@ from models.cleanse import (
     cleanse_cycle,
     initial_state,
     remove_jumps_at_switching,
+    remove_sudden_jumps,
+    scatter_um,
 )
 from models.quality import Quality, Reason
+from models.records import FloatArray
 
 RULES = CleansingRules()
 PERIOD_S = 10.0
@@ -198,3 +201,38 @@ def test_speeds_and_displacements_must_go_together() -> None:
         remove_jumps_at_switching(np.zeros(4), np.zeros(3))
     with pytest.raises(ValueError, match="threshold_um"):
         remove_jumps_at_switching(np.zeros(4), np.zeros(4), -1.0)
+
+
+def switched(period_s: float, *, jump_um: float, noise_um: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Two warm-ups of 40 um over 12 min, with a jump while the spindle turns; times [s], displacements, speed."""
+    time_s = np.arange(0.0, 4 * 3600.0, period_s)
+    on = (time_s // 3600.0) % 2 == 1
+    since_s = time_s % 3600.0
+    warm_um = 40.0 * np.where(on, 1.0 - np.exp(-since_s / 720.0), np.exp(-since_s / 720.0) * (time_s > 3600.0))
+    noise = np.random.default_rng(4).normal(0.0, noise_um, len(time_s))
+    return time_s, (warm_um + jump_um * on + noise)[:, None], np.where(on, 3000.0, 0.0)
+
+
+@pytest.mark.parametrize("period_s", [10.0, 60.0, 300.0])
+@pytest.mark.parametrize("noise_um", [0.0, 1.0])
+def test_quick_warming_slow_sampling_and_noise_are_no_jump(period_s: float, noise_um: float) -> None:
+    time_s, um, speed_rpm = switched(period_s, jump_um=0.0, noise_um=noise_um)
+    np.testing.assert_array_equal(remove_sudden_jumps(time_s, um, speed_rpm, 3.0), um)
+
+
+@pytest.mark.parametrize("period_s", [10.0, 60.0])
+def test_a_sudden_jump_is_taken_out_and_the_warming_stays(period_s: float) -> None:
+    time_s, smooth, speed_rpm = switched(period_s, jump_um=0.0)
+    _, jumping, _ = switched(period_s, jump_um=12.0)
+    left = remove_sudden_jumps(time_s, jumping, speed_rpm, 3.0) - smooth
+    assert np.abs(left).max() < 3.5  # the warming of one minute, which nobody can tell from a part of the jump
+    with_gap = np.where(((time_s > 3500.0) & (time_s < 5000.0))[:, None], np.nan, smooth)
+    np.testing.assert_array_equal(remove_sudden_jumps(time_s, with_gap, speed_rpm, 3.0), with_gap)
+
+
+def test_scatter_is_what_does_not_move_smoothly() -> None:
+    rng = np.random.default_rng(3)
+    smooth = 40.0 * np.sin(np.arange(2000.0) / 60.0)[:, None]
+    assert scatter_um([smooth])[0] < 0.001
+    assert scatter_um([smooth + rng.normal(0.0, 0.5, smooth.shape), smooth[:2]])[0] == pytest.approx(0.5, rel=0.1)
+    assert scatter_um([smooth[:3]])[0] == 0.0

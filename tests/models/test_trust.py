@@ -12,7 +12,7 @@ from models.thermal.folds import cycles, inner_folds, spindle_starts
 from models.thermal.inputs import build_inputs
 from models.thermal.lags import lag_table
 from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
-from models.thermal.trust import excursions, few_folds_factor, fit_bias_filter, judge, scatter_um
+from models.thermal.trust import excursions, few_folds_factor, fit_bias_filter, judge
 
 
 def recording(um: FloatArray, degc: FloatArray, rpm: FloatArray | None, step_s: float = 60.0) -> Recording:
@@ -162,14 +162,6 @@ def test_the_wander_of_a_ramp_is_its_slope(slope: float) -> None:
     time_min = np.arange(0.0, 300.0)
     found = wander_um2_per_min(time_min, slope * time_min[:, None], 60.0)[0]
     assert found == pytest.approx((slope * 60.0) ** 2 / 60.0)
-
-
-def test_scatter_is_what_does_not_move_smoothly() -> None:
-    rng = np.random.default_rng(3)
-    smooth = 40.0 * np.sin(np.arange(2000.0) / 60.0)[:, None]
-    assert scatter_um([smooth])[0] < 0.001
-    assert scatter_um([smooth + rng.normal(0.0, 0.5, smooth.shape), smooth[:2]])[0] == pytest.approx(0.5, rel=0.1)
-    assert scatter_um([smooth[:3]])[0] == 0.0
 
 
 @pytest.mark.parametrize("noise_um", [0.0, 0.05, 1.0])
