@@ -15,6 +15,7 @@ from models.records import MachineTemperatures, Trace
 from models.thermomechanics.artifact import model_to_json
 
 CUT, SAFE = 200, 900
+CYCLE_S = 5
 
 
 class SpeedRig:
@@ -42,14 +43,16 @@ class SpeedRig:
         return self.rig.control.side.speed
 
     async def pass_by(self, seconds: float, sequence_number: int, *, temperatures: bool = True) -> None:
-        """Let time pass in a block of the part program, second by second."""
+        """Let time pass in a block of the part program, second by second; a lost link comes back where it can."""
         self.nc.sequence_number = sequence_number
-        for second in range(round(seconds)):
-            if temperatures and second % 5 == 0:
+        for _ in range(round(seconds)):
+            if temperatures and round(self.clock.monotonic_s) % CYCLE_S == 0:
                 self.rig.control.deliver(self.cycle())
             await self.rig.turn(after_s=1.0, safe=False)
             await self.rig.control._guarded(self.rig.control.side.show(self.rig.link.session))
             await self.speed.worker.settled()
+            if self.nc.reachable:
+                await self.rig.connected()
 
     def call(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
         """Let the part program call the speed program at a safe block; return what the NC then turns at."""
