@@ -12,27 +12,37 @@ from pathlib import Path
 from typing import Any
 
 from config.schema import Configuration
+from daemon.rehearsal.campaign_models import ModelShelf
 from daemon.rehearsal.campaign_person import ROUND_S, Person
 from daemon.rehearsal.campaign_process import Acknowledgements, DaemonProcess
-from daemon.rehearsal.campaign_result import Result
+from daemon.rehearsal.campaign_result import Result, progress_line
 from daemon.rehearsal.campaign_store import StoreCheck
+from daemon.rehearsal.campaign_truth import TruthKeeper
+from daemon.rehearsal.heartbeat_watch import HeartbeatWatch
 from daemon.rehearsal.invariants import Claims, Ledger, WriteWatch
-from daemon.rehearsal.recovery import GoodInput, RecoveryWatch, Truth
-from drivers.sim.campaign_script import DAY_S, OF_A_PERSON, Happening, Incident, campaign
+from daemon.rehearsal.operations_watch import OperationsWatch, Request
+from daemon.rehearsal.policy import change_policy
+from daemon.rehearsal.recovery import GoodInput, RecoveryWatch
+from drivers.sim.campaign_script import DAY_S, OF_A_PERSON, Happening, Incident
 from drivers.sim.campaign_world import CampaignWorld
 from drivers.sim.day import Day
 from drivers.sim.faults import FaultKind
 from drivers.sim.machine import CfrpMachine
-from drivers.sim.program import shift_program
+from drivers.sim.nc import RunCode
+from drivers.sim.program import RETREAT, campaign_program
 
 NAMES = (
     *WriteWatch.NAMES,
+    *OperationsWatch.NAMES,
     "state_after_fault",
     "fault_is_latched",
+    "changes_of_state_known",
+    "heartbeat",
     "acknowledged_cycles_kept",
     "audit_complete",
     "audit_has_every_block",
     "displacements_once",
+    "probes_kept",
     "nothing_unexpected",
     "memory_growth",
 )
@@ -41,11 +51,10 @@ GROWTH_MIB = 5.0
 WARM_UP_S = 3600.0
 MEMORY_LOOK_S = 600.0
 KEPT_BLOCKS = 100_000
-TEMPERATURES_LATE_S = 25.0
-"""Temperatures arrive when a line has been heard within this time [s]."""
+PROGRAM = 1000
+"""O number of the part program."""
 SETTLED_S = 300.0
 """A daemon that has followed the CNC for so long has stored how the last life's open intent ended [s]."""
-ZERO_UM = 1e-6
 STOP_S = 120.0
 """At the end the daemon gets so much virtual time to stop [s]."""
 
@@ -63,9 +72,10 @@ class Campaign:
         seed: int,
         epoch_utc_s: float,
         progress: Callable[[str], None],
-        script: Sequence[Happening] | None = None,
+        script: Sequence[Happening],
+        shelf: ModelShelf,
     ) -> None:
-        """Prepare; without a `script` everything happens once in turn, and then by chance."""
+        """Prepare."""
         self._configuration = configuration
         self._config_path = config_path
         self._directory = directory
@@ -78,15 +88,19 @@ class Campaign:
         self._writes = WriteWatch(configuration, ledger)
         self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
         lines = configuration.temperatures.lines
-        happenings = campaign(days, seed, lines) if script is None else script
         machine = CfrpMachine(
             Day.draw(seed, start="cold"),
-            shift_program(),
+            campaign_program(),
             configuration.temperatures.sensors,
             configuration.cnc.macros,
             configuration.compensation.axes,
+            configuration.cnc.guard,
         )
-        self._world = CampaignWorld(machine, configuration, happenings, self, epoch_utc_s=epoch_utc_s, seed=seed)
+        self._shelf = shelf
+        self._world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=epoch_utc_s, seed=seed)
+        self._operations = OperationsWatch(ledger, configuration.cnc.macros.request)
+        self._truth = TruthKeeper(configuration, self._world, self._operations, shelf)
+        self._heart = HeartbeatWatch(configuration.cnc.macros, ledger)
         self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
         sensors = {line.name: line.sensor_ids[0] for line in lines}
         self._store = StoreCheck(configuration.history.path, sensors, ledger)
@@ -95,7 +109,6 @@ class Campaign:
         self._claims: Claims | None = None
         self._heard_at_s = 0.0
         self._life_began_s = 0.0
-        self._heard_s = -1e9
         self._case_kinds: set[str] = set()
         self._good_input = GoodInput([line.name for line in lines])
         self._kill: Happening | None = None
@@ -118,7 +131,9 @@ class Campaign:
                 self._live()
                 if self._world.time_s >= next_progress_s:
                     next_progress_s = self._world.time_s + DAY_S / 24
-                    self._say(time.monotonic() - began)
+                    self._progress(
+                        progress_line(self.result, self._world.time_s, self._end_s, time.monotonic() - began)
+                    )
             self.result.days = self._world.time_s / DAY_S
             self._finish()
         finally:
@@ -151,6 +166,7 @@ class Campaign:
 
     def _start(self) -> DaemonProcess:
         self.result.lives += 1
+        self._shelf.repair()
         seed = f"daemon {self._seed} {self.result.lives}"
         self._process = DaemonProcess(
             self._config_path,
@@ -159,6 +175,8 @@ class Campaign:
             log_path=self._directory / "daemon.log",
         )
         self._life_began_s = self._next_memory_s = self._world.time_s
+        self._operations.restarted(self._world.time_s)
+        self._heart.disturbed(self._world.time_s)
         self._memory_at_start = self._follows_since_s = None
         self._acknowledging = False
         self._blocks = []
@@ -186,6 +204,7 @@ class Campaign:
         process, self._process = self._process, None
         assert process is not None
         self._person.hang_up()
+        self._operations.died(self._world.time_s)
         self._world.desert()
         process.wait()
         self._acknowledged.take(process)
@@ -215,6 +234,8 @@ class Campaign:
             self._store.audit(self._open_intents, self._blocks, written=self.result.blocks > 0)
         self._store.acknowledged_cycles(self._acknowledged, all_of_them=True)
         self._store.displacements()
+        self._store.probes(self._operations.probes, list(self._configuration.compensation.axes))
+        self._store.changes_of_state()
         result = self.result
         result.recovery_s = self._recovery.times_s
         result.not_judged = self._recovery.disturbed
@@ -240,6 +261,9 @@ class Campaign:
             case "read":
                 answer = world.cnc.read(arguments[0])
                 if answer[0] == "ok":
+                    nc = world.machine.nc
+                    at_retreat = (nc.program, nc.sequence_number) == (PROGRAM, RETREAT)
+                    self._operations.polled(world.time_s, retreat_block=at_retreat and nc.run == RunCode.START)
                     self._good_input.cnc()
                     self._note_good_input(world.time_s)
                 return answer
@@ -288,14 +312,16 @@ class Campaign:
             self.result.blocks += 1
             self._blocks.append(group[0][1])
             del self._blocks[:-KEPT_BLOCKS]
+        request = self._configuration.cnc.macros.request
+        if taken and request is not None and group[0][0] == request.acknowledge:
+            self._writes.mark(self._world.time_s, self._operations.answered(self._world.time_s, group[0][1]))
 
     # --- what is watched ------------------------------------------------------------------------
 
     def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
         """Take the end of a pass (`drivers.sim.campaign_world.Watcher`)."""
         self.result.cycles += 1
-        if heard:
-            self._heard_s = time_s
+        self._truth.cycle(time_s, whole=whole, heard=heard)
         if whole:
             self._good_input.cycle(line)
             self._note_good_input(time_s)
@@ -304,8 +330,14 @@ class Campaign:
         """Take what the NC applies."""
         self._writes.applied(time_s, applied_um, cutting=cutting)
 
+    def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
+        """Take a request of the NC program."""
+        self._operations.asked(Request(time_s=time_s, counter=counter, kind=kind, axis=axis, value_mm=value_mm))
+
     def begun(self, time_s: float, happening: Happening) -> None:
         """Take the begin of an incident."""
+        self._operations.begun(time_s, happening)
+        self._heart.disturbed(happening.end_s)
         self.result.incidents[happening.kind.value] += 1
         self._recovery.begun(happening.kind.value)
         self._case_kinds.add(happening.kind.value)
@@ -316,8 +348,22 @@ class Campaign:
             self._kill = happening
         elif happening.kind is Incident.KILLED_IN_WRITE and process is not None:
             self._kill_after_groups = (int(happening.amount), happening)
+        elif happening.kind is Incident.OTHER_POLICY:
+            change_policy(self._config_path, zero_first=self._operations.zero_first)
+            self._kill = happening
+        elif happening.kind is Incident.MODEL_RELOAD:
+            self._shelf.exchange()
+            self._operations.released(time_s, self._shelf.model_id)
+            self._reload_model()
+        elif happening.kind is Incident.DAMAGED_MODEL:
+            self._shelf.damage()
+            self._reload_model()
         elif happening.kind in OF_A_PERSON:
             self._person.do(happening)
+
+    def _reload_model(self) -> None:
+        if self._process is not None:
+            self._process.reload_model()
 
     def ended(self, time_s: float, happening: Happening) -> None:
         """Take its end."""
@@ -325,6 +371,9 @@ class Campaign:
             self._process.free_disk()
         if happening.kind in OF_A_PERSON:
             self._person.undo(happening)
+        if happening.kind is Incident.DAMAGED_MODEL:
+            self._shelf.repair()
+        self._operations.ended(happening)
         self._good_input.after(happening)
         if not self._world.active:
             self._recovery.over(self._case_kinds)
@@ -338,6 +387,12 @@ class Campaign:
             world.cnc.repair()
         self._acknowledging |= self._person.round(world.time_s, self._claims, calm=calm)
         world.at(world.time_s + ROUND_S, self._round)
+        self._operations.round(world.time_s, self._claims)
+        if self._claims is not None:
+            self._heart.look(world.time_s, self._claims, world.machine.nc)
+            if self._shelf.is_watching(self._claims.model):
+                for happening in (h for h in world.active if h.kind is Incident.WRONG_SENSOR):
+                    self._operations.wrong_sensor(world.time_s, happening, self._claims)
         if (process := self._process) is None or world.time_s < self._next_memory_s:
             return
         self._acknowledged.take(process)
@@ -366,35 +421,14 @@ class Campaign:
             self._recovery.left_fault(time_s, acknowledged=self._acknowledging)
             self._acknowledging = False
         self._writes.heard(time_s, claims)
-        self._writes.input_is(time_s, good=time_s - self._heard_s <= TEMPERATURES_LATE_S)
+        self._truth.heard(time_s, claims)
+        self._operations.heard(time_s, claims, self._truth.applied_um)
+        self._writes.input_is(time_s, good=self._truth.temperatures(time_s))
         self._note_good_input(time_s)
         if self._recovery.open:
-            self._recovery.look(time_s, self._truth(time_s), claims)
+            self._recovery.look(time_s, self._truth.at(time_s, claims), claims)
 
     def _note_good_input(self, time_s: float) -> None:
         """Begin to count when the first good input has arrived; what the daemon claims is still from before it."""
         if self._claims is not None and self._recovery.waiting and self._good_input.there:
             self._recovery.good_input(time_s, self._claims)
-
-    def _truth(self, time_s: float) -> Truth:
-        macros = self._configuration.cnc.macros
-        table = self._world.machine.nc.macros
-        echoes = [table.get(number) for number in macros.echo_applied.values()]
-        known = [value for value in echoes if value is not None]
-        return Truth(
-            reachable=self._world.cnc.reachable,
-            temperatures=time_s - self._heard_s <= TEMPERATURES_LATE_S,
-            distrust=bool(self._world.cnc.proof),
-            echo_known=len(known) == len(echoes),
-            at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),
-        )
-
-    def _say(self, wall_s: float) -> None:
-        shares = sorted(self.result.states_s.items(), key=lambda item: -item[1])
-        states = ", ".join(f"{state} {100 * s / max(self._world.time_s, 1):.0f} %" for state, s in shares)
-        self._progress(
-            f"day {self._world.time_s / DAY_S:.2f} of {self._end_s / DAY_S:g} after {wall_s:.0f} s: "
-            f"{self.result.cycles} cycles, {self.result.blocks} blocks, "
-            f"{sum(self.result.incidents.values())} incidents, "
-            f"{self._ledger.violations} violations, {self.result.rss_mib:.1f} MiB; {states}"
-        )

@@ -14,6 +14,8 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from config.loader import load_configuration
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
@@ -22,6 +24,7 @@ from daemon.app import Daemon
 from daemon.history.rows import utc_ms
 from daemon.history.writer import HistoryWriter
 from daemon.operation.logs import configure_logging
+from daemon.output.control import ControlTask
 from daemon.registry import Parts
 from drivers.clock import Clock
 from drivers.contract import DisplacementSource, TemperatureSource
@@ -30,7 +33,8 @@ from drivers.latsis_serial import LatsisSerialSource
 from drivers.sim.virtual_cnc import VirtualCnc
 from drivers.sim.virtual_time import VirtualClock, VirtualLoop
 from drivers.sim.virtual_world import Channel, VirtualReader, VirtualWorld
-from models.records import TemperatureCycle
+from models.output import OutputMemory
+from models.records import TemperatureCycle, ThermalErrorEstimate
 
 HOUSEKEEPING_S = 6 * 3600.0
 """Time between housekeeping runs [virtual s]."""
@@ -101,6 +105,7 @@ class CampaignDaemon:
             line.name: deque() for line in configuration.temperatures.lines
         }
         self._acknowledged = acknowledged
+        self._judged: tuple[ThermalErrorEstimate | None, tuple[bool, ...], bool] = (None, (), False)
 
     def run(self) -> None:
         """Run until the campaign ends it."""
@@ -162,7 +167,18 @@ class CampaignDaemon:
             bool(estimate.in_domain) if estimate is not None else False,
             estimate.reference_id if estimate is not None else None,
             memory.reason,
+            self._estimated(control, memory, estimate),
+            estimate.model_id if estimate is not None else None,
+            bool(estimate.doubt) if estimate is not None else False,
+            tuple(map(int, estimate.imputed)) if estimate is not None else (),
         )
+
+    def _estimated(self, control: ControlTask, memory: OutputMemory, estimate: ThermalErrorEstimate | None) -> bool:
+        """Tell whether every axis that is switched on has an estimate; worked out anew when one of them changes."""
+        if estimate is not self._judged[0] or memory.wanted != self._judged[1]:
+            found = all(np.isfinite(control.thermal_error_um()[list(memory.wanted)]))
+            self._judged = (estimate, memory.wanted, found)
+        return self._judged[2]
 
 
 class _Noted:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from daemon.rehearsal.invariants import Ledger
+from drivers.sim.campaign_script import DAY_S
 
 
 @dataclass(slots=True)
@@ -27,6 +28,17 @@ class Result:
     cycles: int = 0
     blocks: int = 0
     wall_s: float = 0.0
+
+
+def progress_line(result: Result, time_s: float, end_s: float, wall_s: float) -> str:
+    """Return how far a campaign has come."""
+    shares = sorted(result.states_s.items(), key=lambda item: -item[1])
+    states = ", ".join(f"{state} {100 * s / max(time_s, 1):.0f} %" for state, s in shares)
+    return (
+        f"day {time_s / DAY_S:.2f} of {end_s / DAY_S:g} after {wall_s:.0f} s: "
+        f"{result.cycles} cycles, {result.blocks} blocks, {sum(result.incidents.values())} incidents, "
+        f"{result.ledger.violations} violations, {result.rss_mib:.1f} MiB; {states}"
+    )
 
 
 def numbers(result: Result) -> dict[str, Any]:

@@ -5,10 +5,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from config.loader import load_configuration
+from config.machines import shipped_file
 from daemon.rehearsal.campaign import Campaign
+from daemon.rehearsal.campaign_models import ModelShelf
 from daemon.rehearsal.campaign_result import Result
 from daemon.rehearsal.processes import write_rehearsal_configuration
-from drivers.sim.campaign_script import Happening
+from drivers.sim.campaign_script import Happening, campaign
+from drivers.sim.program import RETREAT
 
 EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
 """Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
@@ -30,8 +34,15 @@ def run_campaign(
     """Run a campaign on the machine that `base` describes; files go to `directory`."""
     base["cnc"]["poll_period_s"] = POLL_S
     base["compensation"].setdefault("output", {})["tick_s"] = TICK_S
+    output = base["compensation"]["output"]
+    output["safe_sequence_numbers"] = [*output.get("safe_sequence_numbers", []), RETREAT]
+    base["compensation"].setdefault("reference", {})["retreat_sequence_numbers"] = [RETREAT]
+    lines = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.lines
+    happenings = campaign(days, seed, lines) if script is None else script
+    shelf = ModelShelf.beside(Path(base["compensation"]["model_file"]), directory, happenings)
+    base["compensation"]["model_file"] = str(shelf.path)
     path, configuration = write_rehearsal_configuration(base, directory, speed=1.0, http=False)
-    campaign = Campaign(
+    running = Campaign(
         configuration,
         path,
         directory,
@@ -39,6 +50,7 @@ def run_campaign(
         seed=seed,
         epoch_utc_s=EPOCH_UTC_S,
         progress=progress,
-        script=script,
+        script=happenings,
+        shelf=shelf,
     )
-    return campaign.run()
+    return running.run()

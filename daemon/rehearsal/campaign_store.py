@@ -1,6 +1,9 @@
 """What the store of a fault campaign holds, against what was acknowledged and what the CNC received."""
 
+import contextlib
 from array import array
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,8 @@ from daemon.history.database import HistoryError
 from daemon.history.kinds import WRITES
 from daemon.rehearsal.campaign_process import NUMBER_BITS, Acknowledgements, cycle_key
 from daemon.rehearsal.invariants import Ledger
+from daemon.rehearsal.operations_watch import Probe
+from daemon.rehearsal.state_oracle import STARTS, unlawful
 from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)
@@ -85,6 +90,32 @@ class StoreCheck:
             self._ledger.check(
                 "audit_has_every_block", sequence in audited, f"block {sequence:g} reached the CNC and is not audited"
             )
+
+    def probes(self, expected: Sequence[Probe], axes: Sequence[str]) -> None:
+        """Check that every probe value that the daemon has taken is in the store, once."""
+        stored: Counter[tuple[str, float]] = Counter()
+        with contextlib.suppress(HistoryError), HistoryReader(self._path) as reader:
+            stored.update((p.axis, round(p.deviation_um, 3)) for p in reader.probes(*EVER) if p.accepted)
+        wanted = Counter((axes[probe.axis - 1], round(probe.deviation_um, 3)) for probe in expected)
+        for probe, count in wanted.items():
+            self._ledger.check("probes_kept", stored[probe] >= count, f"{probe} is stored {stored[probe]} times")
+
+    def changes_of_state(self) -> None:
+        """Check that every change of state that the daemon has recorded is one that the specification knows."""
+        try:
+            with HistoryReader(self._path) as reader:
+                events = [event for event in reader.events(*EVER) if event.kind in ("state", "start")]
+        except HistoryError as error:
+            self._ledger.check("changes_of_state_known", False, str(error))
+            return
+        for event in events:
+            change, _, reason = event.text.partition(": ")
+            if event.kind == "start":
+                right = change in STARTS
+            else:
+                before, _, after = change.partition(" -> ")
+                right = not unlawful([(before, after)])
+            self._ledger.check("changes_of_state_known", right, f"{event.time_s:.1f}: {change} ({reason})")
 
     def displacements(self) -> None:
         """Check that no row of the logger's file was stored twice, whatever became of the file."""

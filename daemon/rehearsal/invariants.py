@@ -14,6 +14,10 @@ from config.schema.cnc import MacroMapConfig
 
 SLACK_UM = 0.06
 """What rounding in the macros, and a value applied a moment ago, may add [um]."""
+GO_ON = ("switching", "model", "tool", "probe")
+"""At these what is written begins where it was, or where the tool is."""
+LATE_S = 15.0
+"""A limit in time is kept to within this [s]."""
 EXAMPLES = 5
 """So many violations of each invariant are described."""
 
@@ -67,8 +71,10 @@ class Claims:
     """Every axis that is switched on has an estimate."""
     model: str | None = None
     """Identity of the model that made the estimate."""
-    tool: int = 0
-    """The tool that the daemon believes to be in the spindle."""
+    doubtful: bool = False
+    """The model says that something stands against following it."""
+    left_out: tuple[int, ...] = ()
+    """Sensors that the estimate imputes."""
 
 
 class WriteWatch:
@@ -86,6 +92,10 @@ class WriteWatch:
         "no_step_at_reference",
         "no_step_at_switching",
         "no_step_at_restart",
+        "no_step_at_model",
+        "no_step_at_tool",
+        "no_step_at_probe",
+        "hold_is_left",
         "bound_applied",
         "step_applied",
         "no_motion_in_cut",
@@ -109,6 +119,8 @@ class WriteWatch:
         self._cutting = False
         self._marks: dict[str, float] = {}
         self._reference: str | None = None
+        self._model: str | None = None
+        self._hold_since_s = math.inf
         self._wanted: tuple[bool, ...] = ()
         self._bad_since_s = math.inf
 
@@ -158,7 +170,13 @@ class WriteWatch:
         self._marks = {"restart": time_s}
         self._block = None
         self._state_at_write = ""
-        self._reference, self._wanted = None, ()
+        self._reference, self._model, self._wanted = None, None, ()
+        self._hold_since_s = math.inf
+
+    def mark(self, time_s: float, name: str) -> None:
+        """Say that something has happened at which what is written must go on where it was."""
+        if name:
+            self._marks[name] = time_s
 
     def heard(self, time_s: float, claims: Claims | None) -> None:
         """Take what the daemon says of itself."""
@@ -171,6 +189,17 @@ class WriteWatch:
         if claims.wanted != self._wanted:
             self._wanted = claims.wanted
             self._marks["switching"] = time_s
+        if claims.model != self._model:
+            if self._model is not None:
+                self._marks["model"] = time_s
+            self._model = claims.model
+        if claims.state != "HOLD":
+            self._hold_since_s = math.inf
+            return
+        self._hold_since_s = min(self._hold_since_s, time_s)
+        held_s = time_s - self._hold_since_s
+        left = held_s <= self._hold_limit_s + LATE_S
+        self._ledger.check("hold_is_left", left, "" if left else f"{time_s:.1f} s: in HOLD for {held_s:.0f} s")
 
     def input_is(self, time_s: float, *, good: bool) -> None:
         """Say whether temperatures arrive; bad input must freeze what is written."""
@@ -223,8 +252,8 @@ class WriteWatch:
         per_s = self._axes[axis].slew_um_per_min / 60.0
         nearest_um, from_tool_um = distances_um
         for mark, since_s in self._marks.items():
-            switched = mark == "switching"
-            distance_um, from_s = (nearest_um, min(since_s, last_s)) if switched else (from_tool_um, since_s)
+            goes_on = mark in GO_ON
+            distance_um, from_s = (nearest_um, min(since_s, last_s)) if goes_on else (from_tool_um, since_s)
             reach_um = per_s * (time_s - from_s + 2.0) + SLACK_UM
             self._ledger.check(f"no_step_at_{mark}", distance_um <= reach_um, f"{where} ({mark} at {since_s:.1f} s)")
 

@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from daemon.rehearsal.invariants import Claims, Ledger
 from daemon.rehearsal.state_oracle import Situation, resting_state
 from drivers.latsis_numbering import RELEASED_AFTER_CYCLES
-from drivers.sim.campaign_script import Happening, Incident
+from drivers.sim.campaign_script import RESTARTS, Happening, Incident
 from drivers.sim.faults import FaultKind
 
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
-STARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE)
-"""Incidents after which a daemon begins to live."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +34,9 @@ class Truth:
     zero_first: bool = False
     """The NC program has passed its retreat block and not been positioned since, under that policy."""
     reference_blind: bool = False
-    """Lines were silent when the reference was set, so that some labels may count from nothing."""
+    """Lines were disturbed when the reference was set, so that some labels may count from nothing."""
+    model_has_states: bool = False
+    """The model needs hours of history, which its doubt may be about."""
 
 
 def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
@@ -50,6 +50,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and claims.confidence >= least_confidence
         and claims.in_domain
         and (claims.estimated or not truth.reference_blind)
+        and not (claims.doubtful and truth.model_has_states)
     )
 
 
@@ -93,7 +94,7 @@ class GoodInput:
             line = str(happening.target)
             self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1)
             return
-        if kind in STARTS or kind is Incident.BLIND:
+        if kind in RESTARTS or kind is Incident.BLIND:
             self._any_line = True
         self._cnc |= kind is not Incident.BLIND
 

@@ -164,6 +164,8 @@ class CncFace:
                 self._dropped = True
             case Incident.OTHER_PROGRAM:
                 self._machine.nc.program = FOREIGN_PROGRAM
+            case Incident.WORK_OFFSET:
+                self._machine.nc.work_offset += 1
 
     def end(self, happening: Happening) -> None:
         """Let it end."""
@@ -172,6 +174,8 @@ class CncFace:
             del self._modes[kind]
         if kind is Incident.OTHER_PROGRAM:
             self._machine.nc.program = self._program
+        if kind is Incident.WORK_OFFSET:
+            self._machine.nc.work_offset -= 1
         if kind in (Incident.ECHO_VACANT, Incident.ECHO_NONSENSE):
             for axis, number in self._map.echo_applied.items():
                 self._machine.nc.macros.set(number, self._machine.guard.applied_um[axis] / self._map.unit_um)

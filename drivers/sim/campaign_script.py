@@ -3,7 +3,7 @@
 import math
 import random
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from config.schema.temperatures import LineConfig
@@ -41,6 +41,8 @@ class Incident(StrEnum):
     """The CNC is switched off and on; its program begins again."""
     OTHER_PROGRAM = "other_program"
     """The CNC says that another program runs."""
+    WORK_OFFSET = "work_offset"
+    """Another work offset is in force."""
     CLOCK_STEP = "clock_step"
     """The calendar clock of the daemon's computer is set forward by `amount` [s] (negative: back)."""
     FULL_DISK = "full_disk"
@@ -49,6 +51,15 @@ class Incident(StrEnum):
     """The daemon gets SIGKILL; it is started again when the duration is over."""
     KILLED_IN_WRITE = "killed_in_write"
     """The same, after `amount` groups of a block."""
+    OTHER_POLICY = "other_policy"
+    """The daemon is stopped, its policy at work positioning changed, and it is started again after the duration;
+    `target`: zero_first when it can be divided by `POLICIES`, else bumpless."""
+    MODEL_RELOAD = "model_reload"
+    """Another model is released, and the daemon takes it up."""
+    DAMAGED_MODEL = "damaged_model"
+    """The model's file is damaged when the daemon is told to take it up, and whole again when the duration is over."""
+    WRONG_SENSOR = "wrong_sensor"
+    """A sensor of the model that watches its sensors drifts by `amount` [degC/h]."""
     DISABLED_AXIS = "disabled_axis"
     """A person switches one axis off, and on again when the duration is over."""
     DISABLED = "disabled"
@@ -70,6 +81,12 @@ ON_LINES = (
     FaultKind.UNPLUGGED,
 )
 ON_SENSORS = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR)
+RESTARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE, Incident.OTHER_POLICY)
+"""After these a daemon begins to live."""
+POLICIES = 3
+"""Of so many changes of the policy one leads to zero_first."""
+WATCHED_SENSORS = (26, 64, 72, 87, 93, 99, 102, 110, 125, 138, 180, 200, 230, 260, 290, 301)
+"""The sensors of the model that watches its sensors: one or two of every component."""
 OF_A_PERSON = (Incident.DISABLED_AXIS, Incident.DISABLED, Incident.ZEROED, Incident.HAND_REFERENCE)
 
 
@@ -124,10 +141,15 @@ HABITS: dict[Kind, _Habit] = {
     Incident.ECHO_NONSENSE: _Habit(per_day=1, duration_s=(15, 60)),
     Incident.POWER_CYCLE: _Habit(per_day=1),
     Incident.OTHER_PROGRAM: _Habit(per_day=0.5, duration_s=(15, 60)),
+    Incident.WORK_OFFSET: _Habit(per_day=0.5, duration_s=(15, 60)),
     Incident.CLOCK_STEP: _Habit(per_day=2, amount=(0.5, 7200), either_way=True),
     Incident.FULL_DISK: _Habit(per_day=1, duration_s=(30, 300)),
     Incident.KILLED_DAEMON: _Habit(per_day=0.25, duration_s=(2, 900)),
     Incident.KILLED_IN_WRITE: _Habit(per_day=0.25, duration_s=(2, 60), amount=(0, 2), whole=True),
+    Incident.OTHER_POLICY: _Habit(per_day=0.25, duration_s=(2, 20)),
+    Incident.MODEL_RELOAD: _Habit(per_day=1),
+    Incident.DAMAGED_MODEL: _Habit(per_day=0.5, duration_s=(5, 60)),
+    Incident.WRONG_SENSOR: _Habit(per_day=0.5, duration_s=(2400, 5400), amount=(4, 12), either_way=True),
     FaultKind.CSV_TRUNCATED: _Habit(per_day=1),
     FaultKind.CSV_ROTATED: _Habit(per_day=1),
     FaultKind.CSV_HALF_ROW: _Habit(per_day=2, duration_s=(10, 50)),
@@ -155,6 +177,10 @@ def wire_faults(happenings: Sequence[Happening], lines: Sequence[LineConfig]) ->
     for happening in happenings:
         if happening.kind is Incident.BLIND:
             faults += [_fault(happening, FaultKind.DEAD_LINE, line.name) for line in lines]
+        elif happening.kind is Incident.WRONG_SENSOR:
+            faults.append(
+                replace(_fault(happening, FaultKind.DRIFTING_SENSOR, happening.target), amount=happening.amount)
+            )
         elif isinstance(happening.kind, FaultKind):
             faults.append(_fault(happening, happening.kind, happening.target))
     return tuple(faults)
@@ -173,13 +199,16 @@ def _fault(happening: Happening, kind: FaultKind, target: str | int | None) -> F
 def _scripted(rng: random.Random, lines: Sequence[LineConfig]) -> Iterator[Happening]:
     at_s = FIRST_S
     for kind in HABITS:
-        if kind in ON_SENSORS:
+        if kind in ON_SENSORS or kind is Incident.WRONG_SENSOR:
             continue
         happening = _drawn(rng, kind, at_s, lines)
+        if kind is Incident.OTHER_POLICY:
+            happening = replace(happening, target=0)
         yield happening
         at_s = happening.end_s + SPACING_S
     for kind in ON_SENSORS:
         yield _drawn(rng, kind, FIRST_S, lines)
+    yield _drawn(rng, Incident.WRONG_SENSOR, at_s, lines)
 
 
 def _random(rng: random.Random, lines: Sequence[LineConfig], from_s: float, to_s: float) -> Iterator[Happening]:
@@ -202,6 +231,8 @@ def _drawn(rng: random.Random, kind: Kind, at_s: float, lines: Sequence[LineConf
         target, amount = line.name, min(amount, float(len(line.sensor_ids))) if habit.whole else amount
     elif kind in ON_SENSORS:
         target = rng.choice([sensor for line in lines for sensor in line.sensor_ids])
+    elif kind is Incident.WRONG_SENSOR:
+        target = rng.choice(WATCHED_SENSORS)
     elif isinstance(kind, FaultKind):
         target = None
     duration_s = _log_uniform(rng, *habit.duration_s)

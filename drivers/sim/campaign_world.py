@@ -37,6 +37,10 @@ class Watcher(Protocol):
         """What the NC applies, and whether the tool is in the work."""
         ...
 
+    def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
+        """The NC program has asked for something."""
+        ...
+
     def begun(self, time_s: float, happening: Happening) -> None:
         """Something happens."""
         ...
@@ -84,6 +88,8 @@ class CampaignWorld:
         self.active: set[Happening] = set()
         self.cnc = CncFace(machine, configuration.cnc.macros, seed)
         self._watcher = watcher
+        self._request = configuration.cnc.macros.request
+        self._request_counter = 0
         self._order = itertools.count()
         self._events: list[_Event] = []
         self._outward: list[float] = []
@@ -140,6 +146,15 @@ class CampaignWorld:
             to_s = min(self.time_s, machine.body.block_end_s, machine.time_s + (SAFE_LOOK_S if at_safe_point else 1e9))
             machine.advance(to_s if to_s > machine.time_s else self.time_s)
             self._watcher.applied(machine.time_s, machine.guard.applied_um, machine.body.block.kind == "cut")
+            self._look_for_request()
+
+    def _look_for_request(self) -> None:
+        request, macros = self._request, self.machine.nc.macros
+        if request is None or (counter := round(macros.get(request.counter) or 0.0)) == self._request_counter:
+            return
+        self._request_counter = counter
+        kind, axis, value_mm = (macros.get(number) for number in (request.kind, request.axis, request.value_mm))
+        self._watcher.asked(self.machine.time_s, counter, round(kind or 0.0), round(axis or 0.0), value_mm or 0.0)
 
     def _at(self, time_s: float, run: Callable[[], None], *, outward: bool = False) -> None:
         heapq.heappush(self._events, _Event(time_s, next(self._order), outward, run))

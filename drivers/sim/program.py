@@ -1,7 +1,7 @@
 """Part programs of the simulated NC, as data."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from drivers.sim.heat import RATED_SPEED_RPM
@@ -25,6 +25,8 @@ class Block:
     chiller: bool = True
     tool_number: int | None = None
     """A tool change at the block's beginning: this tool comes into the spindle."""
+    tool_setting: str | None = None
+    """The tool in the spindle is set on this axis at the block's beginning."""
     probe: str | None = None
     """A probe measures the deviation of this axis at the block's beginning."""
 
@@ -60,7 +62,7 @@ class PartProgram:
         return index + 1 if index + 1 < len(self.blocks) else self.repeat_from
 
 
-POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION = 100, 200, 900, 10, 300
+POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION, RETREAT = 100, 200, 900, 10, 300, 90
 """Sequence numbers of the shipped programs."""
 
 SHIFT_PARTS = 19
@@ -96,6 +98,41 @@ def shift_program() -> PartProgram:
     parts_s = SHIFT_PARTS * sum(block.duration_s for block in part)
     night = Block(sequence_number=STANDSTILL + 20, kind="idle", duration_s=24 * HOUR_S - parts_s)
     return PartProgram(number=1000, blocks=(start, *part * SHIFT_PARTS, night), repeat_from=1)
+
+
+WORKS: dict[int, tuple[int | None, str | None, str | None]] = {
+    6: (None, None, "z"),
+    12: (2, None, None),
+    13: (None, "z", None),
+    20: (None, None, "y"),
+    24: (3, None, None),
+    30: (None, None, "z"),
+    36: (2, None, None),
+    44: (1, None, None),
+}
+"""What happens at which safe point of a part: tool into the spindle, axis of a tool setting, axis of a probe."""
+RETREAT_S = 240.0
+
+
+def campaign_program() -> PartProgram:
+    """Return O1000 over whole days as `shift_program` has it, with all that an NC program may ask of the daemon.
+
+    Before each positioning the program waits at a retreat block (N90), where the guard may take the offset out; tools
+    change, one is set again, and probes measure.
+    """
+    start, *part = demo_program().blocks
+    safe_points = [index for index, block in enumerate(part) if block.kind == "safe"]
+    for number, (tool, setting, probe) in WORKS.items():
+        index = safe_points[number]
+        part[index] = replace(part[index], tool_number=tool, tool_setting=setting, probe=probe)
+    part.append(Block(sequence_number=RETREAT, kind="safe", duration_s=RETREAT_S))
+    parts = int(SHIFT_PARTS * sum(block.duration_s for block in demo_program().blocks[1:]) // _total_s(part))
+    night = Block(sequence_number=STANDSTILL + 20, kind="idle", duration_s=24 * HOUR_S - parts * _total_s(part))
+    return PartProgram(number=1000, blocks=(start, *part * parts, night), repeat_from=1)
+
+
+def _total_s(blocks: Sequence[Block]) -> float:
+    return sum(block.duration_s for block in blocks)
 
 
 def rotation_program(

@@ -1,0 +1,69 @@
+"""What the machine's side of a fault campaign knows to be true at a moment."""
+
+from config.schema import Configuration
+from daemon.rehearsal.campaign_models import ModelShelf
+from daemon.rehearsal.invariants import Claims
+from daemon.rehearsal.operations_watch import OperationsWatch
+from daemon.rehearsal.recovery import Truth
+from drivers.sim.campaign_world import CampaignWorld
+
+TEMPERATURES_LATE_S = 25.0
+"""Temperatures arrive when a line has been heard within this time [s]."""
+BLIND_BEFORE_S = 90.0
+"""A reference is the mean of its last minute; a line that was silent for a part of that may be missing in it [s]."""
+ZERO_UM = 1e-6
+
+
+class TruthKeeper:
+    """Hears the wires and looks at the NC, where the daemon has only what it is told."""
+
+    def __init__(
+        self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, shelf: ModelShelf
+    ) -> None:
+        self._macros = configuration.cnc.macros
+        self._world = world
+        self._operations = operations
+        self._shelf = shelf
+        self._heard_s = -1e9
+        self._disturbed_s = -1e9
+        self._reference: str | None = None
+        self._blind = False
+
+    def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
+        """Take the end of a pass."""
+        if heard:
+            self._heard_s = time_s
+        if not whole:
+            self._disturbed_s = time_s
+
+    def heard(self, time_s: float, claims: Claims) -> None:
+        """Take what the daemon says of its reference: was a line away when it was set?"""
+        if claims.reference != self._reference:
+            self._reference = claims.reference
+            self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
+
+    def temperatures(self, time_s: float) -> bool:
+        """Tell whether temperatures arrive."""
+        return time_s - self._heard_s <= TEMPERATURES_LATE_S
+
+    @property
+    def applied_um(self) -> float:
+        """The largest amount that the NC applies on an axis [um]."""
+        return max(map(abs, self._world.machine.guard.applied_um.values()), default=0.0)
+
+    def at(self, time_s: float, claims: Claims) -> Truth:
+        """Return what is true now."""
+        macros = self._macros
+        table = self._world.machine.nc.macros
+        echoes = [table.get(number) for number in macros.echo_applied.values()]
+        known = [value for value in echoes if value is not None]
+        return Truth(
+            reachable=self._world.cnc.reachable,
+            temperatures=self.temperatures(time_s),
+            distrust=bool(self._world.cnc.proof),
+            echo_known=len(known) == len(echoes),
+            at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),
+            zero_first=self._operations.retreating,
+            reference_blind=self._blind,
+            model_has_states=self._shelf.is_watching(claims.model),
+        )
