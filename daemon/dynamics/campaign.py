@@ -58,6 +58,7 @@ class Responses:
     time_min: FloatArray
     """Since the first row of the recording [min], shape (k,)."""
     measured: tuple[Measurement, ...]
+    files: tuple[Path, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +89,7 @@ class CampaignResult:
 def read_run(folder: Path, recording: Path, configuration: Configuration | None, band: Band) -> Run:
     """Return a run with its responses cut to the band; raises a driver's error or MeasurementError."""
     temperatures = read_temperatures(recording, configuration)
-    by_axis: dict[str, list[tuple[float, Measurement]]] = {}
+    by_axis: dict[str, list[tuple[float, Measurement, Path]]] = {}
     for each in read_index(folder):
         minutes = (each.time - temperatures.start) * temperatures.seconds_per_unit / 60.0
         whole = average(read_measurements(each.path))
@@ -99,11 +100,11 @@ def read_run(folder: Path, recording: Path, configuration: Configuration | None,
             check_for_identification(measured, 5, trust_units=band.trust_units)
         except MeasurementError as error:
             raise MeasurementError(f"{each.path}: {error}") from error
-        by_axis.setdefault(each.axis, []).append((minutes, measured))
+        by_axis.setdefault(each.axis, []).append((minutes, measured, each.path))
     for axis, found in by_axis.items():
         if len(found) < FEWEST_RESPONSES:
             raise ImpactIndexError(f"{folder}: {len(found)} responses along {axis}; at least {FEWEST_RESPONSES} needed")
-        if wrong := [m for m, _ in found if not -1.0 <= m <= temperatures.time_min[-1] + 1.0]:
+        if wrong := [m for m, _, _ in found if not -1.0 <= m <= temperatures.time_min[-1] + 1.0]:
             raise ImpactIndexError(
                 f"{folder}: a response along {axis} at {wrong[0]:.1f} min of {recording.name}, which lasts "
                 f"{temperatures.time_min[-1]:.1f} min; times must be those of the recording"
@@ -112,7 +113,11 @@ def read_run(folder: Path, recording: Path, configuration: Configuration | None,
         folder=folder,
         temperatures=temperatures,
         responses={
-            axis: Responses(time_min=np.array([m for m, _ in found]), measured=tuple(each for _, each in found))
+            axis: Responses(
+                time_min=np.array([m for m, _, _ in found]),
+                measured=tuple(each for _, each, _ in found),
+                files=tuple(path for _, _, path in found),
+            )
             for axis, found in sorted(by_axis.items())
         },
     )
@@ -251,14 +256,12 @@ def _check_levels(shaft: CondensedShaft, runs: Sequence[Run]) -> None:
     """Refuse responses that the shaft cannot give in m/N over Hz; raises MeasurementError."""
     lowest, highest = level_range_m_per_n(shaft)
     for run in runs:
-        for axis, told in run.responses.items():
-            for minutes, measured in zip(told.time_min, told.measured, strict=True):
+        for told in run.responses.values():
+            for file, measured in zip(told.files, told.measured, strict=True):
                 try:
                     check_level(measured, lowest, highest)
                 except MeasurementError as error:
-                    raise MeasurementError(
-                        f"{run.folder}: response along {axis} at {minutes:.1f} min: {error}"
-                    ) from error
+                    raise MeasurementError(f"{file}: {error}") from error
 
 
 def _common(runs: Sequence[Run]) -> tuple[list[str], tuple[str, ...]]:

@@ -19,7 +19,7 @@ from models.dynamics.coupling import chain_receptance
 from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
 from models.dynamics.plausibility import check_frequencies, check_level
-from models.dynamics.response_fit import GOOD_FIT, Identified
+from models.dynamics.response_fit import Identified, good_fit
 
 Fixed = Literal["auto", "source", "file"]
 """Where the parameters that are not varied come from."""
@@ -118,7 +118,7 @@ def _identified(
         )
         return found, "file"
     found, source = identify_bearings(shaft, response, parameters=parameters, start=stated, method=method), "source"
-    if fixed == "auto" and parameters < 12 and found.log_error >= GOOD_FIT:
+    if fixed == "auto" and parameters < 12 and found.log_error >= good_fit(response):
         other = identify_bearings(
             shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
         )

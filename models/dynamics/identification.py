@@ -13,7 +13,6 @@ from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
 from models.dynamics.plausibility import level_m_per_n
 from models.dynamics.response_fit import (
-    GOOD_FIT,
     MOST_ITERATIONS,
     SEARCH_RANGE,
     Found,
@@ -22,6 +21,7 @@ from models.dynamics.response_fit import (
     Response,
     descend,
     evenly_spread,
+    good_fit,
     levenberg_marquardt,
     nelder_mead,
     report,
@@ -158,15 +158,15 @@ def _least_squares(
     """
     if not two_stages:
         return levenberg_marquardt(model, measured, free, begin, INITIAL)
-    tries = [descend(model, measured, free, begin, MOST_ITERATIONS)]
-    if tries[-1].log_error >= GOOD_FIT:
+    tries, good = [descend(model, measured, free, begin, MOST_ITERATIONS)], good_fit(measured)
+    if tries[-1].log_error >= good:
         few = [name for name in free if not name.endswith("_34")]
         first = levenberg_marquardt(_tied(model), measured, few, begin, INITIAL)
         tries.append(first)
         tries.append(descend(model, measured, free, {**begin, **_untied(first.values)}, MOST_ITERATIONS))
-    if (best := _best(tries, free)).log_error >= GOOD_FIT:
+    if (best := _best(tries, free)).log_error >= good:
         tries.append(levenberg_marquardt(model, measured, free, {**begin, **best.values}, INITIAL))
-    if (best := _best(tries, free)).log_error >= GOOD_FIT:
+    if (best := _best(tries, free)).log_error >= good:
         tries.append(nelder_mead(response, measured, free, {**begin, **best.values}))
         tries.append(descend(model, measured, free, {**begin, **tries[-1].values}, MOST_ITERATIONS))
     best = _best(tries, free)

@@ -26,7 +26,13 @@ IDENTIFIABLE = 0.5
 """A parameter is identifiable when an error of that size, the same way at all frequencies, moves its
 logarithm by less than this."""
 GOOD_FIT = 0.03
-"""Root mean square of the log ratio below which no other start is tried."""
+"""Root mean square of the log ratio below which no other start is tried, where the noise is not larger."""
+NOISE_MARGIN = 1.2
+"""A fit that is this many times as bad as the noise is taken for good, too."""
+LARGEST_NOISE = 0.15
+"""Scatter that is taken for noise at most."""
+RAYLEIGH_MEDIAN = 1.1774
+"""Median of the size of a complex number whose parts scatter by 1."""
 MOST_ITERATIONS = 200
 SEARCH_ITERATIONS = 60
 """Iterations from a start that was only tried; one that leads somewhere needs fewer."""
@@ -76,6 +82,25 @@ Response = Callable[[Mapping[str, float]], ComplexArray]
 """Values of the parameters -> response, shape (n,)."""
 
 
+def good_fit(measured: ComplexArray) -> float:
+    """Return the root mean square of the log ratio below which a fit cannot be told from a perfect one.
+
+    The noise is what third differences of the response's logarithm along the frequency leave: a smooth curve leaves
+    nothing, neighbours that scatter by one leave the root of twenty. The median keeps sharp resonances out of it.
+
+    Parameters
+    ----------
+    measured
+        Evenly spaced response, shape (n,).
+
+    """
+    if len(measured) < 8:
+        return GOOD_FIT
+    ratio = np.log(measured[1:] / measured[:-1])
+    scatter = float(np.median(np.abs(np.diff(ratio, 2)))) / (RAYLEIGH_MEDIAN * np.sqrt(20.0))
+    return float(max(GOOD_FIT, NOISE_MARGIN * min(np.sqrt(2.0) * scatter, LARGEST_NOISE)))
+
+
 def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
     """Return S_cf of 4-36 [m/N]; the source calls it least squares, but it sums |dH|."""
     return float(np.sum(np.abs(measured - computed)))
@@ -116,18 +141,18 @@ def levenberg_marquardt(
         Another start to try, by name.
 
     """
-    best = descend(model, measured, free, begin, MOST_ITERATIONS)
+    best, good = descend(model, measured, free, begin, MOST_ITERATIONS), good_fit(measured)
     evaluations = best.evaluations
-    if best.log_error >= GOOD_FIT:
+    if best.log_error >= good:
         looked, starts = _starts(model, measured, free, {**begin, **(table or {})})
         evaluations += looked
         for start in starts:
             found = descend(model, measured, free, start, SEARCH_ITERATIONS)
             evaluations += found.evaluations
             best = found if found.log_error < best.log_error else best
-            if best.log_error < GOOD_FIT:
+            if best.log_error < good:
                 break
-        if best.log_error >= GOOD_FIT:
+        if best.log_error >= good:
             last = descend(model, measured, free, best.values, MOST_ITERATIONS)
             evaluations += last.evaluations
             best = last if last.log_error < best.log_error else best

@@ -142,6 +142,19 @@ def test_bad_files_are_refused_with_file_and_line(few: Path, file: str, old: str
     assert complaint in refusal(few, "--temperatures", few / "temperatures.csv", "--only-five")
 
 
+def test_a_response_in_another_unit_is_refused_by_name(few: Path) -> None:
+    path = few / "x_001.csv"
+    plain = path.read_text()
+    head, *rows = plain.splitlines()
+    numbers = [[float(each) for each in row.split(",")] for row in rows]
+    for scale, factor, words in ((1.0, 1e3, "numbers in mm/N"), (1e-3, 1.0, "is the axis in kHz?")):
+        scaled = [f"{f * scale!r},{re * factor!r},{im * factor!r}" for f, re, im in numbers]
+        path.write_text("\n".join([head, *scaled]) + "\n")
+        said = refusal(few, "--temperatures", few / "temperatures.csv", "--only-five")
+        assert words in said
+        assert str(path) in said
+
+
 def test_missing_files_and_bad_choices(few: Path, tmp_path: Path) -> None:
     recording = few / "temperatures.csv"
     assert "as many recordings" in refusal(few, few, "--temperatures", recording)

@@ -11,6 +11,7 @@ from models.dynamics.contact import Interface, identify_contact
 from models.dynamics.coupling import chain_receptance
 from models.dynamics.identification import FIXED, identify_bearings
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification, receptance
+from models.dynamics.response_fit import good_fit
 from models.dynamics.section import Elasticity, Tube, beam_segment
 
 STEEL = Elasticity(young_pa=200e9, shear_pa=76.9e9, poisson=0.3, density_kg_per_m3=7850.0)
@@ -69,6 +70,19 @@ def test_five_parameters_survive_noise(shaft: CondensedShaft) -> None:
     assert found.log_error == pytest.approx(0.02 * np.sqrt(2), rel=0.2)
 
 
+@pytest.mark.parametrize("noise", [0.03, 0.06])
+def test_noise_does_not_start_a_search_for_what_was_found(shaft: CondensedShaft, noise: float) -> None:
+    true = {**TRUE, **FIXED[5]}
+    random = np.random.default_rng(11)
+    scatter = 1.0 + noise * (random.standard_normal(500) + 1j * random.standard_normal(500))
+    measured = shaft.nose_receptance(properties_from_parameters(true)) * scatter
+    start = {name: 1.5 * value for name, value in true.items() if name not in FIXED[5]}
+    found = identify_bearings(shaft, measured, start=start)
+    assert found.evaluations < 60
+    for name in found.free:
+        assert found.values[name] == pytest.approx(true[name], rel=4 * noise), name
+
+
 def test_twelve_parameters_fit_but_are_not_all_seen(shaft: CondensedShaft) -> None:
     measured = shaft.nose_receptance(properties_from_parameters(TRUE))
     near = {name: value * 1.1 for name, value in TRUE.items()}
@@ -115,6 +129,15 @@ def test_contact_parameters_are_found_again(chain: Chain, method: str) -> None:
         assert slopes[name] == pytest.approx(slope, rel=1e-3, abs=1e-4 * abs(slope).max()), name
     found = identify_contact(interface, measured, method=method)
     assert found.values == pytest.approx(true, rel=1e-4)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03, 0.08])
+def test_a_fit_as_good_as_the_noise_is_good(noise: float) -> None:
+    random = np.random.default_rng(5)
+    clean = measurement(points=1000).receptance_m_per_n
+    scatter = noise * (random.standard_normal(1000) + 1j * random.standard_normal(1000))
+    expected = max(0.03, 1.2 * np.sqrt(2.0) * noise)
+    assert good_fit(clean * (1.0 + scatter)) == pytest.approx(expected, rel=0.15)
 
 
 def test_accelerance_is_integrated_twice() -> None:
