@@ -64,6 +64,6 @@ class BlockWriter:
         )
         if command.state is OutputState.OFF:
             return session.enabled or (changed and last is not None)
-        if estimate is not None or changed:
+        if estimate is not None or changed or session.expired:
             return True
         return self._clock.now().monotonic_s - session.last_write_s > self._validity_s / 3

@@ -68,6 +68,11 @@ class CncSession:
         return self._enabled
 
     @property
+    def expired(self) -> bool:
+        """The guard would call the block expired as the latest poll showed it: power-off clears valid_until."""
+        return self.sample is not None and self._block.expired(self._seen, self.sample.clock_s)
+
+    @property
     def written_um(self) -> FloatArray:
         """What the block holds per axis as it was last seen [um], NaN where it is vacant or unknown."""
         return self._block.values_um(self._seen)
