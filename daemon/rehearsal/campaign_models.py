@@ -18,7 +18,8 @@ HOURS = 10.0
 SAMPLE_S = 60.0
 INTERVAL_MIN = 10.0
 SHIPPED, SMALL, WATCHING = "shipped", "small", "watching"
-IN_TURN = (SHIPPED, WATCHING, SMALL, WATCHING)
+IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL)
+"""The watching model needs two thirds of a day of history before it may be followed."""
 OF_MODELS = (Incident.MODEL_RELOAD, Incident.DAMAGED_MODEL)
 
 

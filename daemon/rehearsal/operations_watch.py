@@ -67,6 +67,7 @@ class OperationsWatch:
         self._ended: tuple[str, float] | None = None
         self._to_show: Happening | None = None
         self._reference: str | None = None
+        self._reference_s = 0.0
         self._model_due: tuple[str, float] | None = None
         self.zero_first = False
         """The policy in force."""
@@ -140,6 +141,7 @@ class OperationsWatch:
         if claims.reference != self._reference:
             self._reference = claims.reference
             if claims.reference is not None:
+                self._reference_s = time_s
                 if self.zero_first and time_s > self._busy_until_s:
                     zero = applied_um <= AT_ZERO_UM
                     what = "" if zero else f"{time_s:.1f} s: a reference with {applied_um:.2f} um applied"
@@ -166,10 +168,14 @@ class OperationsWatch:
         self._model_due = None
 
     def wrong_sensor(self, time_s: float, happening: Happening, claims: Claims) -> None:
-        """Check that a sensor which has long been wrong does not count for the model that watches its sensors."""
-        off_k = abs(happening.amount) * (time_s - happening.at_s) / 3600.0
-        since_s = FOUND_K / abs(happening.amount) * 3600.0
-        if off_k < FOUND_K or time_s < happening.at_s + since_s + FOUND_AFTER_S or time_s < self._busy_until_s:
+        """Check that a sensor which has long been wrong does not count for the model that watches its sensors.
+
+        Every reference lets it count again, from what it then says.
+        """
+        began_s = max(happening.at_s, self._reference_s)
+        off_k = abs(happening.amount) * (time_s - began_s) / 3600.0
+        far_off_s = began_s + FOUND_K / abs(happening.amount) * 3600.0
+        if time_s < max(far_off_s + FOUND_AFTER_S, self._busy_until_s) or claims.estimate_reference is None:
             return
         left_out = int(happening.target or 0) in claims.left_out
         what = "" if left_out else f"{time_s:.1f} s: sensor {happening.target} is {off_k:.1f} K off and counts"

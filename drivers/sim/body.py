@@ -130,7 +130,7 @@ class MachineBody:
 
     def hold(self, until_s: float) -> None:
         """Keep the present block running at least until then [s]."""
-        self._held_until_s = max(self._held_until_s, until_s)
+        self._held_until_s = max(self._held_until_s, float(until_s))
 
     def restart_program(self) -> None:
         """Begin the program again from its first block, now."""

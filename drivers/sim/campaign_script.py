@@ -149,7 +149,7 @@ HABITS: dict[Kind, _Habit] = {
     Incident.OTHER_POLICY: _Habit(per_day=0.25, duration_s=(2, 20)),
     Incident.MODEL_RELOAD: _Habit(per_day=1),
     Incident.DAMAGED_MODEL: _Habit(per_day=0.5, duration_s=(5, 60)),
-    Incident.WRONG_SENSOR: _Habit(per_day=0.5, duration_s=(2400, 5400), amount=(4, 12), either_way=True),
+    Incident.WRONG_SENSOR: _Habit(per_day=0.5, duration_s=(2400, 5400), amount=(8, 20), either_way=True),
     FaultKind.CSV_TRUNCATED: _Habit(per_day=1),
     FaultKind.CSV_ROTATED: _Habit(per_day=1),
     FaultKind.CSV_HALF_ROW: _Habit(per_day=2, duration_s=(10, 50)),

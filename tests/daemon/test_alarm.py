@@ -41,4 +41,9 @@ def test_nothing_is_said_where_nothing_is_asked_of_it(state: OutputState) -> Non
 
 def test_a_long_hold_is_told_beside_the_guard() -> None:
     both = alarm(OutputState.HOLD, refusals=2, now_s=1000.0)
-    assert "status 6" in both and "held for 1000 s: somebody switched it off" in both
+    assert "status 6" in both and "held for longer than 300 s: somebody switched it off" in both
+
+
+def test_a_long_hold_is_one_alarm_however_long_it_lasts() -> None:
+    """The audit gets an alarm when its first words change: they must not count the seconds."""
+    assert len({alarm(OutputState.HOLD, refusals=0, now_s=now_s) for now_s in (400.0, 402.0, 500.0)}) == 1

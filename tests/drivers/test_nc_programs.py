@@ -70,6 +70,14 @@ def test_requests_are_made_where_the_program_asks() -> None:
     assert value * 1000.0 == pytest.approx(measured, abs=0.5)
 
 
+def test_what_the_nc_shows_stays_plain_numbers_when_a_request_has_held_its_block() -> None:
+    simulated = machine(request_timeout_s=3.0)
+    simulated.advance(40.0)
+    nc = simulated.nc
+    assert {type(value) for value in (nc.spindle_speed_rpm, nc.motor_temperature_degc, nc.clock_s)} == {float}
+    assert type(simulated.body.block_end_s) is float
+
+
 def test_an_answered_request_leaves_the_block_as_long_as_it_is() -> None:
     simulated = machine(request_timeout_s=60.0)
     for tenths in range(1, 260):
