@@ -37,8 +37,8 @@ def _alarms(
         yield f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
     elif memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
         yield (
-            f"the guard has not run for {config.guard_alarm_after_s / 60:g} min while the program ran, so nothing that is "
-            "written reaches the tool: check that the program calls it at its safe points"
+            f"the guard has not run for {config.guard_alarm_after_s / 60:g} min while the program ran, so nothing that "
+            "is written reaches the tool: check that the program calls it at its safe points"
         )
     if memory.state is OutputState.HOLD and now_s - memory.since_s > config.alarm_after_s:
         yield f"held for longer than {config.alarm_after_s:g} s: {obstacle or memory.reason}"
