@@ -43,6 +43,13 @@ PERCENT = FiniteFloat(min=0.0, max=40.0)
 @click.option(
     "--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="Lobes of our choice."
 )
+@click.option(
+    "--dynamics",
+    type=click.Choice(["spindle", "case"]),
+    default="spindle",
+    show_default=True,
+    help="spindle: finite elements of the simulated machine with its end mill of 10 or 16 mm; case: the CASE's modes.",
+)
 @click.option("--machine", "machine_seed", type=click.IntRange(0), default=1, show_default=True, help="Which machine.")
 @click.option("--day", "day_seed", type=click.IntRange(0), default=1, show_default=True, help="Which day.")
 @picture_option
@@ -61,6 +68,7 @@ def warm_up(
     offset_hz: float,
     rule_axis: str | None,
     method: str,
+    dynamics: str,
     machine_seed: int,
     day_seed: int,
     picture: Path | None,
@@ -68,8 +76,9 @@ def warm_up(
 ) -> None:
     """Let the simulated machine mill the CASE while it warms: untuned, by the source's rule, and tuned.
 
-    The CASE gives the modes of the cold machine; how they change belongs to the simulated machine. What the
-    tuning knows was fitted on impact tests of other days.
+    The CASE gives tool, engagement and material. The tool point is that of the simulated machine's finite elements,
+    whose bearings change with temperature, or with --dynamics case one with the CASE's modes when cold. What the tuning
+    knows was fitted on impact tests of other days.
     """
     from config.problems import ConfigurationError
     from config.stability_case import load_stability_case
@@ -93,6 +102,7 @@ def warm_up(
         minutes=minutes,
         feed_per_tooth_mm=feed_per_tooth_mm,
         method=method,
+        dynamics=dynamics,
         rule_axis=rule_axis,
         offset_hz=offset_hz,
         machine_seed=machine_seed,

@@ -75,6 +75,7 @@ class WarmUpReferee:
             mode_damping_ratio=np.array([state.modes.damping_ratio for state in states]),
             mode_stiffness_n_per_m=np.array([state.modes.stiffness_n_per_m for state in states]),
             mode_axis=states[0].modes.axis,
+            mode_lead_s=None if states[0].modes.lead_s is None else np.array([state.modes.lead_s for state in states]),
         )
         return is_stable(cuts, PASSINGS, max(LEAST_STEPS, int(np.ceil(STEPS_PER_PERIOD * periods))))
 

@@ -48,6 +48,8 @@ class MillingCuts:
     """Shape (n_cuts, n_modes)."""
     mode_axis: tuple[int, ...]
     """0 for a mode along the machine's X, 1 along Y, for each mode."""
+    mode_lead_s: FloatArray | None = None
+    """The tool point moves by a mode's coordinate and by its speed times this, shape (n_cuts, n_modes); None: 0."""
     helix_lag_rad: FloatArray | None = None
     """Angle by which the edge's top lags behind its tip [rad]; None: straight edges."""
     slices: int = 1
@@ -92,13 +94,15 @@ def mill(cuts: MillingCuts, passings: int, steps_per_passing: int = 400) -> Iter
     force = edges.force(0, np.zeros((count, 2)))
     change = force[:, axis] / mass
     to_axes = np.eye(2)[axis]
+    lead_s = np.zeros_like(angular) if cuts.mode_lead_s is None else cuts.mode_lead_s
     for step in range(1, passings * steps_per_passing + 1):
         place = place + step_s * speed + 0.5 * step_s**2 * change
-        force = edges.force(step, place @ to_axes)
+        moved = (place + lead_s * (speed + step_s * change)) @ to_axes
+        force = edges.force(step, moved)
         push = force[:, axis] / mass - angular**2 * place
         speed = (speed + 0.5 * step_s * (change + push)) / (1.0 + 0.5 * step_s * drag)
         change = push - drag * speed
-        yield MillingSample(displacement_m=place @ to_axes, acceleration_m_s2=change @ to_axes, force_n=force)
+        yield MillingSample(displacement_m=moved, acceleration_m_s2=change @ to_axes, force_n=force)
 
 
 class _Edges:

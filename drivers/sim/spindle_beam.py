@@ -67,10 +67,29 @@ HOLDER: tuple[Stretch, ...] = (
     Stretch(length_mm=47.0, outer_mm=48.0, inner_mm=20.0, **STEEL),
     Stretch(length_mm=26.0, outer_mm=59.0, inner_mm=20.0, **STEEL),
 )
-TOOL: tuple[Stretch, ...] = (Stretch(length_mm=40.0, outer_mm=10.0, inner_mm=0.0, **STEEL),)
 TAPER = Spring(kt=1.9e8, ct=900.0, kr=6.0e5, cr=2.0)
-COLLET = Spring(kt=3.4e7, ct=1.0, kr=2.4e4, cr=1.0)
-"""Joints of holder and tool (chosen, of the size of the published ones); they do not change with temperature."""
+"""Joint of the holder (chosen, of the size of the published one); it does not change with temperature."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountedTool:
+    """An end mill and the joint between it and the holder, which does not change with temperature."""
+
+    body: tuple[Stretch, ...]
+    """From the tip backwards."""
+    joint: Spring
+
+
+END_MILL_10 = MountedTool(
+    body=(Stretch(length_mm=40.0, outer_mm=10.0, inner_mm=0.0, **STEEL),),
+    joint=Spring(kt=3.4e7, ct=1.0, kr=2.4e4, cr=1.0),
+)
+"""In a collet; the joint is of the size of the published one (chosen)."""
+END_MILL_16 = MountedTool(
+    body=(Stretch(length_mm=40.0, outer_mm=16.0, inner_mm=0.0, **STEEL),),
+    joint=Spring(kt=1.0e8, ct=3.0, kr=1.4e5, cr=3.0),
+)
+"""Shrunk in, so that the spindle and not the tool limits the cut (chosen)."""
 BEARING_PLACES_MM: tuple[float, ...] = (99.0, 127.0, 184.0, 211.0, 437.0)
 """Distances of the five bearings from the nose."""
 
@@ -103,10 +122,10 @@ class DampedModes:
 class SpindleBeam:
     """The bare spindle hit at its nose, or with holder and tool hit at the tip."""
 
-    def __init__(self, nominal: Sequence[Spring], *, with_tool: bool) -> None:
+    def __init__(self, nominal: Sequence[Spring], *, with_tool: bool, tool: MountedTool = END_MILL_10) -> None:
         """Assemble the elements and find the coordinates; `nominal` are the five bearings as they usually are."""
-        bodies: list[tuple[Stretch, ...]] = [TOOL, HOLDER, SHAFT] if with_tool else [SHAFT]
-        joints = [COLLET, TAPER] if with_tool else []
+        bodies: list[tuple[Stretch, ...]] = [tool.body, HOLDER, SHAFT] if with_tool else [SHAFT]
+        joints = [tool.joint, TAPER] if with_tool else []
         lengths = [_divided(body) for body in bodies]
         nodes = sum(len(each) + 1 for each in lengths)
         stiffness, mass, damping = (np.zeros((2 * nodes, 2 * nodes)) for _ in range(3))

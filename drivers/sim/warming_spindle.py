@@ -1,7 +1,8 @@
 """The simulated machine while it mills through its warm-up: heat by the commanded speed, modes by the temperatures.
 
 Unlike `MachineBody`, whose program is fixed, the spindle turns as it is told, so that a tuned speed warms the machine
-differently. The law by which a mode changes is made up, belongs to the machine and not to the day, and is that of no
+differently. Its modes are those of the finite elements with the bearings of the moment (`WarmingBeams`), or given ones
+that follow a law (`WarmingModes`). The law is made up, belongs to the machine and not to the day, and is that of no
 estimator: a bearing's interference grows with the shaft's temperature over its housing's and settles; stiffness and
 damping follow it with factors drawn per mode.
 """
@@ -16,6 +17,8 @@ from drivers.sim.day import Day
 from drivers.sim.heat import INDEX, Drive
 from drivers.sim.plant import MAX_STEP_S, Plant
 from drivers.sim.sensors import SensorArray
+from drivers.sim.spindle_beam import MountedTool, SpindleBeam
+from drivers.sim.spindle_bearings import bearings, nominal_bearings
 from models.records import FloatArray
 
 STIFFENING = (0.16, 0.32)
@@ -25,6 +28,8 @@ DAMPING_FALL = (0.0, 0.25)
 SETTLING_K = 6.0
 """Shaft over housing, with a share of the bearing's own warmth, at which 63 % of it is reached (chosen) [K]."""
 WARMTH_SHARE = 0.25
+MODES_PER_AXIS = 6
+"""Modes of the finite elements that a cut feels, up to some 4.5 kHz; the others are stiff."""
 REFERENCE_DEGC = 20.0
 """Where the modes are those of the cold machine."""
 
@@ -37,6 +42,8 @@ class VibrationModes:
     frequency_hz: FloatArray
     damping_ratio: FloatArray
     stiffness_n_per_m: FloatArray
+    lead_s: FloatArray | None = None
+    """The tool point moves by a mode's coordinate and by its speed times this; None: 0."""
 
 
 class WarmingModes:
@@ -61,6 +68,37 @@ class WarmingModes:
             frequency_hz=self.cold.frequency_hz * np.sqrt(stiffer),
             damping_ratio=self.cold.damping_ratio * (1.0 - self._damping_fall * tightened),
             stiffness_n_per_m=self.cold.stiffness_n_per_m * stiffer,
+        )
+
+
+class WarmingBeams:
+    """Damped modes of the finite elements with the bearings at the machine's temperatures, along X and Y."""
+
+    def __init__(self, tool: MountedTool) -> None:
+        """Assemble spindle, holder and tool along both axes."""
+        self._beams = {axis: SpindleBeam(nominal_bearings(axis), with_tool=True, tool=tool) for axis in ("x", "y")}
+
+    def at(self, node_degc: FloatArray) -> VibrationModes:
+        """Return the lowest modes of both axes at the temperatures of all nodes [degC].
+
+        A damped mode r / (s - p) + conjugate is a coordinate q with q'' - 2 Re(p) q' + |p|^2 q = F, of which the tool
+        point sees -2 Re(r conj(p)) q + 2 Re(r) q'.
+        """
+        poles, gains, speeds = [], [], []
+        for axis, beam in self._beams.items():
+            modes = beam.modes(bearings(node_degc, axis))
+            pole, residue = modes.poles[:MODES_PER_AXIS], modes.residues[:MODES_PER_AXIS]
+            poles.append(pole)
+            gains.append(-2.0 * (residue * pole.conj()).real)
+            speeds.append(2.0 * residue.real)
+        pole, gain, speed = np.concatenate(poles), np.concatenate(gains), np.concatenate(speeds)
+        natural = np.abs(pole)
+        return VibrationModes(
+            axis=(0,) * len(poles[0]) + (1,) * len(poles[1]),
+            frequency_hz=natural / (2.0 * np.pi),
+            damping_ratio=-pole.real / natural,
+            stiffness_n_per_m=natural**2 / gain,
+            lead_s=speed / gain,
         )
 
 

@@ -42,6 +42,7 @@ def milled(path: Path, seed: int) -> dict[str, WarmUpRun]:
         demand=SpeedDemand(programmed_rpm=9200.0, depth_mm=DEPTH_MM[seed], tolerance_fraction=0.02),
         limits=SpeedLimits(machine_lowest_rpm=1000.0, machine_highest_rpm=12000.0, within_fraction=0.2),
         minutes=14,
+        dynamics="case",
         machine_seed=seed,
         day_seed=seed + 10,
         limit_every_min=None,
@@ -79,6 +80,7 @@ def test_a_cross_receptance_is_refused(tmp_path: Path) -> None:
     request = WarmUpRequest(
         demand=SpeedDemand(programmed_rpm=9000.0, depth_mm=1.0),
         limits=SpeedLimits(machine_lowest_rpm=1000.0, machine_highest_rpm=12000.0),
+        dynamics="case",
     )
     with pytest.raises(StabilityError, match="no cross receptance"):
         warm_up(load_stability_case(path), request)
@@ -88,6 +90,7 @@ def test_the_command_prints_shares_and_draws(tmp_path: Path) -> None:
     path, picture = tmp_path / "case.yaml", tmp_path / "warm.png"
     path.write_text(CASE, encoding="utf-8")
     words = ["stability", "warm-up", "--programmed-rpm", "9200", "--depth-mm", "4.5", "--minutes", "5", "--json", "-"]
+    words += ["--dynamics", "case"]
     result = CliRunner().invoke(main, [*words, "--picture", str(picture), str(path)])
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)["strategies"]
