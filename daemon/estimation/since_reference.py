@@ -1,5 +1,6 @@
 """What is known of the sensors since the reference; the store keeps it, so that a restart forgets none of it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,7 @@ class SinceReference:
         self._reference_id = ""
         self._kept: dict[str, Any] | None = None
         self._means: dict[str, MeanIncrement] = {}
+        self._states: dict[str, tuple[tuple[npt.NDArray[Any], ...], dict[str, Any]]] = {}
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         """Which sensors have been imputed until now, in the machine's order."""
         self.excluded: dict[int, str] = {}
@@ -67,7 +69,8 @@ class SinceReference:
         self._means = {
             label: renewed_mean_increment(mean, degc[self._labels[label]]) for label, mean in self._means.items()
         }
-        return {label: mean.mean_k for label, mean in self._means.items() if np.isfinite(mean.mean_k)}
+        means_k = {label: mean.mean_k for label, mean in self._means.items()}
+        return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
     def keep(self, degc: FloatArray, online: OnLineModel) -> None:
         """Remember who was away in an estimate, and who is excluded; hand it to the store when it has changed.
@@ -94,16 +97,23 @@ class SinceReference:
             "absent": self._ids(np.flatnonzero(self.absent)),
             "excluded": {str(sensor_id): self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
             "of_model": self.of_model,
-            "labels": {
-                label: {
-                    "sensor_ids": self._ids(self._labels[label]),
-                    "reference_degc": _plain(mean.reference_degc),
-                    "counted": mean.counted.tolist(),
-                    "offset_k": _plain(mean.offset_k),
-                }
-                for label, mean in self._means.items()
-            },
+            "labels": {label: self._label_state(label, mean) for label, mean in self._means.items()},
         }
+
+    def _label_state(self, label: str, mean: MeanIncrement) -> dict[str, Any]:
+        """Return what a label's mean counts from; nothing of it changes while nobody comes or goes."""
+        counts_from = (mean.reference_degc, mean.counted, mean.offset_k)
+        known = self._states.get(label)
+        if known is not None and all(now is then for now, then in zip(counts_from, known[0], strict=True)):
+            return known[1]
+        state = {
+            "sensor_ids": self._ids(self._labels[label]),
+            "reference_degc": _plain(mean.reference_degc),
+            "counted": mean.counted.tolist(),
+            "offset_k": _plain(mean.offset_k),
+        }
+        self._states[label] = (counts_from, state)
+        return state
 
 
 def _plain(values: FloatArray) -> list[float | None]:
