@@ -41,9 +41,6 @@ HOUSEKEEPING_S = 6 * 3600.0
 MOST_WAITING = 300
 """With more records waiting for a disk that works, time waits too."""
 
-SWITCH_S = 0.0002
-"""The store's thread gives way so soon, because machine and daemon wait for each other's every word [s]."""
-
 
 class Reported(dict[str, int]):
     """What the store has acknowledged, told to the campaign at once: line and UTC of the cycle's first byte."""
@@ -204,7 +201,6 @@ def main() -> None:
     configuration = load_configuration(Path(path))
     configure_logging(configuration.service.log_level, terminal=False)
     random.seed(seed)
-    sys.setswitchinterval(SWITCH_S)
     clock = VirtualClock(epoch_utc_s=float(epoch_utc_s))
     channel = Channel(socket.socket(fileno=int(machine)))
     CampaignDaemon(configuration, clock, channel, int(acknowledged)).run()
