@@ -30,7 +30,18 @@ def view(reader: HistoryReader, what: str, from_utc_s: float) -> View:
 
 
 def _writes(reader: HistoryReader, from_utc_s: float) -> View:
-    headings = ("id", "UTC", "cause", "state", "outcome", "written um", "applied um", "feedback ms", "reason")
+    headings = (
+        "id",
+        "UTC",
+        "cause",
+        "state",
+        "outcome",
+        "written um",
+        "applied um",
+        "feedback ms",
+        "echoed s",
+        "reason",
+    )
     rows: list[tuple[Cell, ...]] = []
     for record in reader.writes(from_utc_s, FAR_FUTURE_S):
         feedback_s = record.delay_s.get("read_back")
@@ -44,6 +55,7 @@ def _writes(reader: HistoryReader, from_utc_s: float) -> View:
                 _signed(record.compensation_um) if record.compensation_um else _macros(record.macros),
                 _signed(record.applied_um),
                 "-" if feedback_s is None else f"{feedback_s * 1e3:.1f}",
+                "-" if record.echoed_after_s is None else f"{record.echoed_after_s:.1f}",
                 record.detail or record.reason or "",
             )
         )

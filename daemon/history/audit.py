@@ -26,6 +26,7 @@ def _record(frame: Frame, index: int) -> WriteRecord:
     outcome = WriteOutcome(int(frame.integers("outcome")[index]))
     utc_ms = int(frame.integers("utc_ms")[index])
     after_ms, age_ms, sequence = number("outcome_after_ms"), number("cycle_age_ms"), number("sequence")
+    echoed_ms = number("echoed_after_ms")
     delays_us = {stage: number(f"{stage}_us") for stage in STAGES}
     return WriteRecord(
         write_id=int(frame.integers("write_id")[index]),
@@ -47,6 +48,7 @@ def _record(frame: Frame, index: int) -> WriteRecord:
         outcome_time_s=None if after_ms is None else (utc_ms + after_ms) / 1e3,
         cycle_time_s=None if age_ms is None else (utc_ms - age_ms) / 1e3,
         delay_s={stage: us / 1e6 for stage, us in delays_us.items() if us is not None},
+        echoed_after_s=None if echoed_ms is None else echoed_ms / 1e3,
     )
 
 

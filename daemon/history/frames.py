@@ -167,7 +167,10 @@ def encode_frame(kind: Kind, frame: Frame) -> bytes:
 
 
 def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | None = None) -> Frame:
-    """Return the columns of a packed frame that are asked for; the others cost nothing."""
+    """Return the columns of a packed frame that are asked for; the others cost nothing.
+
+    A frame that was packed before its kind got its last columns, which are numbers, has none in them.
+    """
     reader = ByteReader(data)
     if (form := reader.byte()) != FORMAT:
         raise ValueError(f"packed {kind.name} have format {form}; this version of toolpoint knows {FORMAT}")
@@ -175,6 +178,9 @@ def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | 
     wanted = kind.closure(names)
     columns: dict[str, ColumnData] = {}
     for column in kind.columns:
+        if not reader and column.type is ColumnType.NUMBER:
+            columns[column.name] = np.full(rows, np.nan)
+            continue
         part = reader.block()
         if column.name not in wanted:
             continue

@@ -91,6 +91,7 @@ WRITES = Kind(
         *_texts("detail"),
         *_mappings("read_back applied_um"),
         *_numbers("outcome_after_ms cycle_age_ms cleansed_us estimated_us written_us read_back_us"),
+        *_numbers("echoed_after_ms"),
     ),
 )
 

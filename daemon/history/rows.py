@@ -61,6 +61,7 @@ UPDATE_OUTCOME = (
     "cleansed_us = ?, estimated_us = ?, written_us = ?, read_back_us = ? "
     "WHERE write_id = ?"
 )
+UPDATE_ECHOED = "UPDATE writes SET echoed_after_ms = ? WHERE write_id = ?"
 INSERT_EVENT = _insert("events", "utc_ms monotonic_ms kind text person")
 INSERT_PROBE = _insert(
     "probes",
@@ -236,6 +237,12 @@ def outcome_row(layout: MachineLayout, write_id: int, now: Instant, receipt: Rec
         _delay_us(trace.read_back, trace),
         write_id,
     )
+
+
+def echoed_row(write_id: int, trace: Trace) -> Parameters:
+    """Return when the guard had taken over what a cycle led to."""
+    assert trace.echoed is not None
+    return round((trace.echoed.monotonic_s - trace.last_byte.monotonic_s) * 1e3), write_id
 
 
 def _delay_us(stage: Instant | None, trace: Trace) -> int | None:

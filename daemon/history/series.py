@@ -126,6 +126,8 @@ class WriteRecord:
     """UTC of the first byte of the cycle behind it [s]; None while the outcome is not known."""
     delay_s: dict[str, float]
     """From the cycle's last byte to each stage that was passed, on the computer's clock."""
+    echoed_after_s: float | None = None
+    """From the cycle's last byte to the poll that showed it applied in full [s], in the machine's time; None: never."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,6 +32,7 @@ from models.records import (
     Reference,
     TemperatureCycle,
     ThermalErrorEstimate,
+    Trace,
 )
 
 CYCLE_COMMIT_S = 0.05
@@ -185,6 +186,10 @@ class HistoryWriter:
         now = self._clock.now()
         build = partial(rows.outcome_row, self._machine, int(write_id), now, receipt)
         return self._audit("write outcomes", rows.UPDATE_OUTCOME, build)
+
+    def write_echoed(self, write_id: int, trace: Trace) -> Commit:
+        """Record that the guard has taken over what the cycle behind a write led to."""
+        return self._audit("write echoes", rows.UPDATE_ECHOED, partial(rows.echoed_row, write_id, trace))
 
     def event(self, kind: str, text: str, person: str | None = None) -> Commit:
         """Record an operator's action, a change of state, an alarm."""

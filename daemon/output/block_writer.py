@@ -51,7 +51,7 @@ class BlockWriter:
         self.counts["verified"] += 1
         self.axes |= {axis for axis, on in zip(command.axes, command.enable, strict=True) if on}
         line = estimate.line if estimate is not None else None
-        self._echo_watch.wrote(receipt.trace, command, session.echo, line)
+        self._echo_watch.wrote(receipt.trace, command, session.echo, line, session.last_write_id)
         if line is not None:
             self._telemetry.stages(line, receipt.trace)
 

@@ -56,6 +56,8 @@ class CncSession:
         self.echo: Echo | None = None
         self.last_write_s = -np.inf
         self.last_command: CompensationCommand | None = None
+        self.last_write_id: int | None = None
+        """Number of the latest write of the block in the audit."""
 
     @property
     def known(self) -> dict[int, tuple[float, ...]] | None:
@@ -137,6 +139,7 @@ class CncSession:
         groups = self._block.encode(command, sequence=self._sequence, valid_until_s=valid_until_s)
         macros = tuple(pair for group in groups for pair in group)
         intent = self._history.write_intent(command, macros, cause)
+        self.last_write_id = int(intent)
         self._expect_old_or_new(macros)
         self._last_block.keep(self._acceptable or {})
         try:

@@ -84,7 +84,7 @@ class ControlTask:
         self._link = link
         self._history = history
         self._telemetry = telemetry
-        self._echo_watch = EchoWatch(telemetry, echo_slack_um(configuration))
+        self._echo_watch = EchoWatch(telemetry, echo_slack_um(configuration), history.write_echoed)
         self._permission = Permission(configuration, clock, commissioning, model_obstacle)
         self._on_tick = on_tick
         self._on_sample = on_sample

@@ -8,6 +8,7 @@ is looked for. A newer estimate with another value supersedes the older one, who
 then never shows; that is counted apart. The instant is the poll's, so it is late by up to a poll.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,8 @@ class _Awaited:
 
     line: str
     trace: Trace
+    write_id: int | None
+    """Number of the estimate's write in the audit."""
     value_um: FloatArray
     enabled: tuple[bool, ...]
     guard_time_s: float | None
@@ -35,12 +38,26 @@ class _Awaited:
 class EchoWatch:
     """Waits for the echo of the newest estimate's write."""
 
-    def __init__(self, telemetry: Telemetry, slack_um: float = ECHO_SLACK_UM) -> None:
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        slack_um: float = ECHO_SLACK_UM,
+        record: Callable[[int, Trace], object] = lambda _write_id, _trace: None,
+    ) -> None:
+        """`record` takes the number of a write in the audit, and the trace of the cycle behind it."""
         self._telemetry = telemetry
+        self._record = record
         self._slack_um = slack_um
         self._awaited: _Awaited | None = None
 
-    def wrote(self, trace: Trace, command: CompensationCommand, echo: Echo | None, line: str | None) -> None:
+    def wrote(
+        self,
+        trace: Trace,
+        command: CompensationCommand,
+        echo: Echo | None,
+        line: str | None,
+        write_id: int | None = None,
+    ) -> None:
         """Note a verified write with the echo in its read-back; `line` is that of its estimate, None for a tick."""
         awaited = self._awaited
         if not any(command.enable):
@@ -52,6 +69,7 @@ class EchoWatch:
             self._awaited = _Awaited(
                 line=line,
                 trace=trace,
+                write_id=write_id,
                 value_um=command.compensation_um,
                 enabled=command.enable,
                 guard_time_s=None if echo is None else echo.time_s,
@@ -72,7 +90,10 @@ class EchoWatch:
         distance_um = np.abs(echo.applied_um - awaited.value_um)[np.array(awaited.enabled, dtype=bool)]
         if np.all(distance_um <= self._slack_um):
             self._awaited = None
-            self._telemetry.echoed(awaited.line, replace(awaited.trace, echoed=time))
+            trace = replace(awaited.trace, echoed=time)
+            self._telemetry.echoed(awaited.line, trace)
+            if awaited.write_id is not None:
+                self._record(awaited.write_id, trace)
 
     def _drop(self) -> None:
         if self._awaited is not None:

@@ -9,6 +9,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from control_rig import ENABLE, Bench, Z, running
 
+from daemon.history import HistoryReader
 from models.output import OperatorRequest
 from models.records import WriteOutcome
 
@@ -133,3 +134,20 @@ async def test_a_guard_that_never_runs_raises_the_alarm(bench):
 
 def test_outcomes_are_named():
     assert WriteOutcome.REFUSED.name == "REFUSED"
+
+
+async def test_the_audit_holds_when_the_guard_had_taken_over_what_a_cycle_led_to(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        for _ in range(20):
+            await rig.turn(rig.estimate(0.0, -5.0), safe=False)
+        await rig.turn(safe=True)
+        await rig.turn(safe=True)
+        await rig.history.flushed()
+        with HistoryReader(rig.history.path) as reader:
+            writes = reader.writes(0.0, 2.0**40)
+        echoed = [record for record in writes if record.echoed_after_s is not None]
+        latest = echoed[-1]
+        assert latest.compensation_um["z"] == pytest.approx(5.0, abs=0.11) and latest.cause == "estimate"
+        assert latest.echoed_after_s > latest.delay_s["read_back"]
+        assert all(record.echoed_after_s is None for record in writes if record.cause == "tick")

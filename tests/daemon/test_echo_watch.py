@@ -118,3 +118,13 @@ def test_a_tick_alone_is_nobodys_cycle():
     w.wrote(2.0, at_s=100.0, echo_now=echo(0.0, 50.0), line=None)
     w.watch.seen(echo(2.0, 130.0), at(130.5))
     assert w.delays["samples"] == 0
+
+
+def test_the_audit_gets_the_trace_of_the_estimate_whose_value_was_taken_over():
+    w, recorded = Watched(), []
+    w.watch = EchoWatch(w.telemetry, record=lambda write_id, trace: recorded.append((write_id, trace.echoed)))
+    trace = Trace(first_byte=at(99.0), last_byte=at(100.0))
+    w.watch.wrote(trace, command(2.0), echo(0.0, 50.0), "spindle", 7)
+    w.watch.wrote(trace, command(4.0), echo(0.0, 50.0), None, 8)
+    w.watch.seen(echo(4.0, 120.0), at(120.5))
+    assert recorded == [(7, at(120.5))], "the tick only carried the same estimate further"

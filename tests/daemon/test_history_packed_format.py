@@ -27,7 +27,7 @@ from daemon.history.frames import (
     frame_from_rows,
     select_rows,
 )
-from daemon.history.kinds import CNC, CYCLES, KINDS, WRITES
+from daemon.history.kinds import CNC, CYCLES, KINDS, WRITES, _integers, _numbers
 from daemon.history.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
 
 SOME = settings(max_examples=60, deadline=None)
@@ -190,3 +190,12 @@ def test_unknown_format_is_refused() -> None:
 
 def test_kind_of_the_audit_is_packed_with_its_number() -> None:
     assert WRITES.names[0] == "write_id"
+
+
+def test_a_frame_of_before_its_kind_got_another_number_has_none_in_it() -> None:
+    grown = Kind(name="grown", table="t", columns=(*_integers("utc_ms"), *_numbers("first added")))
+    before = Kind(name="grown", table="t", columns=grown.columns[:-1])
+    packed = encode_frame(before, frame_from_rows(before, before.names, [(1, 0.5), (2, 1.5)]))
+    found = decode_frame(grown, packed)
+    np.testing.assert_array_equal(found.numbers("first"), [0.5, 1.5])
+    assert np.isnan(found.numbers("added")).all()
