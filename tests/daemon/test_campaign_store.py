@@ -16,6 +16,8 @@ from daemon.history.writer import HistoryWriter
 from daemon.rehearsal.campaign_process import Acknowledgements, cycle_key
 from daemon.rehearsal.campaign_store import StoreCheck
 from daemon.rehearsal.invariants import Ledger
+from daemon.rehearsal.operations_watch import Probe
+from models.records import ProbeSample
 
 NAMES = ("acknowledged_cycles_kept", "audit_complete", "audit_has_every_block", "displacements_once")
 SENSORS = {"spindle": 13, "bed": 21}
@@ -119,3 +121,45 @@ def test_the_trace_of_the_records_is_one(stored: tuple[Path, Acknowledgements]) 
     first, second = trace(EPOCH_S).first_byte, trace(EPOCH_S + 0.001).first_byte
     assert cycle_key(1, utc_ms(first)) != cycle_key(1, utc_ms(second))
     assert cycle_key(1, utc_ms(first)) != cycle_key(2, utc_ms(first))
+
+
+def test_a_change_of_state_that_nobody_knows_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for kind, text in (
+        ("start", "HOLD: the CNC still applies an offset"),
+        ("state", "HOLD -> ACTIVE: following"),
+        ("state", "FAULT -> ACTIVE: nobody knows why"),
+        ("start", "ACTIVE: at once"),
+    ):
+        writer.event(kind, text)
+    writer.close()
+    check, ledger = checked(path)
+    check.changes_of_state()
+    count = ledger.counts["changes_of_state_known"]
+    assert (count.checked, count.violated) == (4, 2)
+    assert "FAULT -> ACTIVE (nobody knows why)" in count.examples[0]
+
+
+def test_a_probe_value_that_is_not_stored_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for deviation_um, accepted in ((4.0, True), (6.0, False)):
+        writer.probe(
+            ProbeSample(
+                time=StillClock().now(),
+                axis="z",
+                deviation_um=deviation_um,
+                applied_um=0.0,
+                thermal_error_um=0.0,
+                reference_id="r1",
+                accepted=accepted,
+                reason="",
+            )
+        )
+    writer.close()
+    check, ledger = checked(path)
+    check.probes([Probe(answered_s=1.0, axis=3, deviation_um=um) for um in (4.0, 6.0)], ["x", "y", "z"])
+    assert (ledger.counts["probes_kept"].checked, ledger.counts["probes_kept"].violated) == (2, 1)

@@ -1,0 +1,170 @@
+"""What a campaign demands of requests, policies, models and heartbeat: a trace that violates it is found."""
+
+from typing import Any
+
+import pytest
+
+from config.loader import load_configuration
+from config.machines import shipped_file
+from daemon.rehearsal.heartbeat_watch import SETTLED_S, HeartbeatWatch
+from daemon.rehearsal.invariants import Claims, Ledger
+from daemon.rehearsal.operations_watch import ANSWERED_WITHIN_S, CALM_S, ENDED_WITHIN_S, OperationsWatch, Request
+from drivers.sim.campaign_script import Happening, Incident
+from drivers.sim.nc import NumericalControl
+
+MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+CALM_FROM_S = 1000.0
+
+
+def claims(state: str = "ACTIVE", **changes: Any) -> Claims:
+    content: dict[str, Any] = {
+        "state": state,
+        "wanted": (True,),
+        "reference": "r1",
+        "link": True,
+        "confidence": 1.0,
+        "in_domain": True,
+        "estimate_reference": "r1",
+        "reason": "",
+        "model": "m1",
+    }
+    return Claims(**(content | changes))
+
+
+def request(time_s: float = CALM_FROM_S, kind: int = 2) -> Request:
+    return Request(time_s=time_s, counter=7, kind=kind, axis=3, value_mm=0.004)
+
+
+class Bench:
+    """A watch that has long been in calm waters."""
+
+    def __init__(self) -> None:
+        self.ledger = Ledger(OperationsWatch.NAMES)
+        self.watch = OperationsWatch(self.ledger, MACROS.request)
+        self.watch.heard(CALM_FROM_S - 1.0, claims(), 0.0)
+
+    def checked(self, name: str) -> tuple[int, int]:
+        count = self.ledger.counts[name]
+        return count.checked, count.violated
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_a_request_that_is_answered_in_time_is_right_and_a_probe_is_expected_in_the_store(bench: Bench) -> None:
+    bench.watch.asked(request())
+    assert bench.watch.answered(CALM_FROM_S + 3.0, 7.0) == "probe"
+    assert bench.checked("request_answered") == (1, 0)
+    assert [(probe.axis, probe.deviation_um) for probe in bench.watch.probes] == [(3, 4.0)]
+
+
+def test_a_request_without_an_answer_is_found(bench: Bench) -> None:
+    bench.watch.asked(request())
+    bench.watch.heard(CALM_FROM_S + ANSWERED_WITHIN_S + 0.1, claims(), 0.0)
+    assert bench.checked("request_answered") == (1, 1)
+
+
+def test_a_request_amid_an_incident_is_not_judged(bench: Bench) -> None:
+    bench.watch.begun(CALM_FROM_S - 5.0, Happening(kind=Incident.SLOW_CNC, at_s=CALM_FROM_S - 5.0, duration_s=10.0))
+    bench.watch.asked(request())
+    bench.watch.heard(CALM_FROM_S + 100.0, claims(), 0.0)
+    assert bench.checked("request_answered") == (0, 0)
+
+
+def test_an_answer_to_nothing_is_found(bench: Bench) -> None:
+    bench.watch.answered(CALM_FROM_S, 5.0)
+    bench.watch.asked(request())
+    bench.watch.answered(CALM_FROM_S + 1.0, -7.0)
+    bench.watch.answered(CALM_FROM_S + 2.0, 4.0)
+    assert bench.checked("answer_belongs_to_a_request") == (3, 2)
+    assert bench.watch.probes == [], "refused"
+
+
+@pytest.mark.parametrize(("kind", "mark"), [(1, "tool"), (2, "probe"), (3, "tool")])
+def test_what_was_asked_for_marks_where_nothing_may_step(bench: Bench, kind: int, mark: str) -> None:
+    bench.watch.asked(request(kind=kind))
+    assert bench.watch.answered(CALM_FROM_S + 1.0, 7.0) == mark
+
+
+@pytest.mark.parametrize(("after", "violated"), [("r1", 1), (None, 0), ("r2", 0)])
+def test_a_reference_that_a_poll_has_ended_must_go(bench: Bench, after: str | None, violated: int) -> None:
+    bench.watch.begun(CALM_FROM_S, Happening(kind=Incident.WORK_OFFSET, at_s=CALM_FROM_S, duration_s=30.0))
+    bench.watch.polled(CALM_FROM_S + 2.0, retreat_block=False)
+    bench.watch.heard(CALM_FROM_S + 2.0 + ENDED_WITHIN_S + 0.1, claims(reference=after), 0.0)
+    assert bench.checked("reference_ends") == (1, violated)
+
+
+def test_a_work_offset_that_no_poll_has_shown_ends_nothing(bench: Bench) -> None:
+    happening = Happening(kind=Incident.WORK_OFFSET, at_s=CALM_FROM_S, duration_s=1.0)
+    bench.watch.begun(CALM_FROM_S, happening)
+    bench.watch.ended(happening)
+    bench.watch.polled(CALM_FROM_S + 2.0, retreat_block=False)
+    bench.watch.heard(CALM_FROM_S + 60.0, claims(), 0.0)
+    assert bench.checked("reference_ends") == (0, 0)
+
+
+@pytest.mark.parametrize(("applied_um", "violated"), [(0.0, 0), (3.0, 1)])
+def test_under_zero_first_a_reference_needs_the_offset_out(bench: Bench, applied_um: float, violated: int) -> None:
+    bench.watch.begun(0.0, Happening(kind=Incident.OTHER_POLICY, at_s=0.0, duration_s=5.0, target=0))
+    bench.watch.polled(CALM_FROM_S, retreat_block=True)
+    assert bench.watch.retreating
+    bench.watch.heard(CALM_FROM_S + 1.0, claims(reference=None), applied_um)
+    bench.watch.heard(CALM_FROM_S + 2.0, claims(reference="r2"), applied_um)
+    assert bench.checked("zero_first_at_zero") == (1, violated)
+    assert not bench.watch.retreating
+
+
+@pytest.mark.parametrize(("model", "violated"), [("m2", 0), ("m1", 1)])
+def test_a_released_model_must_estimate(bench: Bench, model: str, violated: int) -> None:
+    bench.watch.released(CALM_FROM_S, "m2")
+    bench.watch.round(CALM_FROM_S + 10.0, claims(model="m1"))
+    assert bench.checked("model_taken_up") == (0, 0), "not yet"
+    bench.watch.round(CALM_FROM_S + 100.0, claims(model=model))
+    assert bench.checked("model_taken_up") == (1, violated)
+
+
+@pytest.mark.parametrize(("left_out", "violated"), [((99,), 0), ((26,), 1)])
+def test_a_sensor_that_has_long_been_wrong_must_not_count(
+    bench: Bench, left_out: tuple[int, ...], violated: int
+) -> None:
+    """At 12 K/h it is 3 K off after a quarter of an hour, and a quarter of an hour more is allowed."""
+    drift = Happening(kind=Incident.WRONG_SENSOR, at_s=CALM_FROM_S, duration_s=5000.0, target=99, amount=-12.0)
+    bench.watch.begun(CALM_FROM_S, drift)
+    bench.watch.wrong_sensor(CALM_FROM_S + 1700.0, drift, claims(left_out=()))
+    assert bench.checked("wrong_sensor_left_out") == (0, 0)
+    bench.watch.wrong_sensor(CALM_FROM_S + 1900.0, drift, claims(left_out=left_out))
+    assert bench.checked("wrong_sensor_left_out") == (1, violated)
+
+
+def test_what_a_daemon_took_just_before_it_died_need_not_be_stored(bench: Bench) -> None:
+    for time_s in (CALM_FROM_S, CALM_FROM_S + 2 * CALM_S):
+        bench.watch.asked(request(time_s))
+        bench.watch.answered(time_s, 7.0)
+    bench.watch.died(CALM_FROM_S + 2 * CALM_S + 1.0)
+    assert [probe.answered_s for probe in bench.watch.probes] == [CALM_FROM_S]
+
+
+@pytest.mark.parametrize(
+    ("state", "enable", "valid_for_s", "violated"),
+    [
+        ("ACTIVE", 4.0, 20.0, 0),
+        ("ACTIVE", 4.0, -1.0, 1),
+        ("HOLD", 0.0, 20.0, 1),
+        ("OFF", 0.0, -1.0, 0),
+        ("OFF", 4.0, 20.0, 1),
+        ("FAULT", 4.0, -1.0, 0),
+        ("FAULT", 4.0, 20.0, 1),
+    ],
+)
+def test_the_heartbeat_belongs_to_the_state(state: str, enable: float, valid_for_s: float, violated: int) -> None:
+    ledger = Ledger(["heartbeat"])
+    watch = HeartbeatWatch(MACROS, ledger)
+    nc = NumericalControl(program=1000, clock_s=500.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
+    nc.macros.set(MACROS.enable, enable)
+    nc.macros.set(MACROS.valid_until, nc.clock_s + valid_for_s)
+    watch.look(10.0, claims(state), nc)
+    assert ledger.counts["heartbeat"].checked == 0, "not settled"
+    watch.look(10.0 + SETTLED_S, claims(state), nc)
+    assert (ledger.counts["heartbeat"].checked, ledger.counts["heartbeat"].violated) == (1, violated)
