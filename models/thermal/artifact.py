@@ -6,10 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.thermal.json_fields import (
-    compact,
-    content_sha256,
     null_for_nan,
-    parse,
     read_integer,
     read_list,
     read_matrix,
@@ -17,7 +14,8 @@ from models.thermal.json_fields import (
     read_object,
     read_text,
     read_vector,
-    require_keys,
+    text_of_file,
+    whole_content,
 )
 from models.thermal.model import ModelError, TestVector, ThermalModel, TrainingData
 
@@ -29,10 +27,7 @@ FORMAT_VERSION = 1
 
 def model_to_json(model: ThermalModel) -> str:
     """Return the model as the text of its file, one key per line; numbers are exact."""
-    content = {"format_version": FORMAT_VERSION, **_plain(model)}
-    lines = [f'"{key}": {compact(value)}' for key, value in content.items()]
-    lines.append(f'"sha256": "{content_sha256(content)}"')
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    return text_of_file({"format_version": FORMAT_VERSION, **_plain(model)})
 
 
 def _plain(value: Any) -> Any:
@@ -63,18 +58,7 @@ def model_from_json(text: str, source: str) -> ThermalModel:
 
     """
     try:
-        content = parse(text)
-        version = content.get("format_version")
-        if version != FORMAT_VERSION or isinstance(version, bool):
-            raise ModelError(
-                "format_version", f"{version!r} is unknown; this version of Toolpoint reads {FORMAT_VERSION}"
-            )
-        require_keys("", content, {"format_version", "sha256", *(field.name for field in fields(ThermalModel))})
-        written = content.pop("sha256")
-        if written != content_sha256(content):
-            raise ModelError("sha256", "does not fit the content; the file was changed after training, train it again")
-        del content["format_version"]
-        return _model(content)
+        return _model(whole_content(text, FORMAT_VERSION, {field.name for field in fields(ThermalModel)}))
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
 

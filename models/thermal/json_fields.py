@@ -34,6 +34,41 @@ def content_sha256(content: dict[str, Any]) -> str:
     return hashlib.sha256(canonical.encode("ascii")).hexdigest()
 
 
+def text_of_file(content: dict[str, Any]) -> str:
+    """Return the content of a model file as its text: one key per line, the checksum last; numbers are exact."""
+    lines = [f'"{key}": {compact(value)}' for key, value in content.items()]
+    lines.append(f'"sha256": "{content_sha256(content)}"')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def whole_content(text: str, version: int, keys: set[str]) -> dict[str, Any]:
+    """Return what a model file holds, without its checksum.
+
+    Parameters
+    ----------
+    text
+        Content of the file.
+    version
+        The format version that is read.
+    keys
+        All other keys but the checksum.
+
+    Raises
+    ------
+    ModelError
+        Not JSON, another format version, missing or unknown keys, or a checksum that differs.
+
+    """
+    content = parse(text)
+    found = content.get("format_version")
+    if found != version or isinstance(found, bool):
+        raise ModelError("format_version", f"{found!r} is unknown; this version of Toolpoint reads {version}")
+    require_keys("", content, {"format_version", "sha256", *keys})
+    if content.pop("sha256") != content_sha256(content):
+        raise ModelError("sha256", "does not fit the content; the file was changed after training, train it again")
+    return content
+
+
 def parse(text: str) -> dict[str, Any]:
     """Return the object that a text holds; raises ModelError."""
 

@@ -9,8 +9,6 @@ from models.records import FloatArray
 from models.thermal.artifact import FORMAT_VERSION, model_from_json, read_training
 from models.thermal.inputs import Layout
 from models.thermal.json_fields import (
-    compact,
-    content_sha256,
     null_for_nan,
     packed,
     parse,
@@ -22,7 +20,8 @@ from models.thermal.json_fields import (
     read_packed,
     read_text,
     read_vector,
-    require_keys,
+    text_of_file,
+    whole_content,
 )
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
 from models.thermal.model import ModelError, ThermalModel, TrainingData
@@ -36,10 +35,7 @@ RECORDS = (LaggedModel, FeatureTestVector, TrainingData, Layout, Design, SensorW
 
 def lagged_model_to_json(model: LaggedModel) -> str:
     """Return the model as the text of its file, one key per line; numbers are exact."""
-    content = {"format_version": LAGGED_FORMAT_VERSION, **_plain(model)}
-    lines = [f'"{key}": {compact(value)}' for key, value in content.items()]
-    lines.append(f'"sha256": "{content_sha256(content)}"')
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    return text_of_file({"format_version": LAGGED_FORMAT_VERSION, **_plain(model)})
 
 
 def _plain(value: Any) -> Any:
@@ -89,14 +85,7 @@ def lagged_model_from_json(text: str, source: str) -> LaggedModel:
 
     """
     try:
-        content = parse(text)
-        version = content.get("format_version")
-        if version != LAGGED_FORMAT_VERSION or isinstance(version, bool):
-            raise ModelError("format_version", f"{version!r} is not {LAGGED_FORMAT_VERSION}")
-        require_keys("", content, {"format_version", "sha256", *(field.name for field in fields(LaggedModel))})
-        if content.pop("sha256") != content_sha256(content):
-            raise ModelError("sha256", "does not fit the content; the file was changed after training, train it again")
-        return _model(content)
+        return _model(whole_content(text, LAGGED_FORMAT_VERSION, {field.name for field in fields(LaggedModel)}))
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
 

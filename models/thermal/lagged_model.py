@@ -6,7 +6,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.inputs import Layout
-from models.thermal.model import TEST_TOLERANCE_UM, ModelError, TrainingData
+from models.thermal.model import TEST_TOLERANCE_UM, ModelError, TrainingData, check_band, check_identity
 from models.thermal.ridge import RidgeSolution
 from models.thermal.watch import SensorWatch
 
@@ -82,15 +82,7 @@ class LaggedModel:
 
 
 def _check_names(model: LaggedModel) -> None:
-    if not model.model_id.strip():
-        raise ModelError("model_id", "is empty; history and audit need a name")
-    for key, items in (("channels", model.channels), ("sensor_ids", model.sensor_ids)):
-        if not items:
-            raise ModelError(key, "is empty; a model needs at least one")
-        if twice := sorted({str(item) for item in items if items.count(item) > 1}):
-            raise ModelError(key, f"{', '.join(twice)} appears twice")
-    if min(model.sensor_ids) < 1:
-        raise ModelError("sensor_ids", f"{min(model.sensor_ids)} is not a sensor ID; they count from 1")
+    check_identity(model.model_id, model.channels, model.sensor_ids)
     for key, count in (("sensor_names", len(model.sensor_names)), ("layout.sensors", model.layout.sensors)):
         if count != len(model.sensor_ids):
             raise ModelError(key, f"{count} where sensor_ids has {len(model.sensor_ids)}")
@@ -113,8 +105,7 @@ def _check_arrays(model: LaggedModel) -> None:
         if key != "band_um" and not np.isfinite(array).all():
             raise ModelError(key, "holds a number that is not finite")
         array.flags.writeable = False
-    if not np.all(np.isnan(model.band_um) | (model.band_um >= 0.0)) or np.isinf(model.band_um).any():
-        raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
+    check_band(model.band_um)
     if np.any(model.lowest_degc > model.highest_degc):
         sensor = model.sensor_ids[int(np.argmax(model.lowest_degc > model.highest_degc))]
         raise ModelError("lowest_degc", f"sensor {sensor}: lies above highest_degc")

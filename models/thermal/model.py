@@ -100,20 +100,32 @@ class ThermalModel:
             array.flags.writeable = False
 
 
-def _check_names(model: ThermalModel) -> None:
-    if not model.model_id.strip():
+def check_identity(model_id: str, channels: tuple[str, ...], sensor_ids: tuple[int, ...]) -> None:
+    """Refuse a model without a name, without channels or sensors, or with one of them twice; raises ModelError."""
+    if not model_id.strip():
         raise ModelError("model_id", "is empty; history and audit need a name")
-    for key, items in (("channels", model.channels), ("sensor_ids", model.sensor_ids)):
+    named: tuple[tuple[str, tuple[str | int, ...]], ...] = (("channels", channels), ("sensor_ids", sensor_ids))
+    for key, items in named:
         if not items:
             raise ModelError(key, "is empty; a model needs at least one")
         if twice := sorted({str(item) for item in items if items.count(item) > 1}):
             raise ModelError(key, f"{', '.join(twice)} appears twice")
+    if min(sensor_ids) < 1:
+        raise ModelError("sensor_ids", f"{min(sensor_ids)} is not a sensor ID; they count from 1")
+
+
+def check_band(band_um: FloatArray) -> None:
+    """Refuse a prediction band [um] that is no half width, shape (n_channels,); raises ModelError."""
+    if not np.all(np.isnan(band_um) | (band_um >= 0.0)) or np.isinf(band_um).any():
+        raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
+
+
+def _check_names(model: ThermalModel) -> None:
+    check_identity(model.model_id, model.channels, model.sensor_ids)
     if len(model.sensor_names) != len(model.sensor_ids):
         raise ModelError(
             "sensor_names", f"{len(model.sensor_names)} names for {len(model.sensor_ids)} sensors in sensor_ids"
         )
-    if min(model.sensor_ids) < 1:
-        raise ModelError("sensor_ids", f"{min(model.sensor_ids)} is not a sensor ID; they count from 1")
     if model.kind not in KINDS:
         raise ModelError("kind", f"{model.kind!r} is unknown; this version knows {', '.join(KINDS)}")
 
@@ -135,8 +147,7 @@ def _check_arrays(model: ThermalModel) -> None:
             )
         if key != "band_um" and not np.isfinite(array).all():
             raise ModelError(key, "holds a number that is not finite")
-    if not np.all(np.isnan(model.band_um) | (model.band_um >= 0.0)) or np.isinf(model.band_um).any():
-        raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
+    check_band(model.band_um)
     if not (np.isfinite(model.interval_min) and model.interval_min > 0.0):
         raise ModelError("interval_min", f"{model.interval_min} is not a positive time")
     if not (np.isfinite(model.ridge_k2) and model.ridge_k2 >= 0.0):

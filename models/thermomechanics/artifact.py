@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from models.thermal.json_fields import (
-    compact,
     content_sha256,
     parse,
     read_list,
@@ -14,6 +13,7 @@ from models.thermal.json_fields import (
     read_text,
     read_vector,
     require_keys,
+    text_of_file,
 )
 from models.thermal.model import ModelError
 from models.thermomechanics.regression import (
@@ -35,9 +35,7 @@ def model_to_json(model: ThermomechanicalModel) -> str:
     content: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION}
     content |= {name: getattr(model, name) for name in _TEXTS}
     content |= {"training": list(model.training), "axes": {name: _axis(each) for name, each in model.axes.items()}}
-    lines = [f'"{key}": {compact(value)}' for key, value in content.items()]
-    lines.append(f'"sha256": "{content_sha256(content)}"')
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    return text_of_file(content)
 
 
 def _axis(axis: AxisRegression) -> dict[str, Any]:
