@@ -76,6 +76,8 @@ def _csv(path: Path) -> Measurement:
     if not rows:
         raise MeasurementFileError(f"{path}: holds no frequencies")
     table = np.array([row for row in rows if row[0] > 0.0]).reshape(-1, len(wanted))
+    if not len(table):
+        raise MeasurementFileError(f"{path}: holds no frequency above 0 Hz")
     coherence = table[:, 3].copy() if len(wanted) > 3 else None
     return _measurement(str(path), quantity, table[:, 0].copy(), table[:, 1] + 1j * table[:, 2], coherence)
 
@@ -177,6 +179,8 @@ def _from_set(
     if beside is not None and len(beside["data"]) == len(frequency_hz):
         coherence = np.asarray(beside["data"]).real.astype(np.float64)
     kept = frequency_hz > 0.0
+    if not kept.any():
+        raise MeasurementFileError(f"{place}: holds no frequency above 0 Hz")
     return _measurement(
         place, RESPONSES[kind], frequency_hz[kept], values[kept], None if coherence is None else coherence[kept]
     )

@@ -15,6 +15,9 @@ ORDER: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 USUAL_M_PER_N = (1e-11, 1e-4)
 """Median receptance of a spindle or a tool over a band with resonances; outside, the unit is another one."""
+POSSIBLE_M_PER_N = (1e-30, 1e12)
+POSSIBLE_HZ = (1e-6, 1e7)
+"""Outside these nothing was measured, whatever the unit, and powers of the numbers would not be finite."""
 FEWEST_POINTS = 20
 NARROWEST_BAND = 0.1
 """Width of a band beside its middle."""
@@ -44,6 +47,24 @@ class Measurement:
         wrong = ~np.isfinite(self.receptance_m_per_n) | (self.receptance_m_per_n == 0.0)
         if wrong.any():
             raise MeasurementError(f"at {self.frequency_hz[np.argmax(wrong)]:g} Hz the response is zero or not finite")
+        self._check_range()
+
+    def _check_range(self) -> None:
+        """Refuse numbers that no measurement gives; raises MeasurementError."""
+        outside = (self.frequency_hz < POSSIBLE_HZ[0]) | (self.frequency_hz > POSSIBLE_HZ[1])
+        if outside.any():
+            raise MeasurementError(
+                f"{self.frequency_hz[np.argmax(outside)]:g} Hz is no frequency at which a response is measured "
+                f"({POSSIBLE_HZ[0]:g} to {POSSIBLE_HZ[1]:g} Hz)"
+            )
+        size = np.abs(self.receptance_m_per_n)
+        far = ~((size >= POSSIBLE_M_PER_N[0]) & (size <= POSSIBLE_M_PER_N[1]))
+        if far.any():
+            place = int(np.argmax(far))
+            raise MeasurementError(
+                f"at {self.frequency_hz[place]:g} Hz the receptance is {size[place]:.3g} m/N, which nothing has "
+                f"({POSSIBLE_M_PER_N[0]:g} to {POSSIBLE_M_PER_N[1]:g}); export the response again"
+            )
 
     def between(self, from_hz: float | None, to_hz: float | None) -> "Measurement":
         """Return the part between two frequencies [Hz], both included; None: no limit."""

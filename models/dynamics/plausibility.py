@@ -146,7 +146,14 @@ def other_readings(measured: Measurement) -> Iterator[tuple[str, Measurement]]:
         "of a mobility in mm/s per N": 1e-3 / j_omega,
         "in m/kN": 1e3,
     }
-    for what, factor in values.items():
-        yield what, replace(measured, receptance_m_per_n=measured.receptance_m_per_n * factor)
+    changes: dict[str, dict[str, Any]] = {
+        what: {"receptance_m_per_n": measured.receptance_m_per_n * factor} for what, factor in values.items()
+    }
     for what, scale in {"over kHz": 1e3, "over rad/s": 0.5 / np.pi, "over 1/min": 1.0 / 60.0}.items():
-        yield what, replace(measured, frequency_hz=measured.frequency_hz * scale)
+        changes[what] = {"frequency_hz": measured.frequency_hz * scale}
+    for what, change in changes.items():
+        try:
+            other = replace(measured, **change)
+        except MeasurementError:
+            continue  # Nothing is measured that small or large, so this is not what the numbers mean.
+        yield what, other

@@ -217,6 +217,8 @@ def descend(
     for _ in range(iterations):
         normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
         scale = np.diag(normal) + 1e-12 * np.trace(normal)
+        if not (np.trace(normal) > 1e-200 and np.isfinite(normal).all() and np.isfinite(gradient).all()):
+            break  # Nothing depends on the parameters, or nothing can be said about them.
         step = -np.linalg.solve(normal + damping * np.diag(scale), gradient)
         step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         tried = np.clip(at + step, low, high)

@@ -1,6 +1,7 @@
 """`toolpoint dynamics` with files as a person writes them, good and bad."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -406,6 +407,29 @@ def test_the_unit_of_a_response_at_the_holder_is_found_by_what_fits(tmp_path: Pa
         assert words in refusal("contact", "holder_cold_y", measured, "--joint", "spindle-holder")
     trusted = answer("contact", "holder_cold_y", measured, "--joint", "spindle-holder", "--trust-units")
     assert trusted["log_error"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("scale", "factor", "words"),
+    [
+        (1.0, 1e290, "m/N, which nothing has"),
+        (1.0, 1e-295, "m/N, which nothing has"),
+        (1e290, 1.0, "is no frequency at which a response is measured"),
+        (1e-290, 1.0, "is no frequency at which a response is measured"),
+        (0.0, 1.0, "above 0 Hz|does not lie above the row before"),
+    ],
+)
+def test_numbers_that_nothing_measures_are_refused_though_trusted(
+    spindle: Path, tmp_path: Path, scale: float, factor: float, words: str
+) -> None:
+    at, values = nose(spindle, "--points", 60)
+    path = write_csv(tmp_path / "m.csv", at * scale, values * factor)
+    assert re.search(words, refusal("identify", spindle, path, "--trust-units"))
+
+
+def test_a_response_at_0_hz_alone_is_refused(spindle: Path, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "m.csv", [0.0], [1e-8 + 0j])
+    assert f"{path}: holds no frequency above 0 Hz" in refusal("identify", spindle, path)
 
 
 def test_a_narrow_band_names_what_it_does_not_determine(spindle: Path, tmp_path: Path) -> None:
