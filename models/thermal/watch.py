@@ -39,6 +39,10 @@ MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
 MISSING = "missing"
 """Sign of a sensor that is silent: no fault of its values, so it counts again when it speaks."""
+EXPLAINED = 0.75
+"""An exclusion explains an alarm when the others then depart by no more than this share of their limits ..."""
+EXPLAINED_SHARE = 0.3
+"""... or of the departure before it."""
 MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
 
@@ -345,8 +349,28 @@ class Watcher:
         over_min = np.where(departures > 1.0, state.over_min + elapsed_min, 0.0)
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)
+        culprits = self._culprits(state, excluded, departures)
+        if not culprits:
+            return replace(state, over_min=over_min)
+        blames = tuple(Blame(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
+        return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, *blames))
+
+    def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:
+        """Return the one or two sensors without which the others agree; none where the machine itself is unusual."""
+        first, rest = self._best_without(state, excluded, departures)
+        least = max(EXPLAINED, EXPLAINED_SHARE * float(departures.max()))
+        if rest <= least:
+            return (first,)
+        without_first = tuple(sorted({*excluded, first}))
+        remaining = self.relative_departures(state, without_first)
+        if not (remaining > 0.0).any():
+            return (first,)
+        second, rest = self._best_without(state, without_first, remaining)
+        return (first, second) if rest <= least else ()
+
+    def _best_without(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, float]:
+        """Return the sensor whose exclusion leaves the smallest rest, and that rest over its threshold."""
         suspects = [int(s) for s in np.argsort(departures)[::-1][:MOST_SUSPECTS] if departures[s] > 0.0]
         rests = [float(self.relative_departures(state, tuple(sorted({*excluded, s}))).max()) for s in suspects]
-        culprit = suspects[int(np.argmin(rests))]
-        blame = Blame(sensor=culprit, time_min=state.time_min, sign="departure")
-        return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, blame))
+        best = int(np.argmin(rests))
+        return suspects[best], rests[best]

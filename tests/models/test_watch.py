@@ -98,6 +98,24 @@ def test_a_missing_sensor_is_excluded_after_what_is_bridged(watch: SensorWatch, 
     assert (blame.sensor, blame.sign, blame.time_min) == (4, "missing", 770.0)
 
 
+def test_two_faults_at_once_are_both_found(watch: SensorWatch, whole: Recording) -> None:
+    degc = whole.temperatures_degc.copy()
+    drift = np.arange(200.0) / 20.0
+    degc[760:, [1, 4]] += drift[:, None] * [1.0, -1.0]
+    assert {blame.sensor for blame in follow(watch, whole, degc).blamed} == {1, 4}
+
+
+@pytest.mark.parametrize("amount_k", [0.6, 3.0])
+def test_what_no_sensor_explains_is_blamed_on_nobody(watch: SensorWatch, whole: Recording, amount_k: float) -> None:
+    """Three sensors, half of all, see a draught that the others do not: the machine is unusual, no sensor is broken."""
+    degc = whole.temperatures_degc.copy()
+    draught = amount_k * np.clip((np.arange(float(whole.rows)) - 760.0) / 30.0, 0.0, 1.0)
+    degc[:, :3] += draught[:, None]
+    state = follow(watch, whole, degc)
+    assert Watcher(watch).relative_departures(state, ()).max() > 2.0
+    assert state.blamed == ()
+
+
 def test_two_faults_one_after_the_other_are_both_found(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     degc[700:, 1] += 6.0
