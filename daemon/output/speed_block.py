@@ -150,8 +150,12 @@ class SpeedBlock:
 
     def enabled(self, found: Found, clock_s: float) -> bool:
         """Whether the NC may take the pair at this time of its clock [s]."""
+        return found.get(self._map.enable) != 0.0 and self.remaining_s(found, clock_s) > 0.0
+
+    def remaining_s(self, found: Found, clock_s: float) -> float:
+        """Return for how long the pair is valid from this time of the NC's clock [s], -inf when nothing says so."""
         valid_until_s = found.get(self._map.valid_until)
-        return found.get(self._map.enable) != 0.0 and valid_until_s is not None and valid_until_s > clock_s
+        return -math.inf if valid_until_s is None else valid_until_s - clock_s
 
     def encode(self, pair: SpeedPair, *, after: int, valid_until_s: float) -> Groups:
         """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""

@@ -19,6 +19,8 @@ ROUNDING_RPM = 0.5
 """Speeds are whole, so bounds are this much wider [1/min]."""
 FEED_SLACK = 0.01
 """Share by which the feed may be off what belongs to the speed; the NC allows the same."""
+CLOCK_SLACK_S = 2.0
+"""The NC's clock is known from the latest poll to about this [s]."""
 
 
 class SpeedWriteError(Exception):
@@ -31,7 +33,8 @@ class SpeedWriter:
     def __init__(self, tuning: SpindleSpeedConfig, block: SpeedBlock, store: Path) -> None:
         self._tuning, self._block = tuning, block
         self._last = LastBlock.of_speed(store)
-        self._known: Mapping[int, tuple[float, ...]] | None = self._last.load()
+        kept = self._last.load()
+        self._known: Mapping[int, tuple[float, ...]] | None = kept if set(kept or ()) == set(block.ours) else None
         self._adopted = self._certain = False
         self._written_s = -math.inf
         self.pair = DISABLED
@@ -57,6 +60,8 @@ class SpeedWriter:
             foreign = ""
         if not foreign and not self._adopted:
             self._adopt(found, clock_s, now_s)
+        if not 0.0 < self._block.remaining_s(found, clock_s) <= self._tuning.validity_s + CLOCK_SLACK_S:
+            self._written_s = -math.inf  # the control was switched off and on, or its clock has begun again
         return foreign
 
     def forgive(self, found: Found) -> None:

@@ -17,6 +17,7 @@ from speed_rig import CUT, SAFE, SpeedRig
 
 from config.guard.speed_text import SpeedStatus
 from daemon.history.reader import HistoryReader
+from daemon.output.last_block import LastBlock
 from daemon.output.speed_block import DISABLED, MadeFor, SpeedBlock, SpeedPair
 from daemon.output.speed_writer import SpeedWriteError, SpeedWriter
 from drivers.contract import FatalDriverError
@@ -342,6 +343,16 @@ async def test_a_block_that_nobody_here_has_written_is_a_fault(tmp_path: Path, f
         assert (await bench.operation())[2] is APPLIED
 
 
+async def test_what_was_written_through_other_macros_proves_nothing(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    LastBlock.of_speed(bench.configuration.history.path).keep({number + 10: (0.0,) for number in MACROS.ours})
+    fill(bench, valid_for_s=500.0)
+    async with running(bench.new_rig()):
+        await bench.rig.turn()
+        await bench.pass_by(3.0, SAFE)
+        assert "enabled and valid" in str(bench.rig.control.journal.fault)
+
+
 @pytest.mark.parametrize("found", [{}, {"valid_for_s": -5.0}])
 async def test_a_whole_block_that_the_nc_does_not_follow_is_taken_over(tmp_path: Path, found: dict) -> None:
     bench = SpeedRig(tmp_path)
@@ -407,11 +418,13 @@ async def test_a_restart_within_a_cut_goes_on_with_the_pair(tmp_path: Path, torn
 
 
 async def test_switching_the_control_off_and_on_expires_the_pair_and_is_no_fault(bench: SpeedRig) -> None:
-    await bench.operation()
+    speed_rpm, *_ = await bench.operation()
+    await bench.pass_by(3.0, CUT)
     bench.nc.power_cycle()
     assert bench.call()[2] is SpeedStatus.EXPIRED
-    await bench.pass_by(12.0, CUT)
+    await bench.pass_by(4.0, CUT)
     assert bench.rig.control.journal.fault is None
+    assert bench.call()[::2] == (speed_rpm, APPLIED)
     assert (await bench.operation())[2] is APPLIED
 
 

@@ -15,6 +15,7 @@ from config.commissioning import CommissioningRecord
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
+from config.schema.cnc import CncConfig
 from config.schema.guard import GuardConfig
 from daemon.commissioning.procedure import Plan
 from daemon.commissioning.refusal import CommissioningRefusedError
@@ -94,7 +95,9 @@ class Bench:
         self._content = self._described.model_dump_json()
         self.stores = 0
         self.reset()
-        self.server = SimulatedCncServer(PresentNc(self), self._described.cnc, port=0)
+        served = self._described.cnc.model_dump()
+        served["macros"]["writable"] += ["121"]  # beyond the shipped map, for the block of the spindle speed
+        self.server = SimulatedCncServer(PresentNc(self), CncConfig.model_validate(served), port=0)
         self.relay = TcpRelay(port=0, target_port=0)
 
     def reset(

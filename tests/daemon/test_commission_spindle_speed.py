@@ -1,0 +1,79 @@
+"""What commissioning does with the macro variables of the spindle speed."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pytest_asyncio
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from commissioning_bench import Bench, Person, refused, serving
+from speed_machine import MACROS, speed_machine
+
+from daemon.output.last_block import LastBlock
+from models.records import WriteOutcome
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def served(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    async with serving(tmp_path_factory.mktemp("commission")) as bench:
+        yield bench
+
+
+@pytest.fixture
+def bench(served: Bench) -> Bench:
+    served.reset()
+    return served
+
+
+@pytest.fixture
+def tuned(tmp_path: Path) -> Callable[[dict[str, Any]], None]:
+    """Add the section to a configuration."""
+    section = speed_machine(tmp_path).spindle_speed
+    assert section is not None
+
+    def change(content: dict[str, Any]) -> None:
+        content["spindle_speed"] = section.model_dump(mode="json")
+        content["cnc"]["macros"]["writable"] = [*content["cnc"]["macros"]["writable"], "121"]
+
+    return change
+
+
+async def test_vacant_ones_are_set_to_zero_in_the_order_of_a_write(bench: Bench, tuned: Callable) -> None:
+    bench.machine.nc.macros.set(MACROS.valid_until, None)
+    for number in set(MACROS.ours) - {MACROS.valid_until}:
+        bench.machine.nc.macros.set(number, None)
+    await bench.commission(Person(bench), change=tuned, initialise_only=True)
+    assert {bench.macro(number) for number in MACROS.ours if number != MACROS.valid_until} == {0.0}
+    assert bench.macro(MACROS.valid_until) is None
+    assert bench.macro(MACROS.calls) is None  # the NC's own
+    (record,) = [each for each in bench.writes() if MACROS.enable in dict(each.macros)]
+    assert record.outcome is WriteOutcome.VERIFIED
+    order = [number for number, _ in record.macros]
+    assert order.index(MACROS.sequence_a) < order.index(MACROS.enable) < order.index(MACROS.sequence_b)
+
+
+async def test_foreign_ones_are_left_alone_unless_a_person_says_so(bench: Bench, tuned: Callable) -> None:
+    for number in MACROS.ours:
+        bench.machine.nc.macros.set(number, 0.0)
+    bench.machine.nc.macros.set(MACROS.speed, 9999.0)
+    person = Person(bench)
+    person.denies = "Overwrite"
+    assert f"#{MACROS.speed} = 9999" in await refused(bench, person, change=tuned, initialise_only=True)
+    assert bench.macro(MACROS.speed) == 9999.0
+    await bench.commission(Person(bench), change=tuned, initialise_only=True)
+    assert bench.macro(MACROS.speed) == 0.0
+
+
+async def test_what_the_daemon_has_written_is_known(bench: Bench, tuned: Callable) -> None:
+    for number in MACROS.ours:
+        bench.machine.nc.macros.set(number, 0.0)
+    bench.machine.nc.macros.set(MACROS.speed, 9400.0)
+    LastBlock.of_speed(bench.store).keep({MACROS.speed: (9200.0, 9400.0)})
+    await bench.commission(Person(bench), change=tuned, initialise_only=True)
+    assert bench.macro(MACROS.speed) == 9400.0
