@@ -62,6 +62,9 @@ class Shop(RuleBasedStateMachine):
         self.let_pass(1)
         self.loop.rig.control.request(OperatorRequest(enable=frozenset({"y", "z"})), "a person")
         self.let_pass(7)
+        self.the_work_is_positioned()
+        self.the_machine_warms_or_cools([0.15, 0.1, 0.1, 0.05, 0.05], 4)
+        assert self.memory.state is OutputState.ACTIVE and self.loop.applied_um.any()
 
     def teardown(self) -> None:
         self.runner.run(self.loop.end())
@@ -102,7 +105,8 @@ class Shop(RuleBasedStateMachine):
         if adopted and memory.state in (*STILL, OutputState.ACTIVE):
             assert np.allclose(now[1:], applied[1:], atol=NOISE_UM), "a reference moves nothing"
         resting = np.array(memory.wanted) & np.array(before.wanted)
-        if memory.state in STILL and before.state in STILL and not adopted and not before.settling:
+        tool_set = memory.tools is not before.tools  # what is applied, rounded by the control, is the command then
+        if memory.state in STILL and before.state in STILL and not (adopted or tool_set or before.settling):
             assert np.allclose(now[resting], before.command_um[resting], atol=NOISE_UM), "frozen"
         stale = self.loop.thermal.latest_estimate is None or self.loop.thermal.usable == 0
         if stale and memory.state is OutputState.ACTIVE:
@@ -264,6 +268,16 @@ class Shop(RuleBasedStateMachine):
         self.let_pass(2)
 
     @rule()
+    def everything_is_set_right(self) -> None:
+        """What a person does after an alarm: sensors mended, fault acknowledged, axes on, the work positioned."""
+        self.loop.offset_k = np.nan_to_num(self.loop.offset_k)
+        self.loop.nc.run, self.loop.nc.sequence_number = CncRun.START, 900
+        self.a_person_acknowledges()
+        self.a_person_switches_on(frozenset({"y", "z"}))
+        self.the_work_is_positioned()
+        self.let_pass(7)
+
+    @rule()
     def the_work_is_positioned(self) -> None:
         nc, at = self.loop.nc, self.loop.nc.sequence_number
         before = self.loop.applied_um
@@ -335,6 +349,6 @@ class ShopThatRetreatsFirst(Shop):
 
 SOME = {"stateful_step_count": 14, "deadline": None, "suppress_health_check": list(HealthCheck)}
 TestShop = Shop.TestCase
-TestShop.settings = settings(max_examples=24, **SOME)
+TestShop.settings = settings(max_examples=14, **SOME)
 TestShopThatRetreatsFirst = ShopThatRetreatsFirst.TestCase
-TestShopThatRetreatsFirst.settings = settings(max_examples=8, **SOME)
+TestShopThatRetreatsFirst.settings = settings(max_examples=5, **SOME)
