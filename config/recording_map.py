@@ -25,6 +25,9 @@ class RecordingMap(Section):
     displacements: list[str] = Field(
         min_length=1, description="columns that hold displacements [um]: names or patterns such as c*"
     )
+    axis_positions: list[str] | None = Field(
+        None, min_length=1, description="columns that hold axis positions [mm], if there are any: names or patterns"
+    )
     sample_s: Seconds = Field(60.0, description="the recording is averaged to this time between rows [s]")
 
 
@@ -42,6 +45,7 @@ class Columns(Section):
     time: int
     speed: int | None
     temperatures: list[int]
+    axis_positions: list[int]
     displacements: list[int]
 
 
@@ -63,13 +67,19 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
     taken = {time} if speed is None else {time, speed}
     temperatures = _matching("temperatures", recording_map.temperatures, header, taken)
     displacements = _matching("displacements", recording_map.displacements, header, taken)
-    if both := sorted(set(temperatures) & set(displacements)):
-        raise ColumnError(
-            "displacements",
-            f"{_listed(header[i] for i in both)} would be temperature and displacement at once; "
-            "write narrower patterns",
-        )
-    return Columns(time=time, speed=speed, temperatures=temperatures, displacements=displacements)
+    positions = _matching("axis_positions", recording_map.axis_positions or [], header, taken)
+    for key, others, meanings in (
+        ("displacements", temperatures, "temperature and displacement"),
+        ("axis_positions", temperatures, "temperature and axis position"),
+        ("axis_positions", displacements, "displacement and axis position"),
+    ):
+        if both := sorted(set(others) & set(displacements if key == "displacements" else positions)):
+            raise ColumnError(
+                key, f"{_listed(header[i] for i in both)} would be {meanings} at once; write narrower patterns"
+            )
+    return Columns(
+        time=time, speed=speed, temperatures=temperatures, axis_positions=positions, displacements=displacements
+    )
 
 
 def _named(key: str, name: str, header: Sequence[str]) -> int:

@@ -29,6 +29,12 @@ def model_from_text(
         return None, f"{source}: this is no thermal model: byte {error.start} is not UTF-8 text"
     except ModelError as error:
         return None, str(error)
+    if model.axis_positions:
+        names = ", ".join(model.axis_positions[:8])
+        return None, (
+            f"{source}: the model needs axis positions ({names}), which are not read while the machine runs; "
+            "take axis_positions out of the map and train it again"
+        )
     if foreign := sorted(set(model.sensor_ids) - set(sensor_ids)):
         return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):

@@ -19,6 +19,7 @@ from models.thermal.inputs import (
     Inputs,
     build_inputs,
     require_same_columns,
+    temperatures_alone,
     unusable_sensors,
     with_sensors,
 )
@@ -145,8 +146,9 @@ def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
 
 def _require_faults(inputs: Inputs, parts: Sequence[_Part], faults: Sequence[Fault]) -> None:
     for fault in faults:
-        if fault.sensor != "each" and fault.sensor not in inputs.sensor_names:
-            known = ", ".join(inputs.sensor_names[:20])
+        temperatures = [name for name in inputs.sensor_names if name not in inputs.axis_positions]
+        if fault.sensor != "each" and fault.sensor not in temperatures:
+            known = ", ".join(temperatures[:20])
             raise DatasetError(f"fault {fault.kind}: there is no temperature {fault.sensor}; there are {known}")
         if not any(_holds(inputs, rows, fault) for part in parts for rows in trial_rows(inputs, part.test)):
             raise DatasetError(f"fault {fault.kind}: hour {fault.at_hours:g} does not lie in what is tested")
@@ -161,13 +163,13 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     dropped = unusable_sensors(plain, part.train)
     kept = [name for name in plain.sensor_names if name not in dropped]
-    if not kept:
+    if not set(kept) - set(plain.axis_positions):
         raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
     chosen = [with_sensors(recording, kept) for recording in recordings]
     prepared = prepare(chosen, sample_s, model, part.train, protocol.probe_min)
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
-    watch = fit_watch(chosen, sample_s, rows, fold)
+    watch = fit_watch(temperatures_alone(chosen), sample_s, rows, fold)
     tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter)
     trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
     return _Outcome(
@@ -187,7 +189,7 @@ def _fault_outcomes(
     for fault in faults:
         names = inputs.sensor_names if fault.sensor == "each" else (fault.sensor,)
         for name in names:
-            if name in dropped:
+            if name in dropped or name in inputs.axis_positions:
                 continue
             single = Fault(kind=fault.kind, sensor=name, at_hours=fault.at_hours, amount=fault.amount)
             found += [tester.with_fault(trial, single) for trial in trials if _holds(inputs, trial.rows, single)]

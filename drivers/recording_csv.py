@@ -82,13 +82,15 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             raise place.refuse(str(error)) from error
         time_s, table = _rows(place, lines, header, delimiter, columns, _time_reader(recording_map.time_unit))
     first_temperature = 0 if columns.speed is None else 1
-    first_displacement = first_temperature + len(columns.temperatures)
+    inputs = [*columns.temperatures, *columns.axis_positions]
+    first_displacement = first_temperature + len(inputs)
     try:
         return Recording(
             name=path.name,
             time_s=time_s,
             speed_rpm=None if columns.speed is None else table[:, 0].copy(),
-            temperature_names=tuple(header[i] for i in columns.temperatures),
+            temperature_names=tuple(header[i] for i in inputs),
+            axis_positions=tuple(header[i] for i in columns.axis_positions),
             temperatures_degc=table[:, first_temperature:first_displacement].copy(),
             displacement_names=tuple(header[i] for i in columns.displacements),
             displacements_um=table[:, first_displacement:].copy(),
@@ -198,7 +200,8 @@ def _rows(
     read_time: Callable[[str], float],
 ) -> tuple[FloatArray, FloatArray]:
     """Return times from the first row [s] and the table of speed, temperatures, displacements."""
-    wanted = [*([] if columns.speed is None else [columns.speed]), *columns.temperatures, *columns.displacements]
+    speed = [] if columns.speed is None else [columns.speed]
+    wanted = [*speed, *columns.temperatures, *columns.axis_positions, *columns.displacements]
     times: list[float] = []
     table: list[FloatArray] = []
     reader = csv.reader(lines, delimiter=delimiter)

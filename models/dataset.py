@@ -39,6 +39,8 @@ class Recording:
     displacement_names: tuple[str, ...]
     displacements_um: FloatArray
     """Displacements [um], shape (n, n_channels), NaN where missing; raw, as measured."""
+    axis_positions: tuple[str, ...] = ()
+    """The last of `temperature_names`, when they are axis positions [mm]: inputs of models like temperatures."""
     rows_before: int = 0
     """Rows of the file that come before the first one, so that findings name the file's row."""
 
@@ -59,6 +61,8 @@ class Recording:
         names = (*self.temperature_names, *self.displacement_names)
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise DatasetError(f"{self.name}: the columns {', '.join(twice)} appear twice; names must be unique")
+        if self.axis_positions != self.temperature_names[self.sensors :]:
+            raise DatasetError(f"{self.name}: axis positions must be the last inputs, not {self.axis_positions}")
         _require_increasing(self.name, self.time_s)
         for array in (self.time_s, self.temperatures_degc, self.displacements_um):
             array.flags.writeable = False
@@ -69,6 +73,11 @@ class Recording:
     def rows(self) -> int:
         """Number of rows."""
         return len(self.time_s)
+
+    @property
+    def sensors(self) -> int:
+        """Number of temperature sensors, which come before the axis positions."""
+        return len(self.temperature_names) - len(self.axis_positions)
 
     @property
     def sample_s(self) -> float:
@@ -183,7 +192,8 @@ class Recording:
 
     def without_impossible(self) -> "Recording":
         """Return the recording in which single values that cannot be are missing (see `models.impossible`)."""
-        wrong_degc = impossible_temperatures(self.temperatures_degc)
+        wrong_degc = np.zeros(self.temperatures_degc.shape, dtype=np.bool_)
+        wrong_degc[:, : self.sensors] = impossible_temperatures(self.temperatures_degc[:, : self.sensors])
         wrong_um = impossible_displacements(self.displacements_um)
         speed_rpm = self.speed_rpm
         if speed_rpm is not None and (wrong_rpm := impossible_speeds(speed_rpm)).any():

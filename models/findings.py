@@ -92,9 +92,9 @@ def _rows(recording: "Recording", rows_together: int | None) -> Iterator[Finding
 
 
 def _impossible(recording: "Recording") -> Iterator[Finding]:
-    degc, um = recording.temperatures_degc, recording.displacements_um
+    degc, um = recording.temperatures_degc[:, : recording.sensors], recording.displacements_um
     tables = [
-        (recording.temperature_names, "degC", degc, impossible_temperatures(degc)),
+        (recording.temperature_names[: recording.sensors], "degC", degc, impossible_temperatures(degc)),
         (recording.displacement_names, "um", um, impossible_displacements(um)),
     ]
     if (speed_rpm := recording.speed_rpm) is not None:
@@ -135,7 +135,9 @@ def _columns(recording: "Recording") -> Iterator[Finding]:
 
 
 def _temperature_units(recording: "Recording") -> Iterator[Finding]:
-    for name, column in zip(recording.temperature_names, recording.temperatures_degc.T, strict=True):
+    for name, column in zip(
+        recording.temperature_names[: recording.sensors], recording.temperatures_degc.T, strict=False
+    ):
         known = column[np.isfinite(column)]
         if not len(known):
             continue
@@ -150,7 +152,8 @@ def _temperature_units(recording: "Recording") -> Iterator[Finding]:
 
 
 def _fahrenheit(recording: "Recording") -> Iterator[Finding]:
-    degc = np.where(np.isfinite(recording.temperatures_degc), recording.temperatures_degc, np.inf)
+    temperatures = recording.temperatures_degc[:, : recording.sensors]
+    degc = np.where(np.isfinite(temperatures), temperatures, np.inf)
     if not degc.size or not WARMEST_START_DEGC < (lowest := float(degc.min())) < HIGHEST_DEGC:
         return
     row, column = np.unravel_index(int(np.argmin(degc)), degc.shape)
@@ -167,7 +170,8 @@ def _displacement_units(recording: "Recording") -> Iterator[Finding]:
         if span_um > LARGEST_SPAN_UM:
             sentence = f"moves by {span_um:.4g}, too far for micrometres; it looks like nanometres or raw counts"
             yield _error(name, None, sentence)
-    warmed_k = max(_spans(recording.temperature_names, recording.temperatures_degc).values(), default=0.0)
+    names, degc = recording.temperature_names[: recording.sensors], recording.temperatures_degc[:, : recording.sensors]
+    warmed_k = max(_spans(names, degc).values(), default=0.0)
     if warmed_k > WARMING_K and spans_um and (widest := max(spans_um.values())) < SMALLEST_SPAN_UM:
         name = max(spans_um, key=lambda channel: spans_um[channel])
         sentence = (

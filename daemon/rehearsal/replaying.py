@@ -41,6 +41,8 @@ def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
 def check_model(path: Path, recording: Recording) -> None:
     """Raise ValueError, saying why, for a model that cannot be read or was not made for these columns."""
     names = recording.temperature_names
+    if recording.axis_positions:
+        raise ValueError(f"{recording.name}: a replay plays no axis positions; take axis_positions out of the map")
     model, obstacle = read_model(path, range(1, len(names) + 1), recording.displacement_names)
     if model is None:
         raise ValueError(obstacle)

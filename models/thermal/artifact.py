@@ -23,11 +23,14 @@ __all__ = ["FORMAT_VERSION", "ModelError", "ThermalModel", "model_from_json", "m
 
 FORMAT_VERSION = 1
 """Version of the file's layout; another one is refused."""
+OPTIONAL = frozenset({"axis_positions"})
+"""Keys that only files hold to which they apply."""
 
 
 def model_to_json(model: ThermalModel) -> str:
     """Return the model as the text of its file, one key per line; numbers are exact."""
-    return text_of_file({"format_version": FORMAT_VERSION, **_plain(model)})
+    content = {"format_version": FORMAT_VERSION, **_plain(model)}
+    return text_of_file({key: value for key, value in content.items() if value or key not in OPTIONAL})
 
 
 def _plain(value: Any) -> Any:
@@ -58,7 +61,7 @@ def model_from_json(text: str, source: str) -> ThermalModel:
 
     """
     try:
-        return _model(whole_content(text, FORMAT_VERSION, {field.name for field in fields(ThermalModel)}))
+        return _model(whole_content(text, FORMAT_VERSION, {field.name for field in fields(ThermalModel)}, OPTIONAL))
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
 
@@ -81,7 +84,15 @@ def _model(content: dict[str, Any]) -> ThermalModel:
         band_um=read_vector("band_um", content["band_um"], null_allowed=True),
         training=tuple(read_training(i, item) for i, item in enumerate(read_list("training", content["training"]))),
         created=read_text("created", content["created"]),
+        axis_positions=read_axis_positions(content),
         test_vectors=tuple(_test(i, item) for i, item in enumerate(read_list("test_vectors", content["test_vectors"]))),
+    )
+
+
+def read_axis_positions(content: dict[str, Any]) -> tuple[str, ...]:
+    """Return the inputs that are axis positions, which a file without any does not mention; raises ModelError."""
+    return tuple(
+        read_text("axis_positions", item) for item in read_list("axis_positions", content.get("axis_positions", []))
     )
 
 

@@ -91,6 +91,8 @@ class Inputs:
     """Displacements without jumps at spindle on/off, for training."""
     speed_scale_rpm: float
     """Speed that stands for 1 in the features [1/min]."""
+    axis_positions: tuple[str, ...] = ()
+    """The last of `sensor_names`, when they are axis positions [mm]."""
 
     @property
     def rows(self) -> int:
@@ -176,6 +178,7 @@ def build_inputs(
         measured_um=np.vstack([recording.displacements_um for recording in averaged]),
         cleansed_um=np.vstack(cleansed),
         speed_scale_rpm=scale_rpm,
+        axis_positions=averaged[0].axis_positions,
     )
 
 
@@ -289,7 +292,7 @@ def require_same_columns(recordings: Sequence[Recording]) -> None:
         raise DatasetError("there is no recording to train on")
     first = recordings[0]
     for other in recordings[1:]:
-        for kind in ("temperature_names", "displacement_names"):
+        for kind in ("temperature_names", "displacement_names", "axis_positions"):
             if (mine := getattr(first, kind)) != (theirs := getattr(other, kind)):
                 differing = sorted(set(mine) ^ set(theirs)) or ["their order"]
                 raise DatasetError(
@@ -305,11 +308,21 @@ def unusable_sensors(inputs: Inputs, rows: BoolArray) -> dict[str, str]:
         if missing.mean() > LARGEST_MISSING_SHARE:
             found[name] = f"{missing.mean():.0%} of its training rows are missing"
         elif np.ptp(inputs.degc[rows, sensor]) < SMALLEST_SPAN_K:
-            found[name] = f"constant at {inputs.degc[rows, sensor][0]:g} degC in training"
+            found[name] = f"constant at {inputs.degc[rows, sensor][0]:g} in training"
     return found
+
+
+def temperatures_alone(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the recordings without axis positions; those come last, so that sensors keep their indices."""
+    return [with_sensors(recording, recording.temperature_names[: recording.sensors]) for recording in recordings]
 
 
 def with_sensors(recording: Recording, names: Sequence[str]) -> Recording:
     """Return the recording with the named temperatures only, in that order."""
     columns = [recording.temperature_names.index(name) for name in names]
-    return replace(recording, temperature_names=tuple(names), temperatures_degc=recording.temperatures_degc[:, columns])
+    return replace(
+        recording,
+        temperature_names=tuple(names),
+        temperatures_degc=recording.temperatures_degc[:, columns],
+        axis_positions=tuple(name for name in names if name in recording.axis_positions),
+    )

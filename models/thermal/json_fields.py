@@ -41,7 +41,7 @@ def text_of_file(content: dict[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def whole_content(text: str, version: int, keys: set[str]) -> dict[str, Any]:
+def whole_content(text: str, version: int, keys: set[str], optional: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Return what a model file holds, without its checksum.
 
     Parameters
@@ -52,6 +52,8 @@ def whole_content(text: str, version: int, keys: set[str]) -> dict[str, Any]:
         The format version that is read.
     keys
         All other keys but the checksum.
+    optional
+        Those of them that may be missing.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def whole_content(text: str, version: int, keys: set[str]) -> dict[str, Any]:
     found = content.get("format_version")
     if found != version or isinstance(found, bool):
         raise ModelError("format_version", f"{found!r} is unknown; this version of Toolpoint reads {version}")
-    require_keys("", content, {"format_version", "sha256", *keys})
+    require_keys("", content, {"format_version", "sha256", *(keys - (optional - content.keys()))})
     if content.pop("sha256") != content_sha256(content):
         raise ModelError("sha256", "does not fit the content; the file was changed after training, train it again")
     return content

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.artifact import FORMAT_VERSION, model_from_json, read_training
+from models.thermal.artifact import FORMAT_VERSION, OPTIONAL, model_from_json, read_axis_positions, read_training
 from models.thermal.inputs import Layout
 from models.thermal.json_fields import (
     null_for_nan,
@@ -35,7 +35,8 @@ RECORDS = (LaggedModel, FeatureTestVector, TrainingData, Layout, Design, SensorW
 
 def lagged_model_to_json(model: LaggedModel) -> str:
     """Return the model as the text of its file, one key per line; numbers are exact."""
-    return text_of_file({"format_version": LAGGED_FORMAT_VERSION, **_plain(model)})
+    content = {"format_version": LAGGED_FORMAT_VERSION, **_plain(model)}
+    return text_of_file({key: value for key, value in content.items() if value or key not in OPTIONAL})
 
 
 def _plain(value: Any) -> Any:
@@ -85,7 +86,9 @@ def lagged_model_from_json(text: str, source: str) -> LaggedModel:
 
     """
     try:
-        return _model(whole_content(text, LAGGED_FORMAT_VERSION, {field.name for field in fields(LaggedModel)}))
+        return _model(
+            whole_content(text, LAGGED_FORMAT_VERSION, {field.name for field in fields(LaggedModel)}, OPTIONAL)
+        )
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
 
@@ -114,6 +117,7 @@ def _model(content: dict[str, Any]) -> LaggedModel:
         refused=None if content["refused"] is None else read_text("refused", content["refused"]),
         training=tuple(read_training(i, item) for i, item in enumerate(read_list("training", content["training"]))),
         created=read_text("created", content["created"]),
+        axis_positions=read_axis_positions(content),
         test_vectors=tuple(_test(i, v) for i, v in enumerate(read_list("test_vectors", content["test_vectors"]))),
     )
 

@@ -68,6 +68,8 @@ class LaggedModel:
     created: str
     """Date and time of the fit, ISO 8601."""
     test_vectors: tuple[FeatureTestVector, ...]
+    axis_positions: tuple[str, ...] = ()
+    """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
 
     def __post_init__(self) -> None:
         _check_names(self)

@@ -189,6 +189,7 @@ def _model(
         band_um=band_um,
         training=tuple(training_data(recording) for recording in recordings),
         created=created,
+        axis_positions=first.axis_positions,
         test_vectors=make_test_vectors(fitted.coefficients_um_per_k, drift_um_per_min, _test_pairs(averaged[0])),
     )
 

@@ -21,7 +21,10 @@ from models.thermal.watch import SensorWatch
 from models.thermal.watch_fit import fit_watch
 
 MOST_WATCHED = 400
-"""A model of more sensors than this does not carry the watch: its file grows with their square."""
+"""A model of more sensors than this does not carry the watch: its file grows with their square.
+
+Nor does one with axis positions, which the running daemon does not read.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +101,7 @@ def train_family(
     )
     model: LaggedModel | ThermalModel
     if fit.solutions and inputs.layout.lags_min:
-        watched = inputs.layout.sensors <= MOST_WATCHED
+        watched = inputs.layout.sensors <= MOST_WATCHED and not inputs.axis_positions
         watch = fit_watch(used, sample_s, rows, fold) if watched else None
         model = _lagged_model(fitted, problem.hyper_parameters, watch)
     else:
@@ -167,6 +170,7 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
         refused=fitted.trust.refused,
         training=fitted.training,
         created=fitted.created,
+        axis_positions=inputs.axis_positions,
         test_vectors=tuple(
             FeatureTestVector(
                 features=features[row].copy(),
@@ -218,6 +222,7 @@ def _plain_model(fitted: _Fitted, range_k: tuple[FloatArray, FloatArray]) -> The
         band_um=fitted.trust.band_um.copy(),
         training=fitted.training,
         created=fitted.created,
+        axis_positions=inputs.axis_positions,
         test_vectors=make_test_vectors(coefficients, fit.drift_um_per_min, pairs),
     )
 

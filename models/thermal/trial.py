@@ -140,7 +140,9 @@ class Tester:
         return features
 
     def _measured_degc(self, degc: FloatArray, row: int) -> FloatArray:
-        return np.where(self._inputs.missing[row], np.nan, degc[row])
+        """Return what the watch sees of a row: temperatures, without the axis positions that come after them."""
+        watched = len(self._inputs.sensor_names) - len(self._inputs.axis_positions)
+        return np.where(self._inputs.missing[row, :watched], np.nan, degc[row, :watched])
 
     def _speed(self, row: int) -> float:
         return float("nan") if self._inputs.speed_rpm is None else float(self._inputs.speed_rpm[row])
@@ -160,7 +162,7 @@ class Tester:
         for row in before[1:]:
             degc = self._measured_degc(inputs.degc, int(row))
             state = self._watcher.step(state, float(inputs.time_min[row]), degc, self._speed(int(row)), blame=False)
-        absent = np.flatnonzero(inputs.long_missing[first])
+        absent = np.flatnonzero(inputs.long_missing[first, : self._watcher.watch.layout.sensors])
         blamed = tuple(
             Blame(sensor=int(index), time_min=float(inputs.time_min[first]), sign="missing") for index in absent
         )
