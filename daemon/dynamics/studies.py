@@ -9,7 +9,7 @@ import numpy as np
 
 from config.spindle import Constants, MaterialDescription, SegmentDescription, SpindleDescription, shipped_materials
 from config.spindle_chain import Spindle, build_spindle, segment_elasticity
-from daemon.dynamics.responses import peaks, response, spindle_modes
+from daemon.dynamics.responses import ResponseError, peaks, response, spindle_modes
 from models.dynamics.studies import mode_changes
 from models.records import FloatArray
 
@@ -142,10 +142,20 @@ def _multiplied(told: Constants, moduli: tuple[str, ...], young: float, shear: f
 
 
 def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequency_hz: FloatArray) -> dict[str, Any]:
-    """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside that of the first."""
+    """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside that of the first.
+
+    Raises
+    ------
+    ResponseError
+        Naming the file of the layout that has no such place, or no finite response.
+
+    """
     layouts: list[dict[str, Any]] = []
     for file, spindle in spindles:
-        receptance = response(spindle, at, frequency_hz)
+        try:
+            receptance = response(spindle, at, frequency_hz)
+        except ResponseError as error:
+            raise ResponseError(f"{file}: {error}") from error
         highest = int(np.argmax(np.abs(receptance)))
         layouts.append(
             {

@@ -333,6 +333,7 @@ def test_missing_parts_are_refused(spindle: Path, tmp_path: Path) -> None:
     assert "describes no tool" in refusal("frf", spindle, "--at", "tool")
     assert "spindles that ship are" in refusal("modes", tmp_path / "nowhere.yaml")
     assert "describes no bearings" in refusal("identify", "steel", write_csv(tmp_path / "m.csv", *nose(spindle)))
+    assert f"{spindle}: the file describes no tool" in refusal("compare", "tool_cold_y", spindle, "--at", "tool")
     assert "--after-segment must name" in refusal(
         "contact", spindle, tmp_path / "m.csv", "--joint", "shaft", "--after-segment", 9
     )
