@@ -22,9 +22,7 @@ from config.guard.speed_text import SpeedStatus
 from models.output import OperatorRequest
 
 OPERATIONS: list[dict[str, float]] = [
-    {},
-    {},
-    {},
+    *({} for _ in range(8)),
     {"D": 1.5},
     {"D": 8.0},
     {"S": 8000.0, "F": 1500.0},
@@ -39,15 +37,18 @@ DISTURBANCES = [
     "lost_link",
     "long_lost_link",
     "lost_write",
+    *["torn_step"] * 3,
     "fault",
     "interference",
     "power_cycle",
     "restart",
     "long_restart",
 ]
-PLACES = ["before", "announced", "decided", "taken", "cut"]
+PLACES = ["before", "announced", "announced", "decided", "taken", "cut"]
 HIGHEST_RPM = {1: 12000.0, 2: 10000.0}
-LOWEST_RPM, WITHIN, STEP_RPM, ROUNDING_RPM = 2000.0, 0.2, 200.0, 1.0
+LOWEST_RPM, WITHIN, STEP_RPM, ROUNDING_RPM = 2000.0, 0.2, 30.0, 1.0
+SETTINGS = {"step_rpm": STEP_RPM, "hysteresis_rpm": 20.0, "dwell_s": 5.0}
+"""So small that the wish is often several steps away."""
 CHANGES = ("moves", "jumps")
 
 Operation = tuple[float, ...]
@@ -79,7 +80,7 @@ class Histories(RuleBasedStateMachine):
             configured.operations[0].model_copy(update={"tool_number": tool, "highest_rpm": rpm})
             for tool, rpm in HIGHEST_RPM.items()
         ]
-        self.bench = SpeedRig(self.folder, operations=operations)
+        self.bench = SpeedRig(self.folder, operations=operations, **SETTINGS)
         self.runner.run(self._run())
 
     async def _run(self) -> None:
@@ -110,10 +111,10 @@ class Histories(RuleBasedStateMachine):
 
     @rule(
         arguments=st.sampled_from(OPERATIONS),
-        tool=st.sampled_from([1, 1, 1, 2]),
-        waits_s=st.sampled_from([8, 8, 3, 1]),
-        cuts_s=st.sampled_from([5, 25, 25, 40]),
-        warms_k=st.sampled_from([0.0, 1.0, 3.0, -2.0, 9.0]),
+        tool=st.sampled_from([1, 1, 1, 1, 1, 2]),
+        waits_s=st.sampled_from([8, 8, 3, 2]),
+        cuts_s=st.sampled_from([5, 15, 15, 40]),
+        warms_k=st.sampled_from([0.0, 2.0, 4.0, -6.0, 9.0]),
         disturbance=st.sampled_from(["", "", *DISTURBANCES]),
         at=st.sampled_from(PLACES),
         acknowledges=st.sampled_from([True, True, False]),
@@ -233,6 +234,10 @@ class Histories(RuleBasedStateMachine):
         for groups in (1, 2):
             self.bench.nc.groups_until_lost = groups
             self._pass(12, self.bench.nc.sequence_number)
+
+    def _torn_step(self) -> None:
+        """The next write is torn, whatever it says."""
+        self.bench.nc.groups_until_lost = 1
 
     def _fault(self) -> None:
         self.bench.rig.control.journal.raise_fault("somebody else's fault")

@@ -135,6 +135,17 @@ async def test_a_poll_within_another_program_changes_nothing_in_the_cut(bench: S
     assert bench.call()[0] == speed_rpm
 
 
+async def test_a_call_seen_in_a_subprogram_is_the_same_operation(bench: SpeedRig) -> None:
+    speed_rpm, *_ = await bench.operation()
+    await bench.pass_by(3.0, CUT)
+    count = len(bench.nc.written)
+    for program in (77, 1000):
+        bench.nc.program = program
+        assert bench.call()[::2] == (speed_rpm, APPLIED)
+        await bench.pass_by(14.0, CUT)
+    assert {value for number, value in bench.nc.written[count:] if number == MACROS.enable} == {1.0}
+
+
 async def test_a_call_that_is_being_told_is_not_taken(bench: SpeedRig) -> None:
     speed_rpm, *_ = await bench.operation()
     await bench.pass_by(2.0, CUT)
