@@ -161,11 +161,12 @@ class Shop(RuleBasedStateMachine):
             assert np.array_equal(self.memory.command_um[1:], held[1:]) or not all(self.memory.wanted[1:])
         assert state is not OutputState.ACTIVE, "stale temperatures hold the output"
 
-    @rule(offset_k=st.floats(-8.0, 8.0))
-    def sensors_return_perhaps_with_another_offset(self, offset_k: float) -> None:
+    @rule(sensor=SENSOR, offset_k=st.floats(-8.0, 8.0))
+    def sensors_return_perhaps_with_another_offset(self, sensor: int, offset_k: float) -> None:
+        """All that are silent; one that has just fallen silent where none is."""
+        if not np.isnan(self.loop.offset_k).any():
+            self.loop.offset_k[sensor] = np.nan
         silent = np.isnan(self.loop.offset_k)
-        if not silent.any():
-            return
         if silent.all() or not isinstance(self.loop.thermal._online.model, type(MODELS["first"])):
             self.loop.offset_k[silent] = offset_k
             self.let_pass(4)
