@@ -337,6 +337,7 @@ class Campaign:
     def begun(self, time_s: float, happening: Happening) -> None:
         """Take the begin of an incident."""
         self._operations.begun(time_s, happening)
+        self._truth.begun(happening)
         self._heart.disturbed(happening.end_s)
         self.result.incidents[happening.kind.value] += 1
         self._recovery.begun(happening.kind.value)

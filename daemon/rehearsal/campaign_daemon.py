@@ -167,6 +167,7 @@ class CampaignDaemon:
             self._estimated(control, memory, estimate),
             estimate.model_id if estimate is not None else None,
             bool(estimate.doubt) if estimate is not None else False,
+            bool(control.skill.obstacle()),
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
         )
 

@@ -3,8 +3,9 @@
 from config.schema import Configuration
 from daemon.rehearsal.campaign_models import ModelShelf
 from daemon.rehearsal.invariants import Claims
-from daemon.rehearsal.operations_watch import OperationsWatch
+from daemon.rehearsal.operations_watch import QUIET, OperationsWatch
 from daemon.rehearsal.recovery import Truth
+from drivers.sim.campaign_script import Happening
 from drivers.sim.campaign_world import CampaignWorld
 
 TEMPERATURES_LATE_S = 25.0
@@ -27,6 +28,8 @@ class TruthKeeper:
         self._heard_s = -1e9
         self._disturbed_s = -1e9
         self._reference: str | None = None
+        self._reference_s = 0.0
+        self._sensor_wrong_s = -1e9
         self._blind = False
 
     def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
@@ -39,8 +42,13 @@ class TruthKeeper:
     def heard(self, time_s: float, claims: Claims) -> None:
         """Take what the daemon says of its reference: was a line away when it was set?"""
         if claims.reference != self._reference:
-            self._reference = claims.reference
+            self._reference, self._reference_s = claims.reference, time_s
             self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
+
+    def begun(self, happening: Happening) -> None:
+        """Take the begin of an incident."""
+        if happening.kind in QUIET:
+            self._sensor_wrong_s = max(self._sensor_wrong_s, happening.end_s + BLIND_BEFORE_S)
 
     def temperatures(self, time_s: float) -> bool:
         """Tell whether temperatures arrive."""
@@ -65,5 +73,6 @@ class TruthKeeper:
             at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
+            sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
             model_has_states=self._shelf.is_watching(claims.model),
         )

@@ -73,6 +73,8 @@ class Claims:
     """Identity of the model that made the estimate."""
     doubtful: bool = False
     """The model says that something stands against following it."""
+    harmful: bool = False
+    """Measurements show that the estimate does harm."""
     left_out: tuple[int, ...] = ()
     """Sensors that the estimate imputes."""
 

@@ -37,6 +37,8 @@ class Truth:
     """Lines were disturbed when the reference was set, so that some labels may count from nothing."""
     model_has_states: bool = False
     """The model needs hours of history, which its doubt may be about."""
+    sensor_was_wrong: bool = False
+    """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
 
 
 def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
@@ -51,6 +53,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and claims.in_domain
         and (claims.estimated or not truth.reference_blind)
         and not (claims.doubtful and truth.model_has_states)
+        and not (claims.harmful and truth.sensor_was_wrong)
     )
 
 

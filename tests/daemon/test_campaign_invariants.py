@@ -202,6 +202,27 @@ def test_switching_between_two_writes_allows_what_the_slew_rate_did_before_it(tr
     assert trace.violated == set()
 
 
+@pytest.mark.parametrize("mark", ["model", "tool", "probe"])
+def test_a_step_where_what_is_written_must_go_on(trace: Trace, mark: str) -> None:
+    trace.watch.heard(0.0, claims(model="m1"))
+    trace.block(0.0, 20.0)
+    trace.block(100.0, 20.0)
+    if mark == "model":
+        trace.watch.heard(101.0, claims(model="m2"))
+    else:
+        trace.watch.mark(101.0, mark)
+    trace.block(102.0, 10.0)
+    assert f"no_step_at_{mark}" in trace.violated
+
+
+def test_a_hold_that_lasts_too_long(trace: Trace) -> None:
+    for time_s in (0.0, 600.0, 614.0):
+        trace.watch.heard(time_s, claims("HOLD"))
+    assert trace.violated == set()
+    trace.watch.heard(616.0, claims("HOLD"))
+    assert trace.violated == {"hold_is_left"}
+
+
 def test_only_the_first_violations_are_told() -> None:
     told: list[str] = []
     ledger = Ledger(("a",), tell=told.append)
