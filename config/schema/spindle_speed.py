@@ -151,6 +151,11 @@ class SpindleSpeedConfig(Section):
     )
     margin_percent: float = Field(20.0, ge=0, le=500, description="limiting depth over the programmed one [%]")
     tolerance_percent: float = Field(2.0, ge=0, le=20, description="it holds this far to both sides of the speed [%]")
+    second_look: bool = Field(
+        False,
+        description="look at a chosen speed by semi-discretisation too, which knows the flanks of pockets better and "
+        "takes some 100 ms of processor time per choice",
+    )
     sensor_step_k: float = Field(
         0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"
     )

@@ -44,6 +44,12 @@ PERCENT = FiniteFloat(min=0.0, max=40.0)
     "--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="Lobes of our choice."
 )
 @click.option(
+    "--second-look/--no-second-look",
+    default=True,
+    show_default=True,
+    help="Look at a chosen speed by semi-discretisation too.",
+)
+@click.option(
     "--dynamics",
     type=click.Choice(["spindle", "case"]),
     default="spindle",
@@ -68,6 +74,7 @@ def warm_up(
     offset_hz: float,
     rule_axis: str | None,
     method: str,
+    second_look: bool,
     dynamics: str,
     machine_seed: int,
     day_seed: int,
@@ -102,6 +109,7 @@ def warm_up(
         minutes=minutes,
         feed_per_tooth_mm=feed_per_tooth_mm,
         method=method,
+        second_look=second_look,
         dynamics=dynamics,
         rule_axis=rule_axis,
         offset_hz=offset_hz,

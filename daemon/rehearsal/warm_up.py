@@ -17,6 +17,7 @@ from daemon.rehearsal.warm_up_referee import CutState, WarmUpReferee
 from daemon.rehearsal.warm_up_spindle import SpindleMachine
 from drivers.sim.warming_spindle import WarmingSpindle
 from models.records import Phase
+from models.stability.choice_check import ChoiceCheck
 from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes
@@ -51,6 +52,8 @@ class WarmUpRequest:
     dynamics: str = "spindle"
     """`spindle`: the finite elements of the simulated machine; `case`: the modes of the case, by a law."""
     method: str = "zoa"
+    second_look: bool = True
+    """A chosen speed is looked at by semi-discretisation too."""
     rule_axis: str | None = None
     """Followed by the source's rule; None: the axis that is softer at its resonance."""
     offset_hz: float = 20.0
@@ -109,10 +112,11 @@ def warm_up(case: StabilityCase, request: WarmUpRequest) -> tuple[WarmUpRun, ...
     operation = operation_of(case, request)
     axis = request.rule_axis or machine.softer_axis
     lobes_of = partial(lobes_over, cut=case.cut(), request=request, feed_deg=float(case.feed_deg))
+    check = ChoiceCheck(case.cut(), (float(case.feed_deg),)) if request.second_look else None
     strategies: dict[str, SpeedStrategy] = {
         "programmed": ProgrammedSpeed(operation),
         "rule": ResonanceRule(operation, axis=axis, offset_hz=request.offset_hz),
-        "tuned": TunedSpeed(operation, request.settings, lobes_of),
+        "tuned": TunedSpeed(operation, request.settings, lobes_of, check),
     }
     states = {name: mill_through(strategy, machine, request) for name, strategy in strategies.items()}
     return judged(states, case, request)

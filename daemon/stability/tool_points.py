@@ -14,6 +14,7 @@ from daemon.release.loading import LoadedModel, load_released_bearings
 from daemon.release.reach import Account
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.response_fit import IdentificationError
+from models.stability.choice_check import ChoiceCheck
 from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
@@ -25,6 +26,8 @@ from models.stability.tracked_tool_point import TrackedToolPoint
 from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointTracker
 
+DIRECTIONS_DEG = tuple(22.5 * number for number in range(8))
+"""Feed directions of the second look where the case names none."""
 SPEEDS = 401
 """Speeds among which one is chosen."""
 
@@ -97,7 +100,12 @@ class OperationPlanning:
             offset_hz=tuning.offset_hz,
         )
         lobes_of = partial(_lobes, cut=case.cut(), operation=operation, feed_deg=case.feed_deg)
-        return SpeedPlanner(operation, lobes_of)
+        return SpeedPlanner(operation, lobes_of, _second_look(case) if tuning.second_look else None)
+
+
+def _second_look(case: StabilityCase) -> ChoiceCheck:
+    feeds_deg = DIRECTIONS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
+    return ChoiceCheck(case.cut(), feeds_deg)
 
 
 def _with_radial(case: StabilityCase, radial_mm: float) -> StabilityCase:

@@ -5,13 +5,20 @@ decides what of it is commanded, and when.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from models.stability.choice_check import ChoiceCheck
 from models.stability.lobes import StabilityLobes
 from models.stability.response import ToolPointResponse
 from models.stability.spindle_speed import SpeedChoice, SpeedDemand, choose_speed, deepest_speed, rule_candidates_rpm
 from models.stability.tool_point import EstimatedToolPoint
 
+LEAST_WIDTH = 0.005
+"""At least this share of a speed that does not pass is left out to both sides."""
+MOST_LOOKS = 12
+"""Speeds that are looked at before nothing is taken to bear the demand."""
 LobesOf = Callable[[ToolPointResponse], StabilityLobes]
 """Response at the tool point -> lobes over the range of speeds that is allowed, better a little beyond it."""
 
@@ -47,12 +54,15 @@ class SpeedPlanner:
         What is programmed.
     lobes_of
         Response -> lobes.
+    check
+        Takes a second look at each chosen speed; None: the lobes decide.
 
     """
 
-    def __init__(self, operation: MillingOperation, lobes_of: LobesOf) -> None:
+    def __init__(self, operation: MillingOperation, lobes_of: LobesOf, check: ChoiceCheck | None = None) -> None:
         self.operation = operation
         self._lobes_of = lobes_of
+        self._check = check
         self._ends: tuple[tuple[EstimatedToolPoint | None, ...], list[SpeedChoice]] = ((), [])
 
     def plan(self, known: EstimatedToolPoint) -> SpeedPlan:
@@ -64,7 +74,7 @@ class SpeedPlanner:
         """Return the speed that some dynamics ask for; raises StabilityError.
 
         Where nothing bears the depth with its margin, the deepest speed is taken if it bears the depth itself: the
-        programmed one bears no more.
+        programmed one bears no more. A speed that does not pass the second look is left out, with its tolerance.
         """
         operation, candidates = self.operation, None
         if operation.offset_hz is not None:
@@ -72,10 +82,21 @@ class SpeedPlanner:
                 tuple(known.resonance_hz.values()), operation.offset_hz, operation.teeth, operation.range_rpm
             )
         lobes, demand = self._lobes_of(known.response), operation.demand
-        choice = choose_speed(lobes, demand, range_rpm=operation.range_rpm, candidates_rpm=candidates)
-        if choice.stable:
-            return choice
+        for _ in range(MOST_LOOKS):
+            choice = choose_speed(lobes, demand, range_rpm=operation.range_rpm, candidates_rpm=candidates)
+            if not choice.stable:
+                break
+            if self._passes(known, choice):
+                return choice
+            near = np.abs(lobes.speed_rpm / choice.speed_rpm - 1.0) <= max(demand.tolerance_fraction, LEAST_WIDTH)
+            lobes = replace(lobes, limiting_depth_mm=np.where(near, 0.0, lobes.limiting_depth_mm))
         return deepest_speed(lobes, demand, operation.range_rpm) or choice
+
+    def _passes(self, known: EstimatedToolPoint, choice: SpeedChoice) -> bool:
+        demand = self.operation.demand
+        return self._check is None or self._check.bears(
+            known.response, choice.speed_rpm, demand.depth_mm, demand.tolerance_fraction
+        )
 
     def _span_rpm(self, choice: SpeedChoice, known: EstimatedToolPoint) -> float:
         """Return how far the choice moves when flagged properties are at the ends of their ranges [1/min].

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from models.records import Phase
+from models.stability.choice_check import ChoiceCheck
 from models.stability.errors import StabilityError
 from models.stability.speed_planner import LobesOf, MillingOperation, SpeedPlanner
 from models.stability.speed_tuning import SpeedTuningInputs, SpeedTuningSettings, initial_memory, step
@@ -101,12 +102,20 @@ class TunedSpeed:
         Hysteresis, dwell, step, filter.
     lobes_of
         Response -> lobes.
+    check
+        Takes a second look at each chosen speed; None: the lobes decide.
 
     """
 
-    def __init__(self, operation: MillingOperation, settings: SpeedTuningSettings, lobes_of: LobesOf) -> None:
+    def __init__(
+        self,
+        operation: MillingOperation,
+        settings: SpeedTuningSettings,
+        lobes_of: LobesOf,
+        check: ChoiceCheck | None = None,
+    ) -> None:
         self._operation, self._settings = operation, settings
-        self._planner = SpeedPlanner(operation, lobes_of)
+        self._planner = SpeedPlanner(operation, lobes_of, check)
         self._memory = initial_memory(operation.demand.programmed_rpm)
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
