@@ -8,6 +8,7 @@ import numpy as np
 from daemon.estimation.contract import AnyThermalModel
 from models.dataset import DatasetError, Recording
 from models.records import FloatArray
+from models.thermal.inputs import bridged
 from models.thermal.lagged import LaggedEstimator
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.telescoped import thermal_error_um
@@ -17,7 +18,7 @@ class RecordedEstimates:
     """A model run over a recording as the daemon runs it, without its watch over the sensors' faults."""
 
     def __init__(self, model: AnyThermalModel, recording: Recording) -> None:
-        """Prepare it; raises DatasetError when a temperature of the model is not recorded, or is missing in a row."""
+        """Prepare it; raises DatasetError when a temperature of the model is not recorded, or is missing for long."""
         lacking = [name for name in model.sensor_names if name not in recording.temperature_names]
         if lacking:
             raise DatasetError(
@@ -25,11 +26,13 @@ class RecordedEstimates:
             )
         places = [recording.temperature_names.index(name) for name in model.sensor_names]
         degc = recording.temperatures_degc[:, places]
-        if not np.isfinite(degc).all():
-            row, column = np.argwhere(~np.isfinite(degc))[0]
+        degc, missing = bridged(recording.time_s / 60.0, degc)
+        if missing.any():
+            row, column = np.argwhere(missing)[0]
             raise DatasetError(
-                f"{recording.name}: column {model.sensor_names[column]}, row {row + 1}: "
-                "has no value, which the model needs"
+                f"{recording.name}: column {model.sensor_names[column]}, row {row + 1} of its averages: "
+                "the model needs a value, and none follows soon enough to bridge the gap; leave --model out, "
+                "or cut the recording there"
             )
         self.model = model
         self._time_min = recording.time_s / 60.0

@@ -90,7 +90,10 @@ def increments(runs: Sequence[Recording], interval_min: float, period_s: float) 
             displacement.append(d_displacement[known])
     if not sum(map(len, temperature)):
         reason = f"all {left_out} had a missing value" if left_out else "every run is shorter than that"
-        raise DatasetError(f"no temperature increment over {interval_min:g} min is left ({reason})")
+        raise DatasetError(
+            f"no temperature increment over {interval_min:g} min is left ({reason}); "
+            "take incomplete columns out of the map, or choose another interval"
+        )
     return Increments(
         interval_min=interval_min,
         temperature_k=np.concatenate(temperature),

@@ -196,10 +196,10 @@ def _one(recording: Recording, layout: Layout, with_speed: bool, scale_rpm: floa
     time_min = recording.time_s / 60.0
     period_min = float(np.median(np.diff(time_min))) if len(time_min) > 1 else 0.0
     run = np.concatenate([[0], np.cumsum(np.diff(time_min) > max(NEW_RUN_MIN, 3.0 * period_min))]).astype(np.intp)
-    degc, long_missing = _bridged(time_min, recording.temperatures_degc)
+    degc, long_missing = bridged(time_min, recording.temperatures_degc)
     speed_rpm, speed_missing = np.zeros(recording.rows), np.zeros((recording.rows, 1), dtype=np.bool_)
     if with_speed and recording.speed_rpm is not None:
-        table, speed_missing = _bridged(time_min, recording.speed_rpm[:, None])
+        table, speed_missing = bridged(time_min, recording.speed_rpm[:, None])
         speed_rpm = table[:, 0]
     features = np.empty((recording.rows, layout.columns))
     for index in range(int(run[-1]) + 1):
@@ -239,8 +239,22 @@ def feature_table(
     return np.hstack([degc, *lagged, *speed])
 
 
-def _bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the table with straight lines over what is missing, and where that is missing for long."""
+def bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return a table with straight lines over what is missing, and where it was missing for longer than is bridged.
+
+    Parameters
+    ----------
+    time_min : shape (n,)
+        Increasing times [min].
+    values : shape (n, n_columns)
+        NaN where missing; zeros come out of a column without any value.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Finite values and the mask, both of shape (n, n_columns).
+
+    """
     filled = values.copy()
     longest_min = max(BRIDGE_MIN, 2.5 * float(np.median(np.diff(time_min)))) if len(time_min) > 1 else BRIDGE_MIN
     long_missing = np.zeros(values.shape, dtype=np.bool_)

@@ -98,6 +98,8 @@ def train(
     best = int(np.argmin([candidate.score for candidate in candidates])) if candidates else 0
     held_out = candidates[best] if candidates else None
     fitted = fit(whole, intercept=choices.intercept, ridge=penalties[best])
+    if fitted.rank == 0:
+        raise DatasetError("no temperature changes in these recordings; check that the sensors are connected")
     band_um = np.full(len(fitted.intercept_um), np.nan) if held_out is None else held_out.band_um
     model = _model(recordings, averaged, choices, fitted, penalties[best], band_um, created)
     steps.finish()

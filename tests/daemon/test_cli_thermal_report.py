@@ -99,6 +99,28 @@ def test_estimates_from_any_row_are_the_difference_of_two_estimates(recording: P
     assert part == pytest.approx(whole[200:] - whole[200], abs=1e-9)
 
 
+def test_a_short_gap_is_bridged_and_a_long_one_is_named(recording: Path, tmp_path: Path) -> None:
+    model_path = tmp_path / "model.json"
+    assert run("train", recording, "--ridge", 1.0, "-o", model_path).exit_code == 0
+    lines = recording.read_text("utf-8").splitlines()
+    first = next(number for number, line in enumerate(lines) if line.startswith("t,")) + 1
+
+    def without_t2(rows: range) -> Path:
+        """Return a copy in which T2 reads as a broken wire does in some rows."""
+        broken = list(lines)
+        for row in rows:
+            fields = broken[first + row].split(",")
+            broken[first + row] = ",".join([*fields[:-2], "850", fields[-1]])
+        path = tmp_path / f"gap{len(rows)}.csv"
+        path.write_text("\n".join(broken) + "\n", encoding="utf-8")
+        return path
+
+    short = report(without_t2(range(100, 105)), "--model", model_path)
+    assert any("column T2, row 101: 850 degC cannot be (5 such values" in warning for warning in short["warnings"])
+    refused = run("report", without_t2(range(100, 150)), "--model", model_path)
+    assert refused.exit_code == 2 and "column T2, row 101 of its averages: the model needs a value" in refused.output
+
+
 def test_without_speed_nobody_knows_whether_the_spindle_stood(recording: Path, tmp_path: Path) -> None:
     without_speed = tmp_path / "map.yaml"
     without_speed.write_text('time: t\ntemperatures: ["T*"]\ndisplacements: [Z1]\n', encoding="utf-8")

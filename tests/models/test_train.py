@@ -190,6 +190,12 @@ def test_a_single_impossible_value_changes_no_more_than_a_missing_one() -> None:
     assert any("day 1: column T4, row 101: 850 degC cannot be" in warning for warning in result.report.warnings)
 
 
+def test_temperatures_that_never_change_make_no_model() -> None:
+    still = replace(day(1), temperatures_degc=np.full((240, 5), 25.0))
+    with pytest.raises(DatasetError, match="no temperature changes in these recordings"):
+        trained([still])
+
+
 def test_choices_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(ValueError, match="needs kind ridge"):
         TrainingChoices(ridge_k2=1.0)
