@@ -13,14 +13,15 @@ from config.recording_map import RecordingMap, usual_map
 from config.schema import Configuration
 from config.spindle_chain import Spindle
 from daemon.dynamics.identifying import Band
+from daemon.dynamics.other_units import refuse_levels
 from drivers.frf_measurement import read_measurements
 from drivers.impact_index import ImpactIndexError, first_time, read_index
 from drivers.recording_csv import SECONDS, read_header, read_recording
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import CondensedShaft
-from models.dynamics.identification import FIXED, level_range_m_per_n
+from models.dynamics.identification import FIXED
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
-from models.dynamics.plausibility import check_frequencies, check_level
+from models.dynamics.plausibility import check_frequencies
 from models.dynamics.response_fit import IdentificationError
 from models.records import FloatArray
 from models.thermomechanics.artifact import model_to_json
@@ -216,7 +217,8 @@ def run_campaign(
     frequency_hz = runs[0].responses[axes[0]].measured[0].frequency_hz
     shaft = CondensedShaft(spindle.shaft, frequency_hz)
     if not trust_units:
-        _check_levels(shaft, runs)
+        told = [each for run in runs for each in run.responses.values()]
+        refuse_levels(shaft, [pair for each in told for pair in zip(each.files, each.measured, strict=True)])
     series = {axis: _series(shaft, frequency_hz, runs, axis, parameter_sets, progress) for axis in axes}
     everything = {axis: _minutes(runs, series[axis][5], axis, candidates) for axis in axes}
     selection = _selected(candidates, everything, series)
@@ -250,18 +252,6 @@ def run_campaign(
         model=replace(model, model_id=f"bearings-{digest[:12]}"),
         warnings=_warnings(spindle, series),
     )
-
-
-def _check_levels(shaft: CondensedShaft, runs: Sequence[Run]) -> None:
-    """Refuse responses that the shaft cannot give in m/N over Hz; raises MeasurementError."""
-    lowest, highest = level_range_m_per_n(shaft)
-    for run in runs:
-        for told in run.responses.values():
-            for file, measured in zip(told.files, told.measured, strict=True):
-                try:
-                    check_level(measured, lowest, highest)
-                except MeasurementError as error:
-                    raise MeasurementError(f"{file}: {error}") from error
 
 
 def _common(runs: Sequence[Run]) -> tuple[list[str], tuple[str, ...]]:

@@ -1,10 +1,13 @@
 """Refuses responses whose numbers the file's structure explains only in another unit."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
+from models.dynamics.bearings import CondensedShaft
+from models.dynamics.identification import level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError
-from models.dynamics.plausibility import other_readings
+from models.dynamics.plausibility import check_level, other_readings
 
 NO_FIT = 1.0
 """Root mean square of |log(H / H_meas)| above which other units are tried."""
@@ -37,6 +40,16 @@ def refuse_other_units(measured: Measurement, log_error: float, fit: Fit) -> Non
             f"average they are off by a factor of {math.exp(log_error):.2g}. Check the units (m/N, Hz), where it was "
             "hit and measured, and the dimensions of the file"
         )
+
+
+def refuse_levels(shaft: CondensedShaft, responses: Iterable[tuple[Path, Measurement]]) -> None:
+    """Refuse responses that the shaft cannot give in m/N over Hz; raises MeasurementError naming the file."""
+    lowest, highest = level_range_m_per_n(shaft)
+    for file, measured in responses:
+        try:
+            check_level(measured, lowest, highest)
+        except MeasurementError as error:
+            raise MeasurementError(f"{file}: {error}") from error
 
 
 def _band(measured: Measurement) -> str:
