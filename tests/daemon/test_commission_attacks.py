@@ -18,7 +18,6 @@ from commissioning_bench import STOPPED, Bench, Person, refused, serving
 from daemon.commissioning.refusal import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError
-from drivers.sim.safe_point import simulated_guard
 from drivers.sim.wiring import Wiring
 from models.records import WriteOutcome
 
@@ -286,43 +285,6 @@ async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench)
     with pytest.raises(LinkError):
         await bench.commission(person, axes=("z",))
     assert cuts and "Everything is back at zero" in person.text_said
-    assert bench.at_rest()
-
-
-async def test_a_guard_that_zeroes_an_expired_block_is_no_stranger(bench, monkeypatch):
-    """The link is lost with more applied than one step; the block expires, and the guard takes it out meanwhile."""
-    monkeypatch.setattr("daemon.commissioning.leaving.RECONNECTS", 1000)
-    zeroing = simulated_guard(bench.configuration().compensation.axes).model_copy(update={"on_expiry": "zero"})
-    bench.reset(guard=zeroing)
-    person, cuts, applied = Person(bench), [], bench.machine.guard.applied_um
-
-    def change(content):
-        content["cnc"]["guard"] = content["cnc"].get("guard", {}) | {"on_expiry": "zero"}
-        content["compensation"]["output"] |= {"validity_s": 20.0}
-
-    async def cut():
-        await bench.relay.stop()
-        while bench.machine.guard.applied_um["y"] > 1.0:
-            await asyncio.sleep(0.01)
-        applied.update(bench.machine.guard.applied_um)
-        await bench.relay.start()
-
-    def read(axis):
-        if bench.machine.guard.applied_um["y"] > 11.9 and not cuts:
-            cuts.append(asyncio.create_task(cut()))
-        return bench.moved_um()[axis]
-
-    async def slowly(question):
-        number = await Person.number(person, question)
-        if cuts:
-            await asyncio.wait(cuts)
-        return number
-
-    person.eyes, person.number = read, slowly
-    with pytest.raises(LinkError):
-        await bench.commission(person, axes=("y",), offset_um=12.0, change=change)
-    assert applied["y"] < 1.0, "the guard has taken the offset out"
-    assert "Everything is back at zero" in person.text_said
     assert bench.at_rest()
 
 

@@ -1,6 +1,8 @@
-"""Where the request counts from: references that settle, tools, probes, weights, and zero_first."""
+"""Where the request counts from: references that settle, probes, weights, and zero_first."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,85 +10,14 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from output_machine import LIMITS, ON, Machine
+
 from models.baseline import probe_objection, request_um, weight_of
-from models.compensation import LONGEST_INTERVAL_S, initial_memory, step, why_not_ready
-from models.output import OperatorRequest, OutputInputs, OutputLimits
+from models.compensation import LONGEST_INTERVAL_S, step, why_not_ready
+from models.output import OperatorRequest
 from models.records import OutputState, Phase
-
-AXES = ("y", "z")
-LIMITS = OutputLimits(
-    axes=AXES,
-    absolute_bound_um=np.array([30.0, 60.0]),
-    slew_um_per_min=np.array([60.0, 60.0]),
-    step_um=np.array([5.0, 8.0]),
-    deadband_um=np.array([0.01, 0.01]),
-    stale_after_s=60.0,
-    hold_limit_s=600.0,
-    min_confidence=0.6,
-    full_confidence=0.8,
-    probe_bound_um=10.0,
-)
-ON = OperatorRequest(enable=frozenset(AXES))
-
-
-def initial(applied=(0.0, 0.0)):
-    return initial_memory(now_s=0.0, applied_um=np.array(applied), wanted=(False, False))
-
-
-class Machine:
-    """The output with a guard that a test lets run."""
-
-    def __init__(self, applied=(0.0, 0.0), limits=LIMITS):
-        self.memory = initial(applied)
-        self.applied = np.array(applied)
-        self.written = np.array(applied)
-        self.now_s = 0.0
-        self.limits = limits
-        self.state = OutputInputs(
-            now_s=0.0,
-            phase=Phase.SAFE_POINT,
-            link=True,
-            applied_um=self.applied,
-            written_um=self.written,
-            thermal_error_um=np.zeros(2),
-            estimate_age_s=1.0,
-            confidence=1.0,
-            in_domain=True,
-            reference_id="r1",
-            estimate_reference_id="r1",
-            model_id="m1",
-            tool_number=1,
-        )
-
-    def inputs(self, **changes):
-        return replace(
-            self.state, now_s=self.now_s, applied_um=self.applied.copy(), written_um=self.written.copy(), **changes
-        )
-
-    def step(self, count=1, *, guard=True, elapsed_s=1.0, **once):
-        for _ in range(count):
-            self.now_s += elapsed_s
-            self.memory, self.command = step(self.memory, self.inputs(**once), self.limits)
-            once = {}
-            if self.command.write:
-                self.written = self.command.compensation_um.copy()
-            if guard:
-                self.guard()
-        return self
-
-    def guard(self):
-        self.applied = self.applied + np.clip(self.written - self.applied, -self.limits.step_um, self.limits.step_um)
-
-    def set(self, **changes):
-        self.state = replace(self.state, **changes)
-        return self
-
-    def following(self, y=-3.0, z=-20.0):
-        self.set(thermal_error_um=np.array([y, z])).step(request=ON).step(120)
-        assert self.memory.state is OutputState.ACTIVE
-        assert self.applied == pytest.approx([-y, -z], abs=0.02)
-        return self
-
 
 # --- a reference settles ---------------------------------------------------------------
 
@@ -139,116 +70,6 @@ def test_a_guard_that_goes_elsewhere_than_the_block_said_moves_no_baseline():
     machine.step(60)
     assert machine.memory.baseline_um == pytest.approx(before)
     assert machine.applied == pytest.approx(before, abs=0.02)
-
-
-# --- tools -------------------------------------------------------------------------------
-
-
-def test_a_tool_setting_moves_nothing_and_is_kept_for_that_tool_alone():
-    machine = Machine().following()
-    machine.set(tool_number=2, thermal_error_um=np.array([-3.0, -24.0])).step(30)
-    assert machine.applied[1] == pytest.approx(24.0, abs=0.02)
-    before = machine.applied.copy()
-    machine.step(tool_setting=(False, True)).step(30)
-    assert machine.applied == pytest.approx(before, abs=1e-9)
-    machine.set(thermal_error_um=np.array([-3.0, -30.0])).step(30)
-    assert machine.applied[1] == pytest.approx(before[1] + 6.0, abs=0.02)
-    machine.set(tool_number=1).step(60)
-    assert machine.applied[1] == pytest.approx(30.0, abs=0.02), "tool 1 counts from the work's reference"
-
-
-def test_the_setting_of_another_tool_survives_a_new_reference_of_the_work():
-    machine = Machine().following()
-    machine.set(tool_number=2).step(2).step(tool_setting=(False, True)).step(5)
-    machine.set(tool_number=1, thermal_error_um=np.array([-3.0, -25.0])).step(30)
-    wanted_of_tool_2 = 20.0 + 5.0
-    machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2)).step(30)
-    machine.set(tool_number=2, thermal_error_um=np.array([0.0, -1.0])).step(60)
-    assert machine.applied[1] == pytest.approx(wanted_of_tool_2 + 1.0, abs=0.02)
-
-
-def renewed(reference_id, z_um=0.0):
-    """What arrives with a new reference."""
-    names = {"reference_id": reference_id, "estimate_reference_id": reference_id, "kept_reference_id": reference_id}
-    return {**names, "thermal_error_um": np.array([0.0, z_um])}
-
-
-def with_tool_2_set():
-    """Tool 2 is set with 20 um applied; then tool 1 is in the spindle, and the machine has gone on by 5 um."""
-    machine = Machine().set(kept_reference_id="r1").following()
-    machine.set(tool_number=2).step(2).step(tool_setting=(False, True)).step(5)
-    return machine.set(tool_number=1, thermal_error_um=np.array([-3.0, -25.0])).step(30)
-
-
-def test_a_tool_setting_outlives_the_reference_of_the_work():
-    machine = with_tool_2_set()
-    machine.set(reference_id=None).step(5)
-    machine.set(thermal_error_um=np.array([-3.0, -28.0])).step(5)
-    assert machine.memory.state is OutputState.HOLD and 2 in machine.memory.tools
-    assert machine.applied[1] == pytest.approx(25.0, abs=0.02), "nothing is followed without a reference"
-    machine.set(**renewed("r2")).step(30)
-    assert machine.applied[1] == pytest.approx(25.0, abs=0.02)
-    machine.set(tool_number=2, thermal_error_um=np.array([0.0, -1.0])).step(60)
-    assert machine.applied[1] == pytest.approx(20.0 + 8.0 + 1.0, abs=0.02), "all that has come since it was set"
-
-
-def test_a_tool_setting_ends_with_what_it_counts_from():
-    machine = with_tool_2_set()
-    machine.set(reference_id=None, kept_reference_id=None).step(1)
-    assert not machine.memory.tools
-
-
-def test_a_tool_setting_ends_when_nobody_knows_how_far_the_machine_had_gone_at_the_new_reference():
-    machine = with_tool_2_set()
-    machine.set(reference_id=None, estimate_age_s=1e3).step(100)
-    assert machine.memory.tools
-    machine.set(estimate_age_s=1.0, **renewed("r2")).step(1)
-    assert not machine.memory.tools
-
-
-def test_another_model_without_a_reference_leaves_a_tool_setting_where_it_is():
-    machine = with_tool_2_set()
-    machine.set(reference_id=None).step(5)
-    machine.set(model_id="m2", thermal_error_um=np.array([-3.0, -100.0])).step(5)
-    machine.set(thermal_error_um=np.array([-3.0, -102.0])).step(5)
-    machine.set(**renewed("r2")).step(5).set(tool_number=2).step(60)
-    assert machine.applied[1] == pytest.approx(20.0 + 5.0 + 2.0, abs=0.02)
-
-
-def test_the_tool_in_the_spindle_is_set_anew_by_the_reference_and_kept_over_the_next():
-    machine = with_tool_2_set()
-    machine.set(tool_number=2).step(60).set(**renewed("r2")).step(5)
-    positioned_with_um = machine.applied[1]
-    machine.set(thermal_error_um=np.array([0.0, -4.0]), tool_number=1).step(60).set(**renewed("r3")).step(5)
-    machine.set(tool_number=2).step(60)
-    assert machine.applied[1] == pytest.approx(positioned_with_um + 4.0, abs=0.02)
-
-
-def test_the_tool_term_counts_beside_the_nose():
-    machine = Machine().following()
-    machine.set(tool_term_um=np.array([0.0, -4.0])).step(60)
-    assert machine.applied == pytest.approx([3.0, 24.0], abs=0.02)
-    machine.set(tool_term_um=np.array([0.0, 0.0])).step(60)
-    assert machine.applied == pytest.approx([3.0, 20.0], abs=0.02)
-
-
-def test_a_tool_term_without_a_temperature_freezes():
-    machine = Machine().following()
-    before = machine.written.copy()
-    machine.set(tool_term_um=np.array([0.0, np.nan])).step(10)
-    assert machine.memory.state is OutputState.HOLD
-    assert np.array_equal(machine.written, before)
-
-
-def test_a_tool_setting_leaves_the_probe_correction_of_the_other_tools_alone():
-    machine = Machine().following()
-    machine.step(probe_um=np.array([np.nan, 4.0])).step(60)
-    machine.set(tool_number=2).step(2).step(tool_setting=(False, True)).step(30)
-    assert machine.applied[1] == pytest.approx(16.0, abs=0.02)
-    machine.set(tool_number=1).step(60)
-    assert machine.applied[1] == pytest.approx(16.0, abs=0.02)
-    machine.set(tool_number=2, thermal_error_um=np.array([-3.0, -21.0])).step(60)
-    assert machine.applied[1] == pytest.approx(17.0, abs=0.02)
 
 
 # --- probes ------------------------------------------------------------------------------
