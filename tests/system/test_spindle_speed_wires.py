@@ -37,6 +37,19 @@ def wished_away(wires: MillingWires) -> bool:
     return "waiting for a safe block" in wires.picture()["reason"]
 
 
+async def run_without_and_again(wires: MillingWires, before_rpm: float) -> None:
+    """Without a daemon the pair runs out, and the programmed one counts; the next one takes its own block over."""
+    assert wires.machine.call(**ROUGH)[2] is SpeedStatus.APPLIED
+    wires.machine.nc.clock_s += 601.0
+    assert wires.machine.call(**ROUGH) == (9000.0, 1800.0, SpeedStatus.EXPIRED)
+    async with tuned(wires) as daemon:
+        await wires.until("the first poll", lambda: daemon.control.memory is not None)
+        speed_rpm, _, status = await wires.operation(**ROUGH)
+        assert status is SpeedStatus.APPLIED
+        assert abs(speed_rpm - before_rpm) <= STEP_RPM + 1.0
+        assert daemon.control.journal.fault is None
+
+
 async def test_a_part_is_milled_while_the_spindle_warms(tmp_path: Path) -> None:
     operation = speed_machine(tmp_path).spindle_speed.operations[0]
     tools = [operation, operation.model_copy(update={"tool_number": 2, "highest_rpm": 11000.0})]
@@ -101,18 +114,7 @@ async def test_a_part_is_milled_while_the_spindle_warms(tmp_path: Path) -> None:
             await wires.operation(**ROUGH)
             assert daemon.control.journal.fault is None
 
-        # Without a daemon the pair runs out, and the programmed one counts.
-        assert wires.machine.call(**ROUGH)[2] is SpeedStatus.APPLIED
-        nc.clock_s += 601.0
-        assert wires.machine.call(**ROUGH) == (9000.0, 1800.0, SpeedStatus.EXPIRED)
-
-        # The next run of the daemon takes its own block over and goes on.
-        async with tuned(wires) as daemon:
-            await wires.until("the first poll", lambda: daemon.control.memory is not None)
-            last_rpm, _, status = await wires.operation(**ROUGH)
-            assert status is SpeedStatus.APPLIED
-            assert abs(last_rpm - again_rpm) <= STEP_RPM + 1.0
-            assert daemon.control.journal.fault is None
+        await run_without_and_again(wires, again_rpm)
     with HistoryReader(wires.configuration.history.path) as reader:
         audit = [record for record in reader.writes(0.0, 1e11) if record.cause == "spindle speed"]
     assert len(audit) > 5
