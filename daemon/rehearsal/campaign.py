@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from config.schema import Configuration
-from daemon.rehearsal.campaign_models import ModelShelf
+from daemon.rehearsal.campaign_kills import WARM_UP_S, KillPlan, MemoryWatch
+from daemon.rehearsal.campaign_models import OF_MODELS, ModelShelf
 from daemon.rehearsal.campaign_person import ROUND_S, Person
 from daemon.rehearsal.campaign_process import Acknowledgements, DaemonProcess
 from daemon.rehearsal.campaign_result import Result, progress_line
@@ -28,8 +29,7 @@ from drivers.sim.campaign_world import CampaignWorld
 from drivers.sim.day import Day
 from drivers.sim.faults import FaultKind
 from drivers.sim.machine import CfrpMachine
-from drivers.sim.nc import RunCode
-from drivers.sim.program import RETREAT, campaign_program
+from drivers.sim.program import campaign_program
 
 NAMES = (
     *WriteWatch.NAMES,
@@ -48,11 +48,7 @@ NAMES = (
 )
 GROWTH_MIB = 5.0
 """The daemon's memory may grow by so much after its first hour [MiB]."""
-WARM_UP_S = 3600.0
-MEMORY_LOOK_S = 600.0
 KEPT_BLOCKS = 100_000
-PROGRAM = 1000
-"""O number of the part program."""
 SETTLED_S = 300.0
 """A daemon that has followed the CNC for so long has stored how the last life's open intent ended [s]."""
 STOP_S = 120.0
@@ -108,16 +104,13 @@ class Campaign:
         self._process: DaemonProcess | None = None
         self._claims: Claims | None = None
         self._heard_at_s = 0.0
-        self._life_began_s = 0.0
         self._case_kinds: set[str] = set()
         self._good_input = GoodInput([line.name for line in lines])
-        self._kill: Happening | None = None
-        self._kill_after_groups: tuple[int, Happening] | None = None
+        self._kills = KillPlan(configuration.cnc.macros.sequence_a)
+        self._memory = MemoryWatch(min(WARM_UP_S, self._end_s / 4))
         self._open_intents = 0
         self._follows_since_s: float | None = None
         self._blocks: list[float] = []
-        self._memory_at_start: float | None = None
-        self._next_memory_s = 0.0
         self._interrupted = self._acknowledging = False
         self._world.at(ROUND_S, self._round)
 
@@ -156,10 +149,13 @@ class Campaign:
             return
         name, time_s, claims, arguments = message
         content = self._answer(name, time_s, claims, arguments)
-        if self._kill is not None:
+        if self._kills.due is not None:
             process.kill()
-            self._after_end(self._kill)
+            self._after_end(self._kills.due)
             return
+        self._reply(process, content)
+
+    def _reply(self, process: DaemonProcess, content: Any) -> None:
         world = self._world
         with contextlib.suppress(OSError):  # it has just died: the next question will not come
             process.channel.send((world.time_s, world.quiet_until_s, world.utc_step_s, world.arrivals(), content))
@@ -174,10 +170,10 @@ class Campaign:
             seed=seed,
             log_path=self._directory / "daemon.log",
         )
-        self._life_began_s = self._next_memory_s = self._world.time_s
+        self._memory.restarted(self._world.time_s)
         self._operations.restarted(self._world.time_s)
         self._heart.disturbed(self._world.time_s)
-        self._memory_at_start = self._follows_since_s = None
+        self._follows_since_s = None
         self._acknowledging = False
         self._blocks = []
         self._writes.restarted(self._world.time_s)
@@ -187,7 +183,7 @@ class Campaign:
 
     def _after_end(self, killed: Happening) -> None:
         """Check what a killed daemon left; let the machine go on alone until the next one is started."""
-        self._kill = self._kill_after_groups = None
+        self._kills.clear()
         since_s = self._follows_since_s
         settled = since_s is not None and self._world.time_s - since_s > SETTLED_S
         self._open_intents = 1 if settled else self._open_intents + 1
@@ -197,7 +193,7 @@ class Campaign:
         while self._world.time_s < until_s:
             self._world.advance(until_s)
             self._world.arrivals()
-            self._kill = self._kill_after_groups = None
+            self._kills.clear()
         self._hear(self._world.time_s, None)
 
     def _bury(self) -> None:
@@ -221,12 +217,7 @@ class Campaign:
             until_s = self._world.time_s + STOP_S
             while self._world.time_s < until_s and (message := process.channel.receive()) is not None:
                 name, time_s, claims, arguments = message
-                content = self._answer(name, min(time_s, until_s), claims, arguments)
-                world = self._world
-                with contextlib.suppress(OSError):
-                    process.channel.send(
-                        (world.time_s, world.quiet_until_s, world.utc_step_s, world.arrivals(), content)
-                    )
+                self._reply(process, self._answer(name, min(time_s, until_s), claims, arguments))
             status = process.wait()
             self._ledger.check("nothing_unexpected", status == 0, f"the daemon ended with status {status}")
             self._open_intents = self._open_intents if self._follows_since_s is None else 0
@@ -261,9 +252,7 @@ class Campaign:
             case "read":
                 answer = world.cnc.read(arguments[0])
                 if answer[0] == "ok":
-                    nc = world.machine.nc
-                    at_retreat = (nc.program, nc.sequence_number) == (PROGRAM, RETREAT)
-                    self._operations.polled(world.time_s, retreat_block=at_retreat and nc.run == RunCode.START)
+                    self._operations.polled(world.time_s, retreat_block=self._truth.at_retreat_block)
                     self._good_input.cnc()
                     self._note_good_input(world.time_s)
                 return answer
@@ -281,7 +270,7 @@ class Campaign:
         """Take the groups of a block one after the other; the content of the answer says how many were taken."""
         delay_s = 0.0
         for number, group in enumerate(groups, start=1):
-            if self._killed_before(group):
+            if self._kills.before(group):
                 return None
             verdict, group_delay_s, content = self._world.cnc.write(group)
             delay_s += group_delay_s
@@ -291,20 +280,6 @@ class Campaign:
             if delay_s > 0:
                 return verdict, delay_s, (number, {})
         return "ok", 0.0, (len(groups), self._world.cnc.read_back())
-
-    def _killed_before(self, group: tuple[tuple[int, float], ...]) -> bool:
-        """Tell whether the daemon is to die before this group."""
-        if self._kill_after_groups is None:
-            return False
-        left, happening = self._kill_after_groups
-        begins = group[0][0] == self._configuration.cnc.macros.sequence_a
-        if not begins and left == int(happening.amount):
-            return False
-        if left == 0:
-            self._kill = happening
-            return True
-        self._kill_after_groups = (left - 1, happening)
-        return False
 
     def _note_group(self, group: tuple[tuple[int, float], ...], *, taken: bool) -> None:
         self._writes.group(self._world.time_s, group, self._claims, taken=taken)
@@ -346,25 +321,21 @@ class Campaign:
         if happening.kind is Incident.FULL_DISK and process is not None:
             process.fill_disk()
         elif happening.kind is Incident.KILLED_DAEMON and process is not None:
-            self._kill = happening
+            self._kills.due = happening
         elif happening.kind is Incident.KILLED_IN_WRITE and process is not None:
-            self._kill_after_groups = (int(happening.amount), happening)
+            self._kills.in_write(happening)
         elif happening.kind is Incident.OTHER_POLICY:
             change_policy(self._config_path, zero_first=self._operations.zero_first)
-            self._kill = happening
+            self._kills.due = happening
         elif happening.kind is Incident.MODEL_RELOAD:
             self._shelf.exchange()
             self._operations.released(time_s, self._shelf.model_id)
-            self._reload_model()
         elif happening.kind is Incident.DAMAGED_MODEL:
             self._shelf.damage()
-            self._reload_model()
         elif happening.kind in OF_A_PERSON:
             self._person.do(happening)
-
-    def _reload_model(self) -> None:
-        if self._process is not None:
-            self._process.reload_model()
+        if happening.kind in OF_MODELS and process is not None:
+            process.reload_model()
 
     def ended(self, time_s: float, happening: Happening) -> None:
         """Take its end."""
@@ -372,8 +343,7 @@ class Campaign:
             self._process.free_disk()
         if happening.kind in OF_A_PERSON:
             self._person.undo(happening)
-        if happening.kind is Incident.DAMAGED_MODEL:
-            self._shelf.repair()
+        self._shelf.ended(happening)
         self._operations.ended(happening)
         self._good_input.after(happening)
         if not self._world.active:
@@ -394,16 +364,10 @@ class Campaign:
             if self._shelf.is_watching(self._claims.model):
                 for happening in (h for h in world.active if h.kind is Incident.WRONG_SENSOR):
                     self._operations.wrong_sensor(world.time_s, happening, self._claims)
-        if (process := self._process) is None or world.time_s < self._next_memory_s:
-            return
-        self._acknowledged.take(process)
-        self._next_memory_s = world.time_s + MEMORY_LOOK_S
-        if world.time_s - self._life_began_s >= min(WARM_UP_S, self._end_s / 4):
-            self.result.rss_mib = process.rss_mib()
-            if self._memory_at_start is None:
-                self._memory_at_start = self.result.rss_mib
-            growth_mib = self.result.rss_mib - self._memory_at_start
-            self.result.rss_growth_mib = max(self.result.rss_growth_mib, growth_mib)
+        if self._process is not None and self._memory.due(world.time_s):
+            self._acknowledged.take(self._process)
+            self._memory.look(world.time_s, self._process)
+            self.result.rss_mib, self.result.rss_growth_mib = self._memory.rss_mib, self._memory.growth_mib
 
     def _hear(self, time_s: float, claims: Claims | None) -> None:
         """Take what the daemon says of itself at a time; count how long it was in its state."""

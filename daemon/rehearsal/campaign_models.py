@@ -71,6 +71,11 @@ class ModelShelf:
         self.damaged = True
         self._replace(text[: len(text) // 2])
 
+    def ended(self, happening: Happening) -> None:
+        """Make a damaged file whole when that is over."""
+        if happening.kind is Incident.DAMAGED_MODEL:
+            self.repair()
+
     def repair(self) -> None:
         """Make the file whole again."""
         if self.damaged:

@@ -7,6 +7,8 @@ from daemon.rehearsal.operations_watch import QUIET, OperationsWatch
 from daemon.rehearsal.recovery import Truth
 from drivers.sim.campaign_script import Happening
 from drivers.sim.campaign_world import CampaignWorld
+from drivers.sim.nc import RunCode
+from drivers.sim.program import RETREAT
 
 TEMPERATURES_LATE_S = 25.0
 """Temperatures arrive when a line has been heard within this time [s]."""
@@ -53,6 +55,16 @@ class TruthKeeper:
     def temperatures(self, time_s: float) -> bool:
         """Tell whether temperatures arrive."""
         return time_s - self._heard_s <= TEMPERATURES_LATE_S
+
+    @property
+    def at_retreat_block(self) -> bool:
+        """The part program waits at its retreat block."""
+        nc = self._world.machine.nc
+        return (nc.program, nc.sequence_number, nc.run) == (
+            self._world.machine.body.program.number,
+            RETREAT,
+            RunCode.START,
+        )
 
     @property
     def applied_um(self) -> float:
