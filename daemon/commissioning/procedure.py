@@ -18,6 +18,7 @@ from daemon.commissioning.movement import Movement
 from daemon.commissioning.preconditions import refuse_clock, refuse_insecure, refuse_offset, refuse_state
 from daemon.commissioning.readings import DisplacementLog, Instruments, Moment, Reading
 from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.speed_program import refuse_other_speed_program, told_text
 from daemon.commissioning.station import Station
 from daemon.history.writer import HistoryWriter
 from models.records import CncSample
@@ -128,6 +129,10 @@ class Commissioning:
         await self._agree(f"Is this the control of {configuration.machine!r}?")
         sample = await self._initialise(sample)
         refuse_state(sample, configuration)
+        if not self._plan.initialise_only and (number := told_text(configuration)) is not None:
+            told = (await station.read((number,)))[number]
+            refuse_other_speed_program(configuration, told)
+            self._say(f"The speed program is the configuration's: text {told:g}.")
         station.take_over(sample)
         self._history.put_state("wanted", dict.fromkeys(station.axes, False))
 

@@ -123,6 +123,11 @@ class Station:
         numbers = dict.fromkeys((*self._block.polled, *ours_to_initialise(macros, self._block, self._speed)))
         return await self._connected().read(tuple(numbers))
 
+    async def read(self, numbers: tuple[int, ...]) -> dict[int, float | None]:
+        """Read other macro variables once, before there is a heartbeat; raises DriverError."""
+        found = await self._connected().read_macros(numbers)
+        return {number: found.get(number) for number in numbers}
+
     # --- initialising --------------------------------------------------------------------
 
     def block_found(self, sample: CncSample) -> BlockFound:
