@@ -97,6 +97,7 @@ class ControlTask:
         self.skill = SkillWatch(self._sources, configuration)
         self._measured = MeasuredByNc(history, self.skill)
         self._asked_by_hand = ""
+        self._unstepped_reference = False
         self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
         self._stopping = False
@@ -233,6 +234,9 @@ class ControlTask:
             await self._sleep_until(poll.next_s)
             now_s = self._clock.now().monotonic_s
             estimate, self._fresh = self._fresh, None
+            if self._unstepped_reference or self.requests:  # both begin from where the guard stands now
+                self._unstepped_reference = False
+                await self._guarded(self._poll())
             if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
             await self._guarded(self.side.show(self.session))
@@ -280,7 +284,9 @@ class ControlTask:
 
     def _adopt_reference(self, reference: Reference) -> None:
         still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
-        if refusal := self._references.adopt(reference, still_um):
+        refusal = self._references.adopt(reference, still_um)
+        self._unstepped_reference = not refusal
+        if refusal:
             self._desk.refused(reference.reference_id, refusal)
             self.journal.notice(refusal)
 

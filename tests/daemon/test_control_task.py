@@ -288,6 +288,38 @@ async def test_an_estimate_is_written_without_waiting_for_the_next_tick(tmp_path
             await asyncio.gather(task, return_exceptions=True)
 
 
+async def test_a_reference_begins_where_the_guard_went_since_the_last_poll(tmp_path):
+    """The next poll is a minute away: only a look at the echo tells that the guard has taken the block meanwhile."""
+    configuration = machine(tmp_path, tick_s=60.0, validity_s=100.0)
+    rarely = configuration.cnc.model_copy(update={"poll_period_s": 60.0})
+    configuration = configuration.model_copy(update={"cnc": rarely})
+    clock = SystemClock()
+    nc = MemoryNc(configuration, clock)
+    async with running(Rig(configuration, nc, clock, record=record_for(configuration))) as rig:
+        task = asyncio.create_task(rig.control.run())
+        try:
+            await until(lambda: rig.control.memory is not None)
+            rig.set_reference()
+            rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+            while rig.state != "ACTIVE" or nc.macros.get(Z) < 0.0002:
+                await wrote_after(rig, rig.estimate(0.0, -5.0))
+            nc.safe_point()
+            assert rig.applied["z"] >= 0.2
+            rig.set_reference("r2")
+            await wrote_after(rig, rig.estimate(0.0, 0.0))
+            assert rig.control.memory.reference_id == "r2"
+            assert nc.macros.get(Z) * 1000 == pytest.approx(rig.applied["z"], abs=1e-6)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
+async def wrote_after(rig, estimate):
+    writes = rig.control.writer.counts["verified"]
+    rig.control.deliver(estimate)
+    await until(lambda: rig.control.writer.counts["verified"] > writes)
+
+
 async def until(condition, timeout_s=30.0):
     end_s = time.monotonic() + timeout_s
     while not condition():
