@@ -182,9 +182,13 @@ def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         return f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
     if not inputs.in_domain:
         return "temperatures are outside the range that the model was trained on"
-    wanted = np.array(memory.wanted, dtype=bool)
-    if not np.all(np.isfinite(inputs.error_of_tool_point_um[wanted])):
-        return "an axis that is switched on has no estimate"
+    without = np.array(memory.wanted, dtype=bool) & ~np.isfinite(inputs.error_of_tool_point_um)
+    if without.any():
+        axes = ", ".join(axis for axis, missing in zip(limits.axes, without, strict=True) if missing)
+        return (
+            f"no estimate for axis {axes}: sensors that its model counts from are silent, or were when the work was "
+            "positioned; bring them back, then position the work again, or switch the axis off"
+        )
     in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if in_cut and weight_of(inputs.confidence, limits) < memory.weight:
         return f"confidence fell to {inputs.confidence:.2f} within a cut: frozen until the next safe point"

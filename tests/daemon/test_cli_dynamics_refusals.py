@@ -1,0 +1,225 @@
+"""`toolpoint dynamics` with files and numbers that are refused, and the sentences."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.cli.dynamics_options import PICTURE_LIBRARIES
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+from dynamics_command import DIRECT, STEEL, TURNING, answer, call, nose, refusal, write_csv
+
+
+@pytest.fixture
+def spindle(tmp_path: Path) -> Path:
+    path = tmp_path / "spindle.yaml"
+    path.write_text(DIRECT)
+    return path
+
+
+BAD_FILES = {
+    "zero length": (
+        "length_mm: 15.1",
+        "length_mm: 0",
+        ":3:17: segments[0].length_mm: this must be at least 0.01, not 0",
+    ),
+    "negative": (
+        "length_mm: 15.1",
+        "length_mm: -15",
+        ":3:17: segments[0].length_mm: this must be at least 0.01, not -15",
+    ),
+    "inner": ("inner_mm: 42.4", "inner_mm: 89", ":3:39: segments[0].inner_mm: inner 89 mm must be smaller"),
+    "ring": ("ring: {outer_mm: 85.0", "ring: {outer_mm: 50", "segments[2].ring.outer_mm: a ring sits on the segment"),
+    "outside": ("position_mm: 400.1", "position_mm: 500", ":10:18: bearings[2].position_mm: 500 mm lies outside"),
+    "before": ("position_mm: 99.1", "position_mm: -1", "bearings[0].position_mm: this must be at least 0"),
+    "group": ("'12'", "'13'", ":8:13: bearings[0].group: this must be one of"),
+    "negative stiffness": ("5.11e7", "-5.11e7", ":8:50: bearings[0].kt_n_per_m: this must be at least 0"),
+    "stiffness": ("5.11e7", "5.11e77", "bearings[0].kt_n_per_m: this must be at most 1e+15"),
+    "pascals": ("E_gpa: 200", "E_gpa: 200e9", ":3:62: segments[0].E_gpa: this must be at most 2000"),
+    "unknown key": ("inner_mm: 42.4", "iner_mm: 42.4", "unknown key; did you mean `inner_mm`?"),
+    "material": (
+        STEEL,
+        "material: stel",
+        ":3:65: segments[0].material: the material 'stel' is not known; did you mean",
+    ),
+    "lacking": ("E_gpa: 200, ", "", "segments[0]: E_gpa missing"),
+    "nan": ("nu: 0.3", "nu: .nan", "is not a number that can be used"),
+    "text": ("length_mm: 15.1", "length_mm: long", "this must be a number, not the text 'long'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+@pytest.mark.parametrize("command", ["modes", "frf", "sensitivity"])
+def test_bad_files_are_refused_with_line_and_key(tmp_path: Path, case: str, command: str) -> None:
+    old, new, words = BAD_FILES[case]
+    path = tmp_path / "bad.yaml"
+    path.write_text(DIRECT.replace(old, new, 1))
+    said = refusal(command, path)
+    assert str(path) in said
+    assert words in said
+
+
+def test_bearings_of_a_group_may_differ_in_a_response_but_not_in_an_identification(
+    spindle: Path, tmp_path: Path
+) -> None:
+    twice = f"  - {{group: '12', position_mm: 120.0, kt_n_per_m: 3e7, ct_ns_per_m: 500, {TURNING}}}\n"
+    path = tmp_path / "differ.yaml"
+    path.write_text(DIRECT + twice)
+    measured = write_csv(tmp_path / "m.csv", *nose(path, "--points", 300))
+    said = refusal("identify", path, measured)
+    assert "the bearings of group '12' have different properties" in said
+
+
+def test_missing_parts_are_refused(spindle: Path, tmp_path: Path) -> None:
+    assert "describes no holder" in refusal("frf", spindle, "--at", "holder")
+    assert "describes no tool" in refusal("frf", spindle, "--at", "tool")
+    assert "spindles that ship are" in refusal("modes", tmp_path / "nowhere.yaml")
+    assert "describes no bearings" in refusal("identify", "steel", write_csv(tmp_path / "m.csv", *nose(spindle)))
+    assert f"{spindle}: the file describes no tool" in refusal("compare", "tool_cold_y", spindle, "--at", "tool")
+    assert "--after-segment must name" in refusal(
+        "contact", spindle, tmp_path / "m.csv", "--joint", "shaft", "--after-segment", 9
+    )
+    assert "the first must lie above 0" in refusal("frf", spindle, "--from-hz", 500, "--to-hz", 400)
+
+
+def test_unfit_measurements_are_refused_with_a_sentence(spindle: Path, tmp_path: Path) -> None:
+    at, values = nose(spindle)
+    path = tmp_path / "m.csv"
+    cases = {
+        "um/N": (at, values * 1e6, "is the unit um/N"),
+        "accelerance": (at, values * (2 * np.pi * at) ** 2, "is this an accelerance?"),
+        "narrow": (at[:40], values[:40], "from 300 to 330.469 Hz is too narrow"),
+        "few": (at[:5], values[:5], "5 frequencies cannot determine 5 parameters"),
+    }
+    for frequency, response, words in cases.values():
+        said = refusal("identify", spindle, write_csv(path, frequency, response))
+        assert words in said
+        assert str(path) in said
+    lines = write_csv(path, at, values).read_text().splitlines()
+    broken = {
+        ":7: column receptance_re: 'nan'": [*lines[:6], "304,nan,0", *lines[7:]],
+        ":7: column frequency_hz: 300 Hz does not lie above": [*lines[:6], "300,1e-7,0", *lines[7:]],
+        ":7: has 2 fields": [*lines[:6], "304,1e-7", *lines[7:]],
+        ":1: there is no column frequency_hz": ["f,re,im", *lines[1:]],
+        ":1: has 0 responses": ["frequency_hz,re,im", *lines[1:]],
+    }
+    for words, content in broken.items():
+        path.write_text("\n".join(content))
+        assert f"{path}{words}" in refusal("identify", spindle, path)
+    assert "no frequency is left" in refusal(
+        "identify", spindle, write_csv(path, at, values), "--from-hz", 9000, "--to-hz", 9900
+    )
+
+
+WRONG_UNITS = {
+    "mm/N": (1.0, 1e3, "numbers in mm/N"),
+    "m/kN": (1.0, 1e-3, "numbers in m/kN"),
+    "kHz": (1e-3, 1.0, "is the axis in kHz?"),
+    "rad/s": (2 * np.pi, 1.0, "is the axis in rad/s"),
+    "1/min": (60.0, 1.0, "is the axis in rad/s or 1/min?"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_UNITS)
+def test_a_response_in_another_unit_is_refused_unless_it_is_trusted(spindle: Path, tmp_path: Path, case: str) -> None:
+    scale, factor, words = WRONG_UNITS[case]
+    at, values = nose(spindle, "--points", 400)
+    path = write_csv(tmp_path / "m.csv", at * scale, values * factor)
+    said = refusal("identify", spindle, path)
+    assert words in said
+    assert str(path) in said
+    trusted = call("identify", spindle, path, "--trust-units", "--json", "-")
+    assert words not in trusted.stderr
+    assert "Traceback" not in trusted.output
+
+
+def test_a_mobility_named_receptance_is_refused(spindle: Path, tmp_path: Path) -> None:
+    at, values = nose(spindle, "--points", 400)
+    path = write_csv(tmp_path / "m.csv", at, values * 2j * np.pi * at)
+    assert "of a mobility in m/s per N" in refusal("identify", spindle, path)
+    named = answer("identify", spindle, write_csv(path, at, values * 2j * np.pi * at, "mobility"), "--fixed", "file")
+    assert named["log_error"] < 1e-6
+
+
+def test_the_unit_of_a_response_at_the_holder_is_found_by_what_fits(tmp_path: Path) -> None:
+    found = answer("frf", "holder_warm_y", "--at", "holder", "--points", 300)
+    values = np.array(found["receptance_re"]) + 1j * np.array(found["receptance_im"])
+    at = np.array(found["frequency_hz"])
+    for scale, factor, words in ((1.0, 1e3, "numbers in mm/N"), (2 * np.pi, 1.0, "numbers over rad/s")):
+        measured = write_csv(tmp_path / "h.csv", at * scale, values * factor)
+        assert words in refusal("contact", "holder_cold_y", measured, "--joint", "spindle-holder")
+    trusted = answer("contact", "holder_cold_y", measured, "--joint", "spindle-holder", "--trust-units")
+    assert trusted["log_error"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("scale", "factor", "words"),
+    [
+        (1.0, 1e290, "m/N, which nothing has"),
+        (1.0, 1e-295, "m/N, which nothing has"),
+        (1e290, 1.0, "is no frequency at which a response is measured"),
+        (1e-290, 1.0, "is no frequency at which a response is measured"),
+        (0.0, 1.0, "above 0 Hz|does not lie above the row before"),
+    ],
+)
+def test_numbers_that_nothing_measures_are_refused_though_trusted(
+    spindle: Path, tmp_path: Path, scale: float, factor: float, words: str
+) -> None:
+    at, values = nose(spindle, "--points", 60)
+    path = write_csv(tmp_path / "m.csv", at * scale, values * factor)
+    assert re.search(words, refusal("identify", spindle, path, "--trust-units"))
+
+
+def test_a_response_at_0_hz_alone_is_refused(spindle: Path, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "m.csv", [0.0], [1e-8 + 0j])
+    assert f"{path}: holds no frequency above 0 Hz" in refusal("identify", spindle, path)
+
+
+def test_a_narrow_band_names_what_it_does_not_determine(spindle: Path, tmp_path: Path) -> None:
+    at, values = nose(spindle, "--from-hz", 8000, "--to-hz", 9000, "--points", 300)
+    found = answer("identify", spindle, write_csv(tmp_path / "m.csv", at, values), "--fixed", "file")
+    unseen = [name for name, seen in found["identifiable"].items() if not seen]
+    assert unseen
+    assert f"from 8000 to 9000 Hz does not determine {', '.join(unseen)}" in found["warnings"][-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--to-hz", "1e300"), "a spindle is computed between 0.001 and 1e+06 Hz"),
+        (("--to-hz", "1e300", "--points", 5), "a spindle is computed between"),
+        (("--from-hz", "1e-300", "--to-hz", "1e-299", "--points", 5), "a spindle is computed between"),
+        (("--from-hz", "1e308", "--to-hz", "1.7e308", "--points", 5), "a spindle is computed between"),
+        (("--df", "1e-300"), "are more than 1000000 frequencies"),
+        (("--df", "1e300"), "leaves one frequency"),
+        (("--from-hz", 500, "--to-hz", "500.0000000000001", "--points", 1000), "lie too close"),
+        (("--points", 10**9), "is not in the range"),
+    ],
+)
+def test_extreme_frequencies_are_refused_with_a_sentence(
+    spindle: Path, options: tuple[object, ...], words: str
+) -> None:
+    assert words in refusal("frf", spindle, *options)
+
+
+def test_the_outermost_frequencies_give_numbers(spindle: Path) -> None:
+    found = answer("frf", spindle, "--from-hz", "0.001", "--to-hz", "1e6", "--points", 50)
+    assert np.isfinite(found["receptance_re"]).all()
+
+
+def test_fewer_modes_than_asked_for_are_said(spindle: Path) -> None:
+    found = answer("modes", spindle, "--count", 100)
+    assert len(found["modes"]) < 100
+    assert f"{len(found['modes'])} of 100 modes lie below" in found["warnings"][0]
+
+
+@pytest.mark.parametrize("ending", [".png", ".html"])
+def test_a_picture_without_its_library_names_what_to_install(
+    spindle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    monkeypatch.setitem(PICTURE_LIBRARIES, ending, "library_that_nobody_installed")
+    said = refusal("modes", spindle, "--picture", tmp_path / f"p{ending}")
+    assert "this picture needs library_that_nobody_installed: install toolpoint[plots]" in said
