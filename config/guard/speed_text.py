@@ -11,7 +11,7 @@ from config.schema import Configuration
 from config.schema.guard import PROGRAMS
 from config.schema.spindle_speed import SpindleSpeedConfig
 
-SPEED_PROGRAM_VERSION = 2
+SPEED_PROGRAM_VERSION = 3
 TEXT_NUMBERS = 1_000_000
 """The text is known by a number below this, which the program tells with every call."""
 ROUNDING_RPM = 0.5
@@ -79,7 +79,8 @@ def _fields(configuration: Configuration, tuning: SpindleSpeedConfig) -> dict[st
         "look_ahead": decimal(max(guard.look_ahead_s, 2.0 * tuning.validity_s)),
         "lowest": decimal(tuning.lowest_rpm - ROUNDING_RPM),
         "highest": decimal(tuning.highest_rpm + ROUNDING_RPM),
-        "within": decimal(tuning.within_percent / 100.0 + 1e-4),
+        "within": decimal(tuning.within_percent / 100.0),
+        "rounding": decimal(ROUNDING_RPM),
     }
 
 

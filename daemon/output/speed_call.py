@@ -9,7 +9,7 @@ from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from daemon.output.limits import guard_programs
 from daemon.output.speed_block import Found, MadeFor, SpeedBlock, SpeedCall
 from daemon.stability.tool_points import CalledOperation
-from models.records import CncSample
+from models.records import CncRun, CncSample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +54,11 @@ class SpeedCalls:
         self.waiting = False
         """A call has been seen and is not taken yet."""
         self.under_way: SpeedOperation | None = None
+        self.absence = ""
+        """Why the operation under way cannot be what the machine does now, '' when it can."""
+        self._programs: set[int] = set()
+        """Seen running since the operation's first call."""
+        self._over = ""
 
     def configured(self, operation: SpeedOperation) -> SpeedOperationConfig | None:
         """Return the configuration of an operation."""
@@ -61,6 +66,32 @@ class SpeedCalls:
 
     def look(self, found: Found, now_s: float, sample: CncSample) -> bool:
         """Look at the macros that were read just now; return whether another operation has begun."""
+        begun = self._taken_up(found, now_s, sample)
+        if begun:
+            self._programs, self._over = set(), ""
+        self.absence = self._absence(sample)
+        return begun
+
+    def _absence(self, sample: CncSample) -> str:
+        """Return why the operation cannot go on: another tool is in the spindle, or a reset has ended it for good.
+
+        Its numbers may come again in another program or with another tool; the NC would then take the pair at once.
+        """
+        operation = self.under_way
+        if operation is None or not operation.wanted:
+            return ""
+        strange = sample.program not in self._programs | self._guard_programs
+        if sample.run is not CncRun.RESET:
+            self._programs.add(sample.program)
+        elif strange:
+            self._over = (
+                f"{operation.made_for} is over: the control is in reset in O{sample.program}; waiting for a call"
+            )
+        if self._over or sample.tool_number == operation.called.tool_number:
+            return self._over
+        return f"T{sample.tool_number} is in the spindle, and {operation.made_for} is under way"
+
+    def _taken_up(self, found: Found, now_s: float, sample: CncSample) -> bool:
         call = self._block.call(found)
         told = call is not None and call != self._taken
         self.waiting = told or (call is None and self._taken is not None)
@@ -73,7 +104,7 @@ class SpeedCalls:
             return False
         self._taken, self._seen, self.waiting = call, None, False
         before, operation = self.under_way, self._operation(call, sample)
-        if before is not None and operation.same_as(before):
+        if before is not None and not self._over and operation.same_as(before):
             self.under_way = replace(before, problem=operation.problem)
             return False
         self.under_way = operation

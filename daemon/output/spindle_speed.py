@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from config.guard.speed_text import SpeedStatus
 from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.output.cnc_session import CncSession
@@ -17,7 +16,9 @@ from daemon.output.journal import Journal
 from daemon.output.permission import Permission
 from daemon.output.speed_block import DISABLED, Found, SpeedBlock, SpeedPair
 from daemon.output.speed_call import SpeedCalls, SpeedOperation
-from daemon.output.speed_memory import OperationMemories
+from daemon.output.speed_memory import KEPT_S, OperationMemories
+from daemon.output.speed_picture import speed_picture
+from daemon.output.speed_switch import SpeedSwitch
 from daemon.output.speed_worker import PlannedSpeed, SpeedWorker
 from daemon.output.speed_writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
@@ -37,8 +38,8 @@ NO_LINK = "no link to the CNC"
 OUR_FAULT = "spindle speed"
 """A FAULT of the spindle speed begins so."""
 NO_OPERATION = "no operation has begun"
-FEED_DECIMALS = 3
-"""Feeds are written to this many decimals [mm/min]."""
+FEED_DIGITS = 7
+"""Feeds are written to this many significant digits, however small they are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +49,9 @@ class _Standing:
     memory: SpeedTuningMemory
     command: SpindleSpeedCommand | None = None
     decided: bool = False
-    """The operation has had a decision at a safe block, so that the block may speak for it."""
+    """The operation has had a decision at a safe block from dynamics of now, so that the block may speak for it."""
+    known_s: float = -math.inf
+    """Latest dynamics that could be followed [s]."""
     moved: bool = False
     """It has changed: not again before the NC has taken that, and has cut with it."""
     alarm: str = ""
@@ -78,6 +81,19 @@ class SpindleSpeedOutput:
         if self._follower is not None:
             await self._follower.follow(session, phase, sample)
 
+    def turn(self, *, on: bool, person: str) -> str:
+        """Switch the tuning on or off, as a person asks; return why that is refused, '' when it is taken."""
+        if self._follower is None:
+            return "there is no section spindle_speed in the configuration, so there is nothing to switch"
+        self._follower.switch.turn(on=on, person=person)
+        return ""
+
+    @property
+    def stands_off(self) -> bool:
+        """It is switched off, and the block in the CNC says so or has run out."""
+        follower = self._follower
+        return follower is None or (bool(follower.switch.obstacle) and not follower.followed)
+
     def close(self) -> None:
         """Release what is open."""
         if self._follower is not None:
@@ -106,6 +122,7 @@ class _Follower:
         self._calls = SpeedCalls(configuration, tuning, self._block)
         self._memories = OperationMemories(journal, clock)
         self.writer = SpeedWriter(tuning, self._block, configuration.history.path)
+        self.switch = SpeedSwitch(journal)
         self._standing: _Standing | None = None
         self._next_look_s = -math.inf
         self._found: Found = {}
@@ -148,7 +165,7 @@ class _Follower:
             self._worker.look(operation.called, operation.place if operation.wanted else None)
         else:
             self._worker.look(None, None)
-        if operation is not None and not self._obstacle:
+        if not self._obstacle:
             await self._serve(session, operation, phase, clock_s, now_s)
 
     async def _read(self, session: CncSession) -> Found | None:
@@ -194,18 +211,27 @@ class _Follower:
             self._next_look_s = now_s
         if not begun:
             return
-        if before is not None and self._standing is not None:
-            self._memories.keep(before, self._standing.memory, moved=self._standing.moved)
-        operation = self._calls.under_way
-        assert operation is not None
+        self._put_away(before)
+        assert self._calls.under_way is not None
+        self._journal.say(
+            "speed", f"{self._calls.under_way.made_for} begins in O{self._calls.under_way.called.program}"
+        )
+
+    def _put_away(self, operation: SpeedOperation | None) -> None:
+        if operation is not None and self._standing is not None:
+            self._memories.keep(operation, self._standing.memory, moved=self._standing.moved)
+        self._standing = None
+
+    def _begun(self, operation: SpeedOperation, now_s: float) -> _Standing:
+        """Return where an operation stands that begins, or goes on after something else was in the machine."""
         lowest_rpm, highest_rpm = self._range_rpm(operation)
         memory, moved = self._memories.begin(operation, lowest_rpm, highest_rpm)
         pair = self.writer.pair
         ours = pair.made_for == operation.made_for and lowest_rpm <= pair.speed_rpm <= highest_rpm
-        if ours := ours and self.writer.valid(now_s):  # this run began within the operation: it goes on
-            memory, moved = replace(memory, commanded_rpm=pair.speed_rpm, begun=True), True
-        self._standing = _Standing(memory=memory, decided=ours, moved=moved)
-        self._journal.say("speed", f"{operation.made_for} begins in O{operation.called.program}")
+        if ours and self.writer.valid(now_s):  # this run of the daemon began within the operation: it goes on
+            memory = replace(memory, commanded_rpm=pair.speed_rpm, begun=True)
+            return _Standing(memory=memory, decided=True, known_s=now_s, moved=True)
+        return _Standing(memory=memory, moved=moved)
 
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
         """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
@@ -217,34 +243,52 @@ class _Follower:
     # --- deciding and writing ------------------------------------------------------------
 
     async def _serve(
-        self, session: CncSession, operation: SpeedOperation, phase: Phase, clock_s: float, now_s: float
+        self, session: CncSession, operation: SpeedOperation | None, phase: Phase, clock_s: float, now_s: float
     ) -> None:
         """Decide, and write what is due; a decision that does not reach the CNC is taken back."""
-        assert self._standing is not None
+        if self._withheld:
+            self._put_away(operation)
+            await self._write(session, DISABLED, None, clock_s, now_s)
+        if operation is None or self._withheld:
+            return
+        if self._standing is None:
+            self._standing = self._begun(operation, now_s)
         before = self._standing
         if before.moved and phase is Phase.CUTTING and self._taken(before, operation):
             before = replace(before, moved=False)
         standing = before if self._calls.waiting else self._decided(before, operation, now_s, phase)
-        pair = self._wanted_pair(standing, operation)
-        if self.writer.due(pair, now_s):
-            configured = self._calls.configured(operation)
-            try:
-                await self.writer.write(session, pair, configured, self._found, clock_s=clock_s, now_s=now_s)
-            except SpeedWriteError as error:
-                self._hinder(self._accuse(str(error)))
-                return
+        if not await self._write(session, self._wanted_pair(standing, operation), operation, clock_s, now_s):
+            return
         self._standing = standing
         if standing is not before:
             self._report(before, standing)
         self._memories.keep(operation, standing.memory, moved=standing.moved)
 
+    @property
+    def _withheld(self) -> str:
+        """Why the NC is to take nothing, although it may be written to; '' when it may."""
+        return self.switch.obstacle or self._calls.absence
+
+    async def _write(
+        self, session: CncSession, pair: SpeedPair, operation: SpeedOperation | None, clock_s: float, now_s: float
+    ) -> bool:
+        """Write a pair when that is due; return whether the CNC holds it now, anything else is a FAULT."""
+        if not self.writer.due(pair, now_s):
+            return True
+        configured = None if operation is None else self._calls.configured(operation)
+        try:
+            await self.writer.write(session, pair, configured, self._found, clock_s=clock_s, now_s=now_s)
+        except SpeedWriteError as error:
+            self._hinder(self._accuse(str(error)))
+            return False
+        return True
+
     def _taken(self, standing: _Standing, operation: SpeedOperation) -> bool:
-        """Whether the NC has taken for this operation what is commanded."""
+        """Whether the NC has taken for this operation what is commanded, from the block or as programmed."""
         applied_rpm = self._block.applied_rpm(self._found)
         return (
             not self._calls.waiting
             and self._block.made_for(self._found) == operation.made_for
-            and self._block.status(self._found) == SpeedStatus.APPLIED
             and applied_rpm == float(round(standing.memory.commanded_rpm))
         )
 
@@ -264,10 +308,16 @@ class _Follower:
         command, memory = step(before.memory, inputs, self._settings)
         if operation.wanted and planned is None:  # nobody has looked yet how far the wish is off: that stays noted
             memory = replace(memory, off_since_s=before.memory.off_since_s)
+        known_s = now_s if plan is not None else before.known_s
+        outdated = now_s - known_s > KEPT_S
+        if outdated and operation.wanted and math.isfinite(known_s):
+            problem = f"{problem}; that has been so for an hour, so the programmed speed is taken"
+            command = replace(command, reason="no valid dynamics for an hour; the programmed speed")
         return _Standing(
             memory=memory,
             command=command,
-            decided=before.decided or at_safe_block,
+            decided=not outdated and (before.decided or (at_safe_block and plan is not None)),
+            known_s=known_s,
             moved=before.moved or command.write,
             alarm=(command.alarm if operation.wanted else None) or problem,
         )
@@ -299,7 +349,7 @@ class _Follower:
         return SpeedPair(
             made_for=operation.made_for,
             speed_rpm=speed_rpm,
-            feed_mm_min=round(share * command.feed_mm_min, FEED_DECIMALS),
+            feed_mm_min=float(f"{share * command.feed_mm_min:.{FEED_DIGITS}g}"),
             enable=True,
         )
 
@@ -321,33 +371,28 @@ class _Follower:
         command = self._standing.command if self._standing is not None else None
         if self._obstacle:
             return SpeedState.HOLD, f"nothing is decided or written: {self._obstacle}"
+        if self._withheld:
+            return SpeedState.OFF, self._withheld
         if command is None:
             return SpeedState.OFF, NO_OPERATION
         return command.state, command.reason
 
+    @property
+    def followed(self) -> bool:
+        """The NC may follow the pair in the block."""
+        return self.writer.valid(self._clock.now().monotonic_s)
+
     def picture(self) -> dict[str, Any]:
         """Return what status shows; the command only while the NC may follow it."""
         state, reason = self._state()
-        operation, planned, pair = self._calls.under_way, self._worker.latest, self.writer.pair
-        called = operation.called if operation is not None else None
-        plan = planned.plan if planned is not None and planned.called == called else None
-        followed = not self._obstacle and self.writer.valid(self._clock.now().monotonic_s)
         alarm = self._standing.alarm if self._standing is not None else ""
+        followed = not self._obstacle and self.followed
         return {
             "state": state.value,
             "reason": reason,
             "alarm": self._obstacle or alarm or self._worker.obstacle,
-            "operation": str(operation.made_for) if operation is not None else None,
-            "tool_number": called.tool_number if called is not None else None,
-            "programmed_rpm": called.speed_rpm if called is not None else None,
-            "commanded_rpm": pair.speed_rpm if followed else None,
-            "commanded_feed_mm_min": pair.feed_mm_min if followed else None,
+            "switched_on": not self.switch.obstacle,
             "applied_rpm": self._block.applied_rpm(self._found),
             "nc_status": self._block.status(self._found),
-            "wished_rpm": plan.choice.speed_rpm if plan is not None else None,
-            "limiting_depth_mm": plan.choice.limiting_depth_mm if plan is not None else None,
-            "margin_met": plan.choice.margin_met if plan is not None else None,
-            "flagged_span_rpm": plan.flagged_span_rpm if plan is not None else None,
-            "resonance_hz": planned.resonance_hz if planned is not None else {},
-            "change_per_sensor_step_rpm": planned.change_per_step_rpm if planned is not None else {},
+            **speed_picture(self._calls.under_way, self._worker.latest, self.writer.pair if followed else None),
         }
