@@ -23,6 +23,11 @@ socket_option = click.option(
 )
 
 
+speed_option = click.option(
+    "--spindle-speed", is_flag=True, help="Not the compensation: the tuning of the spindle speed, and nothing else."
+)
+
+
 @contextmanager
 def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlClient]:
     """Connect to the daemon; end with a sentence when it refuses or does not answer."""
@@ -99,11 +104,14 @@ def reference(config_path: Path, socket_path: Path | None) -> None:
 @click.command()
 @config_option
 @socket_option
+@speed_option
 @click.argument("axes", nargs=-1)
-def enable(config_path: Path, socket_path: Path | None, axes: tuple[str, ...]) -> None:
-    """Switch compensation on, for AXES or for every axis that has a model."""
+def enable(config_path: Path, socket_path: Path | None, spindle_speed: bool, axes: tuple[str, ...]) -> None:
+    """Switch compensation on, for AXES or for every axis that has a model; or the tuning of the spindle speed."""
+    if spindle_speed and axes:
+        raise click.UsageError("--spindle-speed switches the tuning of the speed alone; name no axes with it")
     with daemon_at(config_path, socket_path) as client:
-        outcome = client.ask("enable", axes=list(axes) or None)
+        outcome = client.ask("enable", axes=list(axes) or None, spindle_speed=spindle_speed)
     _tell(outcome)
 
 
@@ -111,13 +119,21 @@ def enable(config_path: Path, socket_path: Path | None, axes: tuple[str, ...]) -
 @config_option
 @socket_option
 @click.option("--zero", is_flag=True, help="Disable every axis and retreat to zero, not to the reference's baseline.")
+@speed_option
 @click.argument("axes", nargs=-1)
-def disable(config_path: Path, socket_path: Path | None, zero: bool, axes: tuple[str, ...]) -> None:
-    """Switch compensation off, for AXES or for all; what is applied retreats at the slew rate."""
+def disable(
+    config_path: Path, socket_path: Path | None, zero: bool, spindle_speed: bool, axes: tuple[str, ...]
+) -> None:
+    """Switch compensation off, for AXES or for all; what is applied retreats at the slew rate.
+
+    With --spindle-speed the tuning of the spindle speed instead: the next call of its NC program runs as programmed.
+    """
+    if spindle_speed and (axes or zero):
+        raise click.UsageError("--spindle-speed switches the tuning of the speed alone; name neither axes nor --zero")
     if zero and axes:
         raise click.UsageError("--zero retreats every axis; name no axes with it")
     with daemon_at(config_path, socket_path) as client:
-        outcome = client.ask("disable", axes=list(axes) or None, zero=zero)
+        outcome = client.ask("disable", axes=list(axes) or None, zero=zero, spindle_speed=spindle_speed)
     _tell(outcome)
 
 

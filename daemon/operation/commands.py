@@ -11,7 +11,7 @@ from models.output import OperatorRequest
 
 DECISION_S = 3.0
 """A request is answered after this long at the latest [s]; the control task decides with its next tick."""
-KEYS = {"enable": {"axes"}, "disable": {"axes", "zero"}}
+KEYS = {"enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindle_speed"}}
 """What a command takes beside its name; the others take nothing."""
 
 
@@ -26,6 +26,8 @@ class CommandDesk:
     async def handle(self, request: dict[str, Any], person: str) -> dict[str, Any]:
         """Answer one request; raises RequestError with the reason for a refusal."""
         _check_keys(request)
+        if _of_spindle_speed(request):
+            return await self._turn_spindle_speed(on=request["command"] == "enable", person=person)
         match request.get("command"):
             case "status":
                 return self._board.picture()
@@ -53,6 +55,20 @@ class CommandDesk:
             return
         if refusal:
             raise RequestError(refusal)
+
+    async def _turn_spindle_speed(self, *, on: bool, person: str) -> dict[str, Any]:
+        """Switch the tuning of the spindle speed; what is switched off is waited for until the NC cannot take it."""
+        speed, what = self._control.side.speed, "enable" if on else "disable"
+        if refusal := speed.turn(on=on, person=person):
+            raise self._refusal(f"{what} the tuning of the spindle speed", refusal, person)
+        try:
+            async with asyncio.timeout(DECISION_S):
+                while not (on or speed.stands_off):
+                    await self._control.requests.carried_out()
+        except TimeoutError:
+            return {"decided": False}
+        picture = speed.picture() or {}
+        return {"decided": True, **{key: picture.get(key, "") for key in ("state", "reason", "alarm")}}
 
     def _refusal(self, what: str, why: str, person: str) -> RequestError:
         """Record a refusal of the desk itself; the control task records its own."""
@@ -104,3 +120,12 @@ def _zero(request: dict[str, Any]) -> bool:
     if zero and request.get("axes") is not None:
         raise RequestError("zero retreats every axis; name no axes with it")
     return zero
+
+
+def _of_spindle_speed(request: dict[str, Any]) -> bool:
+    speed = request.get("spindle_speed", False)
+    if not isinstance(speed, bool):
+        raise RequestError(f"spindle_speed must be true or false, not {speed!r}")
+    if speed and (request.get("axes") is not None or request.get("zero", False)):
+        raise RequestError("spindle_speed switches the tuning of the speed alone; name neither axes nor zero with it")
+    return speed

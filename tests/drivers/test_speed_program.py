@@ -205,6 +205,31 @@ def test_a_plain_feed_must_be_the_programmed_one(tmp_path: Path) -> None:
     assert bench.call() == (9400.0, 1800.0, SpeedStatus.APPLIED)
 
 
+@pytest.mark.parametrize("code", [93, 95])
+def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int) -> None:
+    bench.write(PAIR)
+    bench.control.set_modal(code)
+    bench.interpreter.run(9020, **CALL)
+    assert bench.control.alarm is not None
+    assert bench.control.alarm[0] == 132
+    assert (bench.control.spindle_rpm, bench.macros.get(MACROS.calls)) == (0.0, None)
+    bench.control.alarm = None
+    bench.control.set_modal(94)
+    assert bench.call()[2] is SpeedStatus.APPLIED
+
+
+def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(tmp_path: Path) -> None:
+    bench = SpeedBench(tmp_path, within_percent=20.0)
+    programmed_rpm = 2348.0
+    edge_rpm = float(round(1.2 * programmed_rpm))  # 0.4 1/min above it
+    made_for = replace(OPERATION, speed_rpm=programmed_rpm)
+    feed_mm_min = edge_rpm / programmed_rpm * 1800.0
+    bench.write(replace(PAIR, made_for=made_for, speed_rpm=edge_rpm, feed_mm_min=feed_mm_min))
+    assert bench.call(S=programmed_rpm)[::2] == (edge_rpm, SpeedStatus.APPLIED)
+    bench.write(replace(PAIR, made_for=made_for, speed_rpm=edge_rpm + 1.0, feed_mm_min=feed_mm_min))
+    assert bench.call(S=programmed_rpm)[2] is SpeedStatus.OUT_OF_BOUNDS
+
+
 @pytest.mark.parametrize("arguments", [{"S": 0.0}, {"F": 0.0}, {"D": -1.0}, {"E": -1.0}, {"K": -1.0}])
 def test_a_call_that_makes_no_sense_is_an_alarm(bench: SpeedBench, arguments: dict) -> None:
     bench.interpreter.run(9020, **({"S": 9000.0, "F": 1800.0} | arguments))

@@ -1,0 +1,217 @@
+"""When the NC is to take no pair although it may be written: another tool, another program, no dynamics, a person."""
+
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from control_rig import running
+from speed_machine import CASE
+from speed_rig import CUT, SAFE, SpeedRig
+
+from config.guard.speed_text import SpeedStatus
+from config.schema.spindle_speed import SpeedOperationConfig
+from daemon.operation.commands import CommandDesk
+from daemon.operation.control_socket import RequestError
+from daemon.output.spindle_speed import SpindleSpeedOutput
+from models.records import CncRun
+
+PROGRAMMED = (9000.0, 1800.0)
+APPLIED, DISABLED = SpeedStatus.APPLIED, SpeedStatus.DISABLED
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> AsyncIterator[SpeedRig]:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        yield bench
+
+
+def operation(program: int, case: Path) -> SpeedOperationConfig:
+    spindles: Any = {"x": Path("simulated_machine"), "y": Path("simulated_machine")}
+    return SpeedOperationConfig(tool_number=1, program=program, spindles=spindles, case=case, depth_mm=0.4)
+
+
+async def reset_into(bench: SpeedRig, program: int) -> None:
+    """Reset, select a program, start it."""
+    bench.nc.run = CncRun.RESET
+    await bench.pass_by(2.0, 0)
+    bench.nc.program = program
+    await bench.pass_by(3.0, 0)
+    bench.nc.run = CncRun.START
+    await bench.pass_by(3.0, CUT)
+
+
+# --- another tool ----------------------------------------------------------------------------
+
+
+async def test_a_tool_that_is_got_ready_lends_its_pair_to_none_in_the_spindle(bench: SpeedRig) -> None:
+    assert (await bench.operation())[2] is APPLIED
+    await bench.pass_by(3.0, CUT)
+    bench.nc.tool_number = 2
+    await bench.pass_by(5.0, CUT)
+    assert "T2 is in the spindle" in bench.picture()["reason"]
+    bench.nc.tool_number = 1  # what #4120 says when T1 is got ready while T2 cuts
+    assert bench.call() == (*PROGRAMMED, DISABLED)
+
+
+async def test_its_operation_goes_on_when_the_tool_comes_back(bench: SpeedRig) -> None:
+    first = await bench.operation()
+    await bench.pass_by(3.0, CUT)
+    bench.nc.tool_number = 2
+    await bench.pass_by(5.0, CUT)
+    bench.nc.tool_number = 1
+    await bench.pass_by(8.0, SAFE)
+    assert bench.call() == first
+
+
+# --- another program -------------------------------------------------------------------------
+
+
+async def test_the_same_numbers_in_another_program_do_not_take_the_pair(tmp_path: Path) -> None:
+    tough = tmp_path / "tough.yaml"
+    tough.write_text(CASE.replace("8.0e8", "2.0e9"), encoding="utf-8")
+    bench = SpeedRig(tmp_path, operations=[operation(1000, tmp_path / "case.yaml"), operation(2000, tough)])
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[2] is APPLIED
+        await bench.pass_by(3.0, CUT)
+        await reset_into(bench, 2000)
+        assert "is over" in bench.picture()["reason"]
+        assert bench.call() == (*PROGRAMMED, DISABLED)
+
+
+async def test_a_reset_into_the_same_program_or_its_main_program_ends_nothing(bench: SpeedRig) -> None:
+    first = await bench.operation()
+    bench.nc.program = 8001
+    await bench.pass_by(3.0, CUT)
+    await reset_into(bench, 1000)
+    assert bench.call() == first
+
+
+async def test_a_start_of_the_daemon_in_reset_knows_of_no_operation(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[2] is APPLIED
+        bench.nc.run, bench.nc.program = CncRun.RESET, 2000
+    async with running(bench.new_rig()) as rig:
+        await rig.turn(safe=False)
+        await bench.pass_by(5.0, 0)
+        bench.nc.run = CncRun.START
+        assert bench.call() == (*PROGRAMMED, DISABLED)
+        assert (await bench.operation())[2] is APPLIED
+
+
+# --- no dynamics of now ----------------------------------------------------------------------
+
+
+async def test_a_speed_of_before_a_restart_is_not_commanded_without_a_temperature(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        speed_rpm, *_ = await bench.operation()
+        await bench.pass_by(3.0, CUT)
+    bench.clock.monotonic_s += 3000.0
+    async with running(bench.new_rig()) as rig:
+        await rig.turn(safe=False)
+        bench.nc.sequence_number = SAFE
+        bench.call()
+        await bench.pass_by(20.0, SAFE, temperatures=False)
+        assert bench.call()[:2] == PROGRAMMED
+        await bench.pass_by(10.0, SAFE)
+        assert bench.call()[::2] == (speed_rpm, APPLIED)
+
+
+async def test_without_dynamics_for_an_hour_the_programmed_speed_is_taken(bench: SpeedRig) -> None:
+    first = await bench.operation()
+    bench.degc = float("nan")
+    await bench.pass_by(200.0, CUT)
+    assert bench.call() == first
+    bench.clock.monotonic_s += 3600.0
+    await bench.pass_by(10.0, CUT)
+    assert bench.call()[:2] == PROGRAMMED
+    assert "for an hour, so the programmed speed" in bench.picture()["alarm"]
+    assert bench.picture()["commanded_rpm"] is None
+
+
+# --- numbers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("feed_mm_min", [1e-4, 0.01, 0.15, 1e9])
+async def test_no_feed_is_too_small_or_great_to_keep_its_share(bench: SpeedRig, feed_mm_min: float) -> None:
+    speed_rpm, feed, status = await bench.operation(F=feed_mm_min)
+    assert bench.rig.control.journal.fault is None
+    assert status is APPLIED
+    assert feed / feed_mm_min == pytest.approx(speed_rpm / 9000.0, rel=1e-5)
+
+
+async def test_the_programmed_speed_counts_as_taken_also_where_the_nc_refuses_it_as_a_pair(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path, highest_rpm=10300.0)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        tuned = await bench.operation(S=10400.0)
+        assert tuned[2] is APPLIED
+        await bench.pass_by(3.0, CUT)
+        bench.degc = 150.0  # nothing bears the depth any more
+        await bench.pass_by(40.0, SAFE)
+        assert bench.picture()["state"] == "NO_STABLE_SPEED"
+        assert bench.call(S=10400.0)[::2] == (10400.0, SpeedStatus.OUT_OF_BOUNDS)
+        await bench.pass_by(5.0, CUT)
+        bench.degc = 28.0
+        await bench.pass_by(150.0, SAFE)
+        assert bench.call(S=10400.0)[2] is APPLIED
+
+
+# --- a person ----------------------------------------------------------------------------------
+
+
+def desk(bench: SpeedRig) -> CommandDesk:
+    board: Any = None
+    return CommandDesk(board, bench.rig.control, ["z"])
+
+
+async def test_a_person_switches_it_off_and_on(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    off, on = ({"command": each, "spindle_speed": True} for each in ("disable", "enable"))
+    async with running(bench.rig):
+        await bench.rig.turn()
+        first = await bench.operation()
+        await bench.pass_by(3.0, CUT)
+        assert (await desk(bench).handle(off, "a person"))["decided"] is False  # the link has not been served yet
+        await bench.pass_by(2.0, CUT)
+        told = await desk(bench).handle(off, "a person")
+        assert told["decided"]
+        assert told["state"] == "OFF"
+        assert "switched off by a person" in told["reason"]
+        assert bench.call() == (*PROGRAMMED, DISABLED)
+        assert bench.picture()["switched_on"] is False
+    async with running(bench.new_rig()) as rig:
+        await rig.turn(safe=False)
+        assert (await bench.operation())[:2] == PROGRAMMED
+        assert (await desk(bench).handle(on, "another"))["decided"]
+        bench.nc.sequence_number = CUT
+        await bench.pass_by(5.0, CUT)
+        assert bench.call()[:2] == PROGRAMMED
+        await bench.pass_by(8.0, SAFE)
+        assert bench.call() == first
+
+
+@pytest.mark.parametrize("change", [{"axes": ["z"]}, {"zero": True}, {"spindle_speed": "yes"}])
+async def test_the_switch_takes_nothing_beside_it(bench: SpeedRig, change: dict[str, Any]) -> None:
+    with pytest.raises(RequestError, match="spindle_speed"):
+        await desk(bench).handle({"command": "disable", "spindle_speed": True} | change, "a person")
+
+
+async def test_without_the_section_there_is_nothing_to_switch(bench: SpeedRig) -> None:
+    control = bench.rig.control
+    without = control._configuration.model_copy(update={"spindle_speed": None})
+    control.side.speed = SpindleSpeedOutput(without, bench.clock, control.journal, control._permission)
+    with pytest.raises(RequestError, match="no section spindle_speed"):
+        await desk(bench).handle({"command": "disable", "spindle_speed": True}, "a person")
+    assert bench.written() == []
