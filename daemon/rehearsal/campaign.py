@@ -388,7 +388,7 @@ class Campaign:
         self._writes.heard(time_s, claims)
         self._truth.heard(time_s, claims)
         self._operations.heard(time_s, claims, self._truth.applied_um)
-        self._writes.input_is(time_s, good=self._truth.temperatures(time_s))
+        self._writes.input_is(time_s, good=self._truth.temperatures(time_s), echo_known=self._truth.echo_known)
         self._note_good_input(time_s)
         if self._recovery.open:
             self._recovery.look(time_s, self._truth.at(time_s, claims), claims)

@@ -71,18 +71,25 @@ class TruthKeeper:
         """The largest amount that the NC applies on an axis [um]."""
         return max(map(abs, self._world.machine.guard.applied_um.values()), default=0.0)
 
+    @property
+    def echo_known(self) -> bool:
+        """The guard's echo of every axis can be read."""
+        return None not in self._echoes()
+
+    def _echoes(self) -> list[float | None]:
+        table = self._world.machine.nc.macros
+        return [table.get(number) for number in self._macros.echo_applied.values()]
+
     def at(self, time_s: float, claims: Claims) -> Truth:
         """Return what is true now."""
-        macros = self._macros
-        table = self._world.machine.nc.macros
-        echoes = [table.get(number) for number in macros.echo_applied.values()]
-        known = [value for value in echoes if value is not None]
+        unit_um = self._macros.unit_um
+        known = [value for value in self._echoes() if value is not None]
         return Truth(
             reachable=self._world.cnc.reachable,
             temperatures=self.temperatures(time_s),
             distrust=bool(self._world.cnc.proof),
-            echo_known=len(known) == len(echoes),
-            at_zero=len(known) == len(echoes) and all(abs(value) * macros.unit_um <= ZERO_UM for value in known),
+            echo_known=self.echo_known,
+            at_zero=self.echo_known and all(abs(value) * unit_um <= ZERO_UM for value in known),
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,

@@ -125,6 +125,7 @@ class WriteWatch:
         self._hold_since_s = math.inf
         self._wanted: tuple[bool, ...] = ()
         self._bad_since_s = math.inf
+        self._echo_known = True
 
     # --- what the machine sees ------------------------------------------------------------
 
@@ -203,8 +204,9 @@ class WriteWatch:
         left = held_s <= self._hold_limit_s + LATE_S
         self._ledger.check("hold_is_left", left, "" if left else f"{time_s:.1f} s: in HOLD for {held_s:.0f} s")
 
-    def input_is(self, time_s: float, *, good: bool) -> None:
-        """Say whether temperatures arrive; bad input must freeze what is written."""
+    def input_is(self, time_s: float, *, good: bool, echo_known: bool = True) -> None:
+        """Say whether temperatures and the guard's echo arrive; without temperatures what is written must freeze."""
+        self._echo_known = echo_known
         if good:
             self._bad_since_s = math.inf
         else:
@@ -250,11 +252,14 @@ class WriteWatch:
             self._written[axis] = (time_s, um)
 
     def _unsteppy(self, time_s: float, axis: str, last_s: float, distances_um: tuple[float, float], where: str) -> None:
-        """After a reference and a restart the command begins at the tool; after switching, where it was or there."""
+        """After a reference and a restart the command begins at the tool; after switching, where it was or there.
+
+        As long as the echo is vacant nobody can tell where the tool is, and the command stays where it was.
+        """
         per_s = self._axes[axis].slew_um_per_min / 60.0
         nearest_um, from_tool_um = distances_um
         for mark, since_s in self._marks.items():
-            goes_on = mark in GO_ON
+            goes_on = mark in GO_ON or not self._echo_known
             distance_um, from_s = (nearest_um, min(since_s, last_s)) if goes_on else (from_tool_um, since_s)
             reach_um = per_s * (time_s - from_s + 2.0) + SLACK_UM
             self._ledger.check(f"no_step_at_{mark}", distance_um <= reach_um, f"{where} ({mark} at {since_s:.1f} s)")

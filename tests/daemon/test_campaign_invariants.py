@@ -230,3 +230,14 @@ def test_only_the_first_violations_are_told() -> None:
         ledger.check("a", False, str(n))
     assert ledger.counts["a"].violated == ledger.violations == 20
     assert told == [f"a: {n}" for n in range(5)]
+
+
+def test_without_an_echo_the_command_stays_where_it_was_at_a_reference(trace: Trace) -> None:
+    trace.watch.input_is(0.0, good=True, echo_known=False)
+    trace.block(0.0, 0.4)
+    trace.watch.heard(9.0, claims(reference="r2"))
+    trace.block(10.0, 0.4)
+    assert trace.violated == set()
+    trace.watch.heard(19.0, claims(reference="r3"))
+    trace.block(20.0, 2.0)
+    assert "no_step_at_reference" in trace.violated
