@@ -282,7 +282,7 @@ class ThermalTask:
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=outcome.thermal_error_um,
-            band_um=model.band_um.copy(),
+            band_um=model.band_um * outcome.band_factor,
             label_degc=self._label_means(degc),
             label_increment_degc=since_labels,
             in_domain=outcome.in_domain,

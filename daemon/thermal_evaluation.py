@@ -170,7 +170,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(temperatures_alone(chosen), sample_s, rows, fold)
-    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter)
+    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter, rows)
     trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
     return _Outcome(
         name=part.name,
@@ -250,7 +250,7 @@ def _one_channel(channel: int, trials: Sequence[tuple[Trial, FloatArray]]) -> di
         known = np.isfinite(trial.residual_um[:, channel])
         measured.append(trial.measured_um[known, channel])
         residual.append(trial.residual_um[known, channel])
-        band.append(np.full(int(known.sum()), band_um[channel]))
+        band.append(band_um[channel] * trial.band_factor[known])
     without, remaining, half = np.concatenate(measured), np.concatenate(residual), np.concatenate(band)
     if not len(without):
         keys = ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um")

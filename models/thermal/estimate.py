@@ -33,6 +33,8 @@ class Estimation:
     """IDs of the sensors outside the range that training covered."""
     increment_k: FloatArray
     """Increment since the reference that each sensor counted with [K], imputed where it has none itself."""
+    band_factor: float = 1.0
+    """By how much the model's band is widened here, beyond the domain of training; at least 1."""
 
 
 class Estimator(Protocol):

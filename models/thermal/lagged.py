@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
+from models.thermal.domain import band_factor, leverage
 from models.thermal.estimate import DOMAIN_MARGIN_K, DOMAIN_WIDENING, Estimation
 from models.thermal.inputs import BRIDGE_MIN
 from models.thermal.lag_imputation import imputed_features, started_lags
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lags import lag_step, speed_inputs
-from models.thermal.ridge import RidgeSolution, design_columns
 from models.thermal.watch import Watcher, WatchState
 
 SETTLED_LAGS = 4.0
@@ -290,6 +290,7 @@ class LaggedEstimator:
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),
             increment_k=np.where(counted, increment_k, increment_k[counted].mean()),
+            band_factor=float(band_factor(distance)),
         )
 
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:
@@ -322,21 +323,3 @@ class LaggedEstimator:
             return state
         kept = tuple(blame for blame in state.watch.blamed if blame.sensor not in sensors)
         return replace(state, watch=replace(state.watch, blamed=kept))
-
-
-def leverage(ridges: Sequence[RidgeSolution], change: FloatArray) -> FloatArray:
-    """Return the summed leverage of changes of the features, shape (n,): how little training says about them.
-
-    Parameters
-    ----------
-    ridges
-        The fitted ridges.
-    change : shape (n, d)
-        Features minus features at a reference.
-
-    """
-    total = np.zeros(len(change))
-    for ridge in ridges:
-        scores = (design_columns(change, ridge.layout, ridge.design) * ridge.gain) @ ridge.directions
-        total += np.square(scores) @ ridge.remaining
-    return total

@@ -58,7 +58,7 @@ class LaggedModel:
     highest_speed_rpm: float
     """Highest spindle speed seen in training [1/min]; 0 without speed."""
     band_um: FloatArray
-    """Half width of the prediction band [um], shape (n_channels,); NaN where nothing was held out."""
+    """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN where nothing was held out."""
     watch: SensorWatch | None
     """The watch of its sensors; None where there are too many to carry it."""
     hyper_parameters: dict[str, float | int | str | bool | list[float]]
@@ -161,6 +161,8 @@ def _check_watch(model: LaggedModel) -> None:
         array.flags.writeable = False
     if not 0.0 < watch.speed_scale_rpm < np.inf:
         raise ModelError("watch.speed_scale_rpm", f"{watch.speed_scale_rpm} must be positive and finite")
+    if not 0.0 <= watch.farthest < np.inf:
+        raise ModelError("watch.farthest", f"{watch.farthest} must be finite and not negative")
 
 
 def _check_test_vectors(model: LaggedModel) -> None:

@@ -8,15 +8,15 @@ import numpy as np
 
 from models.dataset import DatasetError, Recording, usable_recordings
 from models.records import FloatArray
+from models.thermal.domain import farthest_leverage
 from models.thermal.families import Fit, HyperParameters
 from models.thermal.inputs import BoolArray, Inputs, build_inputs, unusable_sensors, with_sensors
-from models.thermal.lagged import leverage
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
 from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
 from models.thermal.prepared import prepare
 from models.thermal.ridge import RidgeSolution
 from models.thermal.train import increment_range_k, sensor_ids_from_names, training_data
-from models.thermal.trust import REFERENCES, Trust, judge
+from models.thermal.trust import Trust, judge
 from models.thermal.watch import SensorWatch
 from models.thermal.watch_fit import fit_watch
 
@@ -160,7 +160,7 @@ def _lagged_model(fitted: _Fitted, hyper_parameters: HyperParameters, watch: Sen
         period_min=inputs.period_min,
         ridges=tuple(_in_single_precision(solution) for solution in fit.solutions),
         centre=centre,
-        leverage_limit=_largest_leverage(inputs, rows, fit),
+        leverage_limit=farthest_leverage(inputs, rows, fit.solutions),
         lowest_degc=inputs.degc[rows].min(axis=0),
         highest_degc=inputs.degc[rows].max(axis=0),
         highest_speed_rpm=float(np.abs(speed_rpm[rows]).max()),
@@ -190,16 +190,6 @@ def _in_single_precision(solution: RidgeSolution) -> RidgeSolution:
 def _single(matrix: FloatArray) -> FloatArray:
     """Return a matrix rounded to single precision, as the file holds it."""
     return matrix.astype(np.float32).astype(np.float64)
-
-
-def _largest_leverage(inputs: Inputs, rows: BoolArray, fit: Fit) -> float:
-    """Return the largest leverage of what followed on instants of training that could have been the reference."""
-    largest = 1e-12
-    for run in np.unique(inputs.run[rows]):
-        features = inputs.features[rows & (inputs.run == run)]
-        for first in range(0, len(features), max(1, len(features) // REFERENCES)):
-            largest = max(largest, float(leverage(fit.solutions, features[first:] - features[first]).max()))
-    return largest
 
 
 def _plain_model(fitted: _Fitted, range_k: tuple[FloatArray, FloatArray]) -> ThermalModel:

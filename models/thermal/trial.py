@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from models.records import FloatArray
+from models.thermal.domain import band_factor, farthest_leverage, leverage_positions
 from models.thermal.families import Fit
 from models.thermal.inputs import BoolArray, Inputs, IntArray
 from models.thermal.lags import lag_table
@@ -56,6 +57,8 @@ class Trial:
     """Displacements since the first row of the stretch that has them [um], shape (n, n_channels), NaN where missing."""
     residual_um: FloatArray
     """Measured minus estimated, after probes [um]."""
+    band_factor: FloatArray
+    """By how much the band is widened beyond the domain of training, shape (n,); ones with probes."""
     blamed: tuple[Blame, ...]
 
 
@@ -80,6 +83,8 @@ class Tester:
         Time between probes [min] that correct the offset, None for none.
     bias_filter
         How a probe corrects it; None resets it fully.
+    trained : shape (n,)
+        Rows that the model was fitted on, which tell how far its domain reaches; None: the band is never widened.
 
     """
 
@@ -90,11 +95,16 @@ class Tester:
         watch: SensorWatch | None,
         probe_min: float | None = None,
         bias_filter: BiasFilter | None = None,
+        trained: BoolArray | None = None,
     ) -> None:
         self._inputs, self._probe_min, self._bias_filter = inputs, probe_min, bias_filter
         self._watcher = None if watch is None else Watcher(watch)
         self._fits: dict[tuple[int, ...], Fit] = {(): fit}
         self._states: dict[int, list[WatchState]] = {}
+        self._points = np.zeros((inputs.rows, 0))
+        if trained is not None and probe_min is None and fit.solutions:
+            limit = farthest_leverage(inputs, trained, fit.solutions)
+            self._points = leverage_positions(fit.solutions, inputs.features) / np.sqrt(limit)
 
     def run(self, name: str, rows: IntArray) -> Trial:
         """Return the fault-free trial of some rows."""
@@ -197,6 +207,7 @@ class Tester:
             rows=rows,
             measured_um=measured_um,
             residual_um=residual_um,
+            band_factor=band_factor(np.linalg.norm(self._points[rows] - self._points[rows[0]], axis=1)),
             blamed=states[-1].blamed if states else (),
         )
 

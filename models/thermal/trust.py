@@ -7,8 +7,9 @@ import numpy as np
 from models.cleanse import scatter_um
 from models.dataset import DatasetError
 from models.records import FloatArray
+from models.thermal.domain import REFERENCES, band_factor, farthest_leverage, leverage_positions
 from models.thermal.families import Fit, Problem, fold_numbers, relative_rmse
-from models.thermal.folds import fold_segments
+from models.thermal.folds import FEWEST_CYCLES, cycles, fold_segments
 from models.thermal.inputs import BoolArray, Inputs, IntArray
 from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
 from models.thermal.watch_fit import smoothed
@@ -17,8 +18,6 @@ BAND_QUANTILE = 0.9
 """The band is the largest, over folds and instants that could have been the reference, of this quantile."""
 SHORTEST_HORIZON_MIN = 60.0
 """So much must follow such an instant [min], or half of the fold."""
-REFERENCES = 30
-"""So many instants of every fold are tried."""
 SHORTEST_WANDER_MIN = 30.0
 """How far an offset wanders is not seen over less than this [min]; 10 to 60 min do equally well."""
 NORMAL_90 = 1.282
@@ -44,7 +43,8 @@ class Trust:
     refused: str | None
     """Why it must not be activated; None when it may."""
     band_um: FloatArray
-    """Half width of the prediction band [um], shape (n_channels,); NaN where nothing could be left out."""
+    """Half width of the prediction band inside the domain of training [um], shape (n_channels,); NaN where nothing
+    could be left out."""
     held_out_relative_rmse: float
     """RMSE with / without the model on what was left out, mean over the channels; NaN when nothing was."""
     forward_skill: tuple[float, ...]
@@ -86,7 +86,11 @@ def judge(
         score = relative_rmse(inputs, rows, fold, fits, probe_min)
         series_um = left_out_series_um(inputs, rows, fold, fits)
         bias_filter = None if probe_min is None else fit_bias_filter(inputs, rows, series_um, probe_min)
-        band_um = few_folds_factor(len(numbers)) * _band_um(inputs, rows, fold, series_um, probe_min, bias_filter)
+        if probe_min is None:
+            widest_um = _band_um(inputs, rows, fold, series_um, fits)
+        else:
+            widest_um = _probed_band_um(inputs, rows, fold, series_um, probe_min, bias_filter)
+        band_um = few_folds_factor(_independent_folds(inputs, rows, len(numbers))) * widest_um
     except DatasetError as error:
         return Trust(
             refused=f"without one of its folds it cannot be fitted ({error})",
@@ -175,39 +179,64 @@ def _alternations(values: FloatArray, least: float) -> int:
     return count
 
 
-def _band_um(
+def _probed_band_um(
     inputs: Inputs,
     rows: BoolArray,
     fold: IntArray,
     series_um: FloatArray,
-    probe_min: float | None,
+    probe_min: float,
     bias_filter: BiasFilter | None,
 ) -> FloatArray:
-    """Return the half width that held on every fold from (nearly) every instant that could have been its reference."""
+    """Return the half width that held on every fold when probes correct the offset."""
     widths: list[FloatArray] = []
     known = rows & np.isfinite(series_um).all(axis=1)
     for run in np.unique(inputs.run[rows]):
         of_run = np.flatnonzero(known & (inputs.run == run))
-        if len(of_run) and probe_min is not None:
+        if len(of_run):
             residual_um = series_um[of_run] - series_um[of_run[0]]
             probed = np.abs(probed_residual_um(inputs.time_min[of_run], residual_um, probe_min, bias_filter))
             folds = fold[of_run]
             widths += [np.quantile(probed[folds == number], BAND_QUANTILE, axis=0) for number in np.unique(folds)]
-            continue
-        for number in np.unique(fold[of_run]):
-            chosen = of_run[fold[of_run] == number]
-            widths += _widths(inputs.time_min[chosen], series_um[chosen])
     return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
 
 
-def _widths(time_min: FloatArray, residual_um: FloatArray) -> list[FloatArray]:
+def _band_um(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, series_um: FloatArray, fits: dict[int, Fit]
+) -> FloatArray:
+    """Return the half width that held on every fold from (nearly) every instant that could have been its reference.
+
+    A left-out residual counts over the factor by which the band of the fit without its fold is widened there.
+    """
+    widths: list[FloatArray] = []
+    known = rows & np.isfinite(series_um).all(axis=1)
+    for number, fit in fits.items():
+        out = rows & (fold == number)
+        limit = farthest_leverage(inputs, rows & ~out, fit.solutions)
+        for run in np.unique(inputs.run[out & known]):
+            chosen = np.flatnonzero(out & known & (inputs.run == run))
+            points = leverage_positions(fit.solutions, inputs.features[chosen]) / np.sqrt(limit)
+            widths += _widths(inputs.time_min[chosen], series_um[chosen], points)
+    return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def _widths(time_min: FloatArray, residual_um: FloatArray, points: FloatArray) -> list[FloatArray]:
     """Return the quantile of what followed each of some instants that could have been the reference."""
     shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
     references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
-    return [
-        np.quantile(np.abs(residual_um[first:] - residual_um[first]), BAND_QUANTILE, axis=0)
-        for first in references[:: max(1, len(references) // REFERENCES)]
-    ]
+    found = []
+    for first in references[:: max(1, len(references) // REFERENCES)]:
+        factor = band_factor(np.linalg.norm(points[first:] - points[first], axis=1))[:, None]
+        scores_um = np.abs(residual_um[first:] - residual_um[first]) / factor
+        found.append(np.quantile(scores_um, BAND_QUANTILE, axis=0))
+    return found
+
+
+def _independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
+    """Return how many of the folds count as independent: blocks of one or two spindle cycles are only two."""
+    runs = len(np.unique(inputs.run[rows]))
+    if inputs.speed_rpm is None or runs >= FEWEST_RUNS:
+        return folds
+    return 2 if 1 <= len(cycles(inputs, rows)) < FEWEST_CYCLES else folds
 
 
 def few_folds_factor(folds: int) -> float:

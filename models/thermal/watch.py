@@ -5,6 +5,10 @@ circuit), a value that does not change any more (stuck), and a departure from wh
 sensors say (step, drift, scale). The last needs no regression per sensor: with P the inverse of
 the damped covariance of all columns, sensor s departs from its prediction by
 ``(P[S, S]^-1 P[S, :] x)[0]``, S its own columns. Leaving a suspect out is a block elimination in P.
+
+Where the machine does what training never saw, predictions are worse, too. The distance of all other
+columns, ``sqrt(x^T P x)`` without the suspect, tells: a suspect is blamed only when it departs by more than
+its limit times that distance over the farthest of training.
 """
 
 from collections.abc import Sequence
@@ -66,6 +70,8 @@ class SensorWatch:
     """Longest time for which a healthy sensor stays identical [min], shape (n_sensors,)."""
     speed_scale_rpm: float
     """Speed that stands for 1 in the columns [1/min]."""
+    farthest: float = 0.0
+    """Largest distance of the smoothed columns in training, against which limits are widened; 0: they never are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,6 +154,51 @@ def departure_maps(
     maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
     expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
     return maps, expected
+
+
+def distances(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp] | None = None) -> FloatArray:
+    """Return how far columns have gone, in all directions by their own deviation in training.
+
+    Parameters
+    ----------
+    precision : shape (d, d)
+        Inverse of the damped covariance of the scaled columns.
+    scaled : shape (n, d)
+        Scaled columns, less their mean.
+    out
+        Columns that do not count: their block is eliminated. None: all count.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n,)
+        The root of ``x^T P x`` (Mahalanobis).
+
+    """
+    mapped = scaled @ precision
+    squared = np.einsum("nd,nd->n", mapped, scaled)
+    if out is not None and len(out):
+        solved = np.linalg.solve(precision[np.ix_(out, out)], mapped[:, out].T)
+        squared = squared - np.einsum("nd,dn->n", mapped[:, out], solved)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def limit_factor(distance: FloatArray | float, farthest: float) -> FloatArray:
+    """Return by how much limits are widened at a distance of the columns: not at all inside the domain of training.
+
+    Parameters
+    ----------
+    distance
+        See `distances`.
+    farthest
+        Its largest value in training; 0: limits are never widened.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of the shape of `distance`, at least 1.
+
+    """
+    return np.maximum(1.0, np.asarray(distance) / farthest) if farthest > 0.0 else np.ones_like(distance)
 
 
 def _expected(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
@@ -350,10 +401,22 @@ class Watcher:
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)
         culprits = self._culprits(state, excluded, departures)
-        if not culprits:
+        if not culprits or not self._beyond_domain(state, excluded, culprits):
             return replace(state, over_min=over_min)
         blames = tuple(Blame(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
         return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, *blames))
+
+    def _beyond_domain(self, state: WatchState, excluded: tuple[int, ...], culprits: tuple[int, ...]) -> bool:
+        """Whether a culprit departs by more than what the others' distance from training would let expect anyway."""
+        watch = self.watch
+        healthy = tuple(sorted({*excluded, *culprits}))
+        scaled = (state.fast - state.slow)[None]
+        distance = distances(watch.precision, scaled, watch.layout.of_sensors(healthy))
+        factor = float(limit_factor(distance, watch.farthest)[0])
+        return any(
+            self.relative_departures(state, tuple(s for s in healthy if s != culprit))[culprit] > factor
+            for culprit in culprits
+        )
 
     def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:
         """Return the one or two sensors without which the others agree; none where the machine itself is unusual."""
