@@ -90,7 +90,7 @@ def judge(
             widest_um = _band_um(inputs, rows, fold, series_um, fits)
         else:
             widest_um = _probed_band_um(inputs, rows, fold, series_um, probe_min, bias_filter)
-        band_um = few_folds_factor(_independent_folds(inputs, rows, len(numbers))) * widest_um
+        band_um = few_folds_factor(independent_folds(inputs, rows, len(numbers))) * widest_um
     except DatasetError as error:
         return Trust(
             refused=f"without one of its folds it cannot be fitted ({error})",
@@ -231,8 +231,17 @@ def _widths(time_min: FloatArray, residual_um: FloatArray, points: FloatArray) -
     return found
 
 
-def _independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
-    """Return how many of the folds count as independent: blocks of one or two spindle cycles are only two."""
+def independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
+    """Return how many of the folds count as independent: blocks of one or two spindle cycles are only two.
+
+    Parameters
+    ----------
+    inputs, rows
+        Training rows.
+    folds
+        How many were left out in turn.
+
+    """
     runs = len(np.unique(inputs.run[rows]))
     if inputs.speed_rpm is None or runs >= FEWEST_RUNS:
         return folds

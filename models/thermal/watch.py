@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.inputs import BRIDGE_MIN, Layout
 from models.thermal.lags import lag_step, speed_inputs
+from models.thermal.watch_columns import departure_maps, distances, expected_columns, limit_factor, without_columns
 
 WATCH_LAGS_MIN = (10.0, 90.0)
 """Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
@@ -116,98 +116,6 @@ class WatchState:
         return tuple(sorted({blame.sensor for blame in self.blamed}))
 
 
-def without_columns(precision: FloatArray, columns: Sequence[int]) -> FloatArray:
-    """Return the precision of what is left without some columns; those become zero."""
-    out = np.asarray(columns, dtype=np.intp)
-    if not len(out):
-        return precision
-    found = precision - precision[:, out] @ np.linalg.solve(precision[np.ix_(out, out)], precision[out])
-    found[out], found[:, out] = 0.0, 0.0
-    return found
-
-
-def departure_maps(
-    layout: Layout, precision: FloatArray, gain: FloatArray, skip: Sequence[int] = ()
-) -> tuple[FloatArray, FloatArray]:
-    """Return what turns scaled columns into the departure of every sensor from its prediction.
-
-    Parameters
-    ----------
-    layout, precision, gain
-        See `SensorWatch`.
-    skip
-        Sensors that `precision` does not hold any more.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard
-        deviation that the model itself expects [K], shape (n_sensors,).
-
-    """
-    sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
-    maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
-    if not sensors:
-        return maps, expected
-    own = np.stack([layout.of_sensors([s]) for s in sensors])
-    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]])
-    maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
-    expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
-    return maps, expected
-
-
-def distances(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp] | None = None) -> FloatArray:
-    """Return how far columns have gone, in all directions by their own deviation in training.
-
-    Parameters
-    ----------
-    precision : shape (d, d)
-        Inverse of the damped covariance of the scaled columns.
-    scaled : shape (n, d)
-        Scaled columns, less their mean.
-    out
-        Columns that do not count: their block is eliminated. None: all count.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n,)
-        The root of ``x^T P x`` (Mahalanobis).
-
-    """
-    mapped = scaled @ precision
-    squared = np.einsum("nd,nd->n", mapped, scaled)
-    if out is not None and len(out):
-        solved = np.linalg.solve(precision[np.ix_(out, out)], mapped[:, out].T)
-        squared = squared - np.einsum("nd,dn->n", mapped[:, out], solved)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
-
-
-def limit_factor(distance: FloatArray | float, farthest: float) -> FloatArray:
-    """Return by how much limits are widened at a distance of the columns: not at all inside the domain of training.
-
-    Parameters
-    ----------
-    distance
-        See `distances`.
-    farthest
-        Its largest value in training; 0: limits are never widened.
-
-    Returns
-    -------
-    numpy.ndarray
-        Of the shape of `distance`, at least 1.
-
-    """
-    return np.maximum(1.0, np.asarray(distance) / farthest) if farthest > 0.0 else np.ones_like(distance)
-
-
-def _expected(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
-    """Return what the other scaled columns let be expected of some columns, shape (len(out),)."""
-    others = scaled.copy()
-    others[out] = 0.0
-    return np.asarray(-np.linalg.solve(precision[np.ix_(out, out)], precision[out] @ others))
-
-
 class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
@@ -251,8 +159,8 @@ class Watcher:
         fast, slow, over_min, flat_since = (
             np.array(values) for values in (state.fast, state.slow, state.over_min, state.flat_since_min)
         )
-        fast[out] = columns[out] + _expected(precision, fast - columns, out)
-        slow[out] = fast[out] - _expected(precision, fast - slow, out)
+        fast[out] = columns[out] + expected_columns(precision, fast - columns, out)
+        slow[out] = fast[out] - expected_columns(precision, fast - slow, out)
         over_min[anew], flat_since[anew] = 0.0, state.time_min
         return replace(
             state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, blamed=blamed
@@ -263,7 +171,7 @@ class Watcher:
         count, gain, centre = self.watch.layout.sensors, self.watch.gain, self.watch.centre
         out = self.watch.layout.of_sensors(sensors)
         scaled = self._columns(state.degc, state.lagged, state.speed_lagged)
-        scaled[out] = _expected(precision, scaled, out)
+        scaled[out] = expected_columns(precision, scaled, out)
         expected = centre + np.divide(scaled, gain, out=np.zeros_like(scaled), where=gain > 0.0)
         lagged = state.lagged.copy()
         for index in range(len(lagged)):

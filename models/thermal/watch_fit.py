@@ -19,10 +19,8 @@ from models.thermal.watch import (
     THRESHOLD_FACTOR,
     WATCH_LAGS_MIN,
     SensorWatch,
-    departure_maps,
-    distances,
-    limit_factor,
 )
+from models.thermal.watch_columns import departure_maps, distances, limit_factor
 
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Damping of the covariance that is tried, relative to the variance of a column."""

@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from models.dataset import DatasetError, Recording
 from models.records import FloatArray
+from models.thermal.domain import band_factor, farthest_leverage, leverage, leverage_positions
 from models.thermal.families import default_family
 from models.thermal.folds import cycles, inner_folds, spindle_starts
 from models.thermal.inputs import build_inputs
 from models.thermal.lags import lag_table
 from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
-from models.thermal.trust import excursions, few_folds_factor, fit_bias_filter, judge
+from models.thermal.trust import excursions, few_folds_factor, fit_bias_filter, independent_folds, judge
 
 
 def recording(um: FloatArray, degc: FloatArray, rpm: FloatArray | None, step_s: float = 60.0) -> Recording:
@@ -88,6 +89,32 @@ def test_a_useful_recording_passes_the_gate() -> None:
     assert trust.refused is None
     assert min(trust.forward_skill) > 0.0 and trust.held_out_relative_rmse < 0.5
     assert np.isfinite(trust.band_um).all()
+
+
+def test_a_band_widens_in_proportion_to_the_distance_beyond_the_domain() -> None:
+    inputs = build_inputs([warming()], sample_s=60.0)
+    rows = inputs.trainable()
+    fold, _ = inner_folds(inputs, rows)
+    fit = default_family(inputs, rows, fold, None).fit()
+    limit = farthest_leverage(inputs, rows, fit.solutions)
+    points = leverage_positions(fit.solutions, inputs.features)
+    change = inputs.features - inputs.features[0]
+    np.testing.assert_allclose(
+        np.square(points - points[0]).sum(axis=1), leverage(fit.solutions, change), rtol=1e-6, atol=1e-9 * limit
+    )
+    farthest = np.sqrt(leverage(fit.solutions, change).max() / limit)
+    assert 0.0 < farthest <= 1.0 + 1e-9
+    distance = np.sqrt(leverage(fit.solutions, 4.0 * change).max() / limit)
+    assert distance == pytest.approx(4.0 * farthest)
+    assert band_factor(np.array([0.3 * farthest, 4.0])).tolist() == [1.0, 4.0]
+
+
+def test_blocks_of_two_cycles_count_as_two() -> None:
+    two = build_inputs([warming(hours=4)], sample_s=60.0)
+    silent = build_inputs([warming(hours=4, speed=False)], sample_s=60.0)
+    rows = np.ones(two.rows, dtype=np.bool_)
+    assert independent_folds(two, rows, 5) == 2
+    assert independent_folds(silent, rows, 5) == 5
 
 
 @pytest.mark.parametrize("seed", range(4))
