@@ -14,6 +14,8 @@ from models.thermomechanics.tool_point import ENDS_STAND_HZ, AxisDynamics, ToolP
 AXES = ("x", "y")
 FAR_HZ = 20.0
 """A peak this far off after one step of a sensor is another one [Hz]."""
+LEAST_SHARE = 0.5
+"""At least this share of a signal's sensors must have a value: one that drifts must not speak for all."""
 
 
 class TrackedToolPoint:
@@ -38,6 +40,7 @@ class TrackedToolPoint:
         if missing := [signal for signal in signals if not labels.get(signal)]:
             raise ValueError(f"no sensor carries the label {', '.join(missing)}, which {tracker.model.model_id} needs")
         self._tracker = tracker
+        self._places = {signal: np.asarray(labels[signal], dtype=np.intp) for signal in signals}
         self._means = SignalMeans([labels[signal] for signal in signals])
         self._history = TemperatureHistory(tracker.model.intervals_min)
         self.known: EstimatedToolPoint | None = None
@@ -55,9 +58,21 @@ class TrackedToolPoint:
             response=_response(dynamics.frequency_hz, _receptances(dynamics)),
             resonance_hz=dynamics.resonance_hz,
             flagged_ends=self._flagged_ends(dynamics),
-            doubt=dynamics.doubt,
+            doubt="; ".join(each for each in (dynamics.doubt, self._few(degc)) if each),
         )
         return self.known
+
+    def _few(self, degc: FloatArray) -> str:
+        """Return which signals stand on fewer than half of their sensors, '' where none does.
+
+        One that has no value at all has a minute, as the tracker says.
+        """
+        few = []
+        for signal, places in self._places.items():
+            count = int(np.isfinite(degc[places]).sum())
+            if 0 < count < LEAST_SHARE * len(places):
+                few.append(f"only {count} of {len(places)} sensors of {signal} have a value, so it is not followed")
+        return "; ".join(few)
 
     def stepped(self, step_k: float) -> dict[str, EstimatedToolPoint]:
         """Return, for each signal, the dynamics if it read one step [K] more now; nothing is kept.

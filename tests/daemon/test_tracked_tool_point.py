@@ -56,3 +56,18 @@ def test_a_missing_sensor_and_a_missing_label(tracker: ToolPointTracker) -> None
     assert TrackedToolPoint(tracker, LABELS).renew(200.0, degc) is not None
     with pytest.raises(ValueError, match="no sensor carries the label Room"):
         TrackedToolPoint(tracker, {**LABELS, "Room": []})
+
+
+def test_a_signal_that_stands_on_fewer_than_half_of_its_sensors_is_not_followed(tracker: ToolPointTracker) -> None:
+    labels = LABELS | {"IR": [0, 1, 5]}
+    estimator = TrackedToolPoint(tracker, labels)
+    degc = np.append(DEGC, 25.1)
+    doubts = []
+    for missing in ([], [0], [0, 1], [0, 1, 5], []):
+        reading = degc.copy()
+        reading[missing] = np.nan
+        known = estimator.renew(100.0 + 5.0 * len(doubts), reading)
+        assert known is not None
+        doubts.append(known.doubt)
+    few = "only 1 of 3 sensors of IR have a value"
+    assert [few in doubt for doubt in doubts] == [False, False, True, False, False]
