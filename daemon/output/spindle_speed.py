@@ -38,6 +38,7 @@ NO_LINK = "no link to the CNC"
 OUR_FAULT = "spindle speed"
 """A FAULT of the spindle speed begins so."""
 NO_OPERATION = "no operation has begun"
+ANEW = "decided anew at the next safe block"
 FEED_DIGITS = 7
 """Feeds are written to this many significant digits, however small they are."""
 
@@ -374,7 +375,7 @@ class _Follower:
         if self._withheld:
             return SpeedState.OFF, self._withheld
         if command is None:
-            return SpeedState.OFF, NO_OPERATION
+            return SpeedState.OFF, NO_OPERATION if self._calls.under_way is None else ANEW
         return command.state, command.reason
 
     @property
