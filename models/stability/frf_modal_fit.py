@@ -26,6 +26,12 @@ POOR_FIT = 0.25
 """A relative residual above which the fit is refused."""
 CLEAR_FIT = 0.05
 LEAST_DAMPING = 1e-5
+EXACT_FIT = 1e-6
+"""A relative residual that no further round need lower; looked at after these rounds, because poles that nothing needs
+wander on."""
+LOOKS = (3, 6, 12)
+DEPENDENT = 1e-12
+"""A column that adds less than this share to the others is no information of its own."""
 WIDTH_IN_LINES = 0.5
 """A resonance narrower than this many lines of the FRF is noise on one of them."""
 
@@ -72,8 +78,7 @@ def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | N
     in_vain = 0
     for count in [pairs] if pairs is not None else range(1, most + 1):
         modes = _vector_fit(frequency_hz, receptance, count)
-        difference = modal_receptance(modes, frequency_hz) - receptance
-        residual = float(np.linalg.norm(difference) / np.linalg.norm(receptance))
+        residual = _residual(modes, frequency_hz, receptance)
         if best is None or residual < WORTHWHILE * best.relative_residual:
             best, in_vain = ModalFit(modes=modes, relative_residual=residual), 0
         else:
@@ -100,17 +105,29 @@ def _vector_fit(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int) 
     poles: ComplexArray = (start * (-0.01 + 1j)).astype(np.complex128)
     weight: FloatArray = 1.0 / np.sqrt(np.abs(receptance) + 1e-3 * np.abs(receptance).max())
     target = (receptance / np.abs(receptance).max()).astype(np.complex128)
-    for _ in range(ROUNDS):
+    for number in range(1, ROUNDS + 1):
         moved = _moved(laplace, target, poles, weight)
         done = len(moved) == len(poles) and bool(np.abs(moved - poles).max() < 1e-10)
         poles = moved
         if done:
             break
+        if number in LOOKS:
+            modes = _residues(laplace, receptance, _wide_enough(poles, frequency_hz), weight, scale)
+            if _residual(modes, frequency_hz, receptance) < EXACT_FIT:
+                return modes
+    return _residues(laplace, receptance, _wide_enough(poles, frequency_hz), weight, scale)
+
+
+def _residual(modes: Sequence[Mode], frequency_hz: FloatArray, receptance: ComplexArray) -> float:
+    difference = modal_receptance(modes, frequency_hz) - receptance
+    return float(np.linalg.norm(difference) / np.linalg.norm(receptance))
+
+
+def _wide_enough(poles: ComplexArray, frequency_hz: FloatArray) -> ComplexArray:
+    """Return the poles that more than one line of the FRF sees, all where none is."""
     line = float(np.median(np.diff(frequency_hz))) / float(frequency_hz[-1])
-    wide_enough = 2.0 * np.abs(poles.real) > WIDTH_IN_LINES * line
-    if bool(np.any(wide_enough)):
-        poles = poles[wide_enough]
-    return _residues(laplace, receptance, poles, weight, scale)
+    wide = 2.0 * np.abs(poles.real) > WIDTH_IN_LINES * line
+    return poles[wide] if bool(np.any(wide)) else poles
 
 
 def _basis(laplace: ComplexArray, quadratics: Sequence[tuple[float, float]]) -> ComplexArray:
@@ -130,14 +147,26 @@ def _real_rows(matrix: ComplexArray | FloatArray) -> FloatArray:
     return np.concatenate((matrix.real, matrix.imag))
 
 
+def _least_squares(system: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution by orthogonal triangularisation, and by singular values where columns depend on others."""
+    size = np.linalg.norm(system, axis=0)
+    scaled = system / size
+    triangle = np.asarray(np.linalg.qr(np.column_stack((scaled, right)), mode="r"))
+    upper, projected = triangle[: len(size), : len(size)], triangle[: len(size), -1]
+    diagonal = np.abs(np.diag(upper))
+    if len(upper) < len(size) or diagonal.min() <= DEPENDENT * diagonal.max():
+        solution: FloatArray = np.linalg.lstsq(scaled, right, rcond=None)[0] / size
+        return solution
+    return np.asarray(np.linalg.solve(upper, projected) / size, dtype=np.float64)
+
+
 def _moved(laplace: ComplexArray, target: ComplexArray, poles: ComplexArray, weight: FloatArray) -> ComplexArray:
     """Return the zeros of the fitted sigma: the next poles, upper half plane, mirrored to decay."""
     quadratics = _quadratics(poles)
     basis = _basis(laplace, quadratics)
     system = _real_rows(weight[:, None] * np.hstack((basis, -target[:, None] * basis)))
     right = _real_rows(weight * target)
-    size = np.linalg.norm(system, axis=0)
-    solution = np.linalg.lstsq(system / size, right, rcond=None)[0] / size
+    solution = _least_squares(system, right)
     sigma = solution[basis.shape[1] :]
     denominators = [np.array([1.0, c1, c0]) for c1, c0 in quadratics]
     polynomial = _product(denominators)
@@ -171,8 +200,7 @@ def _residues(
 ) -> tuple[Mode, ...]:
     basis = _basis(laplace, _quadratics(poles))
     system = _real_rows(weight[:, None] * basis)
-    size = np.linalg.norm(system, axis=0)
-    gains = np.linalg.lstsq(system / size, _real_rows(weight * receptance), rcond=None)[0] / size
+    gains = _least_squares(system, _real_rows(weight * receptance))
     return tuple(
         Mode(
             frequency_hz=float(abs(pole)) * scale / (2.0 * np.pi),
