@@ -227,8 +227,8 @@ def test_far_from_training_confidence_fades(recording: Recording, model: LaggedM
     hot = estimator.advance(reference, 961.0, degc + 200.0, 0.0, blame=False)
     far = estimator.estimate(hot, reference)
     assert near is not None and far is not None
-    assert near.confidence == 1.0 and near.in_domain
-    assert far.confidence == 0.0 and not far.in_domain and far.outside == model.sensor_ids
+    assert near.confidence == 1.0 and near.in_domain and near.band_factor == 1.0
+    assert far.confidence == 0.0 and not far.in_domain and far.outside == model.sensor_ids and far.band_factor >= 2.0
 
 
 def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: LaggedModel) -> None:
