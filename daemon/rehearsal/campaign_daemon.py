@@ -166,7 +166,7 @@ class CampaignDaemon:
             memory.reason,
             self._estimated(control, memory, estimate),
             estimate.model_id if estimate is not None else None,
-            bool(estimate.doubt) if estimate is not None else False,
+            bool(daemon.thermal.obstacle()),
             bool(control.skill.obstacle()),
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
         )

@@ -93,5 +93,5 @@ class TruthKeeper:
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
-            model_has_states=self._shelf.is_watching(claims.model),
+            model_has_states=any(map(self._shelf.is_watching, (claims.model, self._shelf.model_id))),
         )
