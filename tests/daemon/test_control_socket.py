@@ -159,6 +159,9 @@ async def test_only_its_own_file_is_removed_at_the_end(tmp_path):
     path = tmp_path / "s"
 
     def work():
+        client = ControlClient(path)
+        client.ask("status")  # it serves, so it knows which file is its own
+        client.close()
         path.rename(tmp_path / "moved")  # keeps the inode in use, so that the next file has another one
         path.touch()
 
