@@ -154,7 +154,7 @@ class SpindleSpeedConfig(Section):
     second_look: bool = Field(
         False,
         description="look at a chosen speed by semi-discretisation too, which knows the flanks of pockets better and "
-        "takes some 60 ms of processor time per speed and feed direction",
+        "takes some 15 ms of processor time per speed and feed direction",
     )
     sensor_step_k: float = Field(
         0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"

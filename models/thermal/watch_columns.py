@@ -8,6 +8,9 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.inputs import Layout
 
+WIDEST = 2.5
+"""Limits are widened by this much at most; farther from training a sensor that goes on alone must still be blamed."""
+
 
 def without_columns(precision: FloatArray, columns: Sequence[int]) -> FloatArray:
     """Return the precision of what is left without some columns; those become zero."""
@@ -88,10 +91,10 @@ def limit_factor(distance: FloatArray | float, farthest: float) -> FloatArray:
     Returns
     -------
     numpy.ndarray
-        Of the shape of `distance`, at least 1.
+        Of the shape of `distance`, 1 to `WIDEST`.
 
     """
-    return np.maximum(1.0, np.asarray(distance) / farthest) if farthest > 0.0 else np.ones_like(distance)
+    return np.clip(np.asarray(distance) / farthest, 1.0, WIDEST) if farthest > 0.0 else np.ones_like(distance)
 
 
 def expected_columns(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
