@@ -152,10 +152,7 @@ def _ridge(index: int, content: Any, layout: Layout) -> RidgeSolution:
 
 
 def _watch(content: Any) -> SensorWatch:
-    known = {field.name for field in fields(SensorWatch)}
-    if isinstance(content, dict) and "farthest" not in content:
-        content = {**content, "farthest": 0.0}
-    item = read_object("watch", content, known)
+    item = read_object("watch", content, {field.name for field in fields(SensorWatch)})
 
     def vector(key: str) -> FloatArray:
         """Return a vector of the watch."""
@@ -170,7 +167,6 @@ def _watch(content: Any) -> SensorWatch:
         slew_k_per_min=vector("slew_k_per_min"),
         flat_min=vector("flat_min"),
         speed_scale_rpm=read_number("watch.speed_scale_rpm", item["speed_scale_rpm"]),
-        farthest=read_number("watch.farthest", item["farthest"]),
     )
 
 

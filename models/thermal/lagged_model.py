@@ -161,8 +161,6 @@ def _check_watch(model: LaggedModel) -> None:
         array.flags.writeable = False
     if not 0.0 < watch.speed_scale_rpm < np.inf:
         raise ModelError("watch.speed_scale_rpm", f"{watch.speed_scale_rpm} must be positive and finite")
-    if not 0.0 <= watch.farthest < np.inf:
-        raise ModelError("watch.farthest", f"{watch.farthest} must be finite and not negative")
 
 
 def _check_test_vectors(model: LaggedModel) -> None:

@@ -5,21 +5,17 @@ circuit), a value that does not change any more (stuck), and a departure from wh
 sensors say (step, drift, scale). The last needs no regression per sensor: with P the inverse of
 the damped covariance of all columns, sensor s departs from its prediction by
 ``(P[S, S]^-1 P[S, :] x)[0]``, S its own columns. Leaving a suspect out is a block elimination in P.
-
-Where the machine does what training never saw, predictions are worse, too. The distance of all other
-columns, ``sqrt(x^T P x)`` without the suspect, tells: a suspect is blamed only when it departs by more than
-its limit times that distance over the farthest of training.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.inputs import BRIDGE_MIN, Layout
 from models.thermal.lags import lag_step, speed_inputs
-from models.thermal.watch_columns import departure_maps, distances, expected_columns, limit_factor, without_columns
 
 WATCH_LAGS_MIN = (10.0, 90.0)
 """Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
@@ -70,8 +66,6 @@ class SensorWatch:
     """Longest time for which a healthy sensor stays identical [min], shape (n_sensors,)."""
     speed_scale_rpm: float
     """Speed that stands for 1 in the columns [1/min]."""
-    farthest: float = 0.0
-    """Largest distance of the smoothed columns in training, against which limits are widened; 0: they never are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +108,53 @@ class WatchState:
     def excluded(self) -> tuple[int, ...]:
         """Indices of the excluded sensors, sorted."""
         return tuple(sorted({blame.sensor for blame in self.blamed}))
+
+
+def without_columns(precision: FloatArray, columns: Sequence[int]) -> FloatArray:
+    """Return the precision of what is left without some columns; those become zero."""
+    out = np.asarray(columns, dtype=np.intp)
+    if not len(out):
+        return precision
+    found = precision - precision[:, out] @ np.linalg.solve(precision[np.ix_(out, out)], precision[out])
+    found[out], found[:, out] = 0.0, 0.0
+    return found
+
+
+def departure_maps(
+    layout: Layout, precision: FloatArray, gain: FloatArray, skip: Sequence[int] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Return what turns scaled columns into the departure of every sensor from its prediction.
+
+    Parameters
+    ----------
+    layout, precision, gain
+        See `SensorWatch`.
+    skip
+        Sensors that `precision` does not hold any more.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard
+        deviation that the model itself expects [K], shape (n_sensors,).
+
+    """
+    sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
+    maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
+    if not sensors:
+        return maps, expected
+    own = np.stack([layout.of_sensors([s]) for s in sensors])
+    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]])
+    maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
+    expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
+    return maps, expected
+
+
+def _expected(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
+    """Return what the other scaled columns let be expected of some columns, shape (len(out),)."""
+    others = scaled.copy()
+    others[out] = 0.0
+    return np.asarray(-np.linalg.solve(precision[np.ix_(out, out)], precision[out] @ others))
 
 
 class Watcher:
@@ -159,8 +200,8 @@ class Watcher:
         fast, slow, over_min, flat_since = (
             np.array(values) for values in (state.fast, state.slow, state.over_min, state.flat_since_min)
         )
-        fast[out] = columns[out] + expected_columns(precision, fast - columns, out)
-        slow[out] = fast[out] - expected_columns(precision, fast - slow, out)
+        fast[out] = columns[out] + _expected(precision, fast - columns, out)
+        slow[out] = fast[out] - _expected(precision, fast - slow, out)
         over_min[anew], flat_since[anew] = 0.0, state.time_min
         return replace(
             state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, blamed=blamed
@@ -171,7 +212,7 @@ class Watcher:
         count, gain, centre = self.watch.layout.sensors, self.watch.gain, self.watch.centre
         out = self.watch.layout.of_sensors(sensors)
         scaled = self._columns(state.degc, state.lagged, state.speed_lagged)
-        scaled[out] = expected_columns(precision, scaled, out)
+        scaled[out] = _expected(precision, scaled, out)
         expected = centre + np.divide(scaled, gain, out=np.zeros_like(scaled), where=gain > 0.0)
         lagged = state.lagged.copy()
         for index in range(len(lagged)):
@@ -309,22 +350,10 @@ class Watcher:
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)
         culprits = self._culprits(state, excluded, departures)
-        if not culprits or not self._beyond_domain(state, excluded, culprits):
+        if not culprits:
             return replace(state, over_min=over_min)
         blames = tuple(Blame(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
         return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, *blames))
-
-    def _beyond_domain(self, state: WatchState, excluded: tuple[int, ...], culprits: tuple[int, ...]) -> bool:
-        """Whether a culprit departs by more than what the others' distance from training would let expect anyway."""
-        watch = self.watch
-        healthy = tuple(sorted({*excluded, *culprits}))
-        scaled = (state.fast - state.slow)[None]
-        distance = distances(watch.precision, scaled, watch.layout.of_sensors(healthy))
-        factor = float(limit_factor(distance, watch.farthest)[0])
-        return any(
-            self.relative_departures(state, tuple(s for s in healthy if s != culprit))[culprit] > factor
-            for culprit in culprits
-        )
 
     def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:
         """Return the one or two sensors without which the others agree; none where the machine itself is unusual."""

@@ -19,8 +19,8 @@ from models.thermal.watch import (
     THRESHOLD_FACTOR,
     WATCH_LAGS_MIN,
     SensorWatch,
+    departure_maps,
 )
-from models.thermal.watch_columns import departure_maps, distances, limit_factor
 
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Damping of the covariance that is tried, relative to the variance of a column."""
@@ -36,8 +36,7 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
     """Return the watch that predicts left-out folds best, with limits from them.
 
     Damping, and whether lagged spindle speed helps, are chosen by the mean logarithm of the largest
-    left-out departure. For its limit that counts over the factor by which limits are widened as far from
-    the other folds.
+    left-out departure.
 
     Parameters
     ----------
@@ -56,24 +55,22 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=speed_lags_min)
         if speed_lags_min and not inputs.layout.speed_lags_min:
             continue
-        for penalty, (largest_k, inside_k) in zip(PENALTIES, _left_out_departures_k(inputs, rows, fold), strict=True):
+        for penalty, largest_k in zip(PENALTIES, _left_out_departures_k(inputs, rows, fold), strict=True):
             score = float(np.log(np.maximum(largest_k, 1e-3)).mean())
             if best is None or score < best[0]:
-                best = (score, inputs, penalty, inside_k)
+                best = (score, inputs, penalty, largest_k)
     assert best is not None
-    _, inputs, penalty, inside_k = best
+    _, inputs, penalty, largest_k = best
     centre, gain = _scaling(inputs, rows)
-    precision = _precisions(inputs, rows, centre, gain, [penalty])[0]
     return SensorWatch(
         layout=inputs.layout,
         centre=centre,
         gain=gain,
-        precision=precision,
-        threshold_k=_thresholds_k(inside_k),
+        precision=_precisions(inputs, rows, centre, gain, [penalty])[0],
+        threshold_k=_thresholds_k(largest_k),
         slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
         flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
         speed_scale_rpm=inputs.speed_scale_rpm,
-        farthest=float(distances(precision, _smooth(inputs)[rows] * gain).max(initial=0.0)),
     )
 
 
@@ -101,31 +98,18 @@ def _precisions(
 
 
 def _left_out_departures_k(inputs: Inputs, rows: BoolArray, fold: IntArray) -> list[FloatArray]:
-    """Return the largest departure of every sensor on folds that were left out [K], one table per penalty.
-
-    The first row of a table, shape (2, n_sensors), is as it was; in the second, departures beyond the domain of
-    the other folds count over the factor by which limits are widened there.
-    """
-    largest = [np.zeros((2, inputs.layout.sensors)) for _ in PENALTIES]
+    """Return the largest departure of every sensor on folds that were left out [K], one table per penalty."""
+    largest = [np.zeros(inputs.layout.sensors) for _ in PENALTIES]
     numbers = fold_numbers(rows, fold)
-    smooth = _smooth(inputs)
+    smooth = np.vstack([_against_own_mean(inputs, run) for run in np.unique(inputs.run)])
     for number in numbers:
         rest = rows & (fold != number) if len(numbers) > 1 else rows
         centre, gain = _scaling(inputs, rest)
-        judged, known = smooth[rows & (fold == number)] * gain, smooth[rest] * gain
+        judged = smooth[rows & (fold == number)] * gain
         for index, precision in enumerate(_precisions(inputs, rest, centre, gain, PENALTIES)):
             maps, _ = departure_maps(inputs.layout, precision, gain)
-            farthest = float(distances(precision, known).max(initial=0.0))
-            factor = limit_factor(distances(precision, judged), farthest)[:, None]
-            departure_k = np.abs(judged @ maps.T)
-            both = np.stack([departure_k.max(axis=0), (departure_k / factor).max(axis=0)])
-            largest[index] = np.maximum(largest[index], both)
+            largest[index] = np.maximum(largest[index], np.abs(judged @ maps.T).max(axis=0))
     return largest
-
-
-def _smooth(inputs: Inputs) -> FloatArray:
-    """Return all columns as departures are judged by, shape (n, d)."""
-    return np.vstack([_against_own_mean(inputs, run) for run in np.unique(inputs.run)])
 
 
 def _against_own_mean(inputs: Inputs, run: int) -> FloatArray:

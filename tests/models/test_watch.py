@@ -10,8 +10,7 @@ from models.records import FloatArray
 from models.thermal.folds import inner_folds
 from models.thermal.inputs import build_inputs
 from models.thermal.lags import lag_table
-from models.thermal.watch import SensorWatch, Watcher, WatchState
-from models.thermal.watch_columns import departure_maps, distances, limit_factor, without_columns
+from models.thermal.watch import SensorWatch, Watcher, WatchState, departure_maps, without_columns
 from models.thermal.watch_fit import fit_watch, smoothed
 
 SENSORS = 6
@@ -170,26 +169,3 @@ def test_a_smoothed_step_follows_its_time_constant() -> None:
     found = smoothed(time_min, np.array([[0.0], [1.0], [1.0]]), 10.0)[:, 0]
     assert found[1] == pytest.approx(1.0 - np.exp(-0.1))
     assert found[2] == pytest.approx(1.0 - np.exp(-1.1))
-
-
-def test_a_distance_without_columns_is_that_of_the_smaller_covariance() -> None:
-    rng = np.random.default_rng(3)
-    samples = rng.normal(size=(50, 6))
-    covariance = samples.T @ samples / 50.0 + 0.1 * np.eye(6)
-    kept = [0, 2, 3, 5]
-    smaller = np.linalg.inv(covariance[np.ix_(kept, kept)])
-    by_inverse = np.sqrt(np.einsum("nd,de,ne->n", samples[:, kept], smaller, samples[:, kept]))
-    found = distances(np.linalg.inv(covariance), samples, np.array([1, 4]))
-    np.testing.assert_allclose(found, by_inverse, rtol=1e-9)
-    assert limit_factor(np.array([0.5, 3.0]), 1.5).tolist() == [1.0, 2.0]
-    assert limit_factor(np.array([0.5, 3.0]), 0.0).tolist() == [1.0, 1.0], "an older file does not know how far it went"
-
-
-def test_a_departure_is_forgiven_where_the_others_are_far_from_training(watch: SensorWatch, whole: Recording) -> None:
-    """The same drift is blamed later where the others went ten times as far as in training, but blamed it is."""
-    drift = whole.temperatures_degc.copy()
-    drift[:, 0] += np.maximum(np.arange(float(whole.rows)) - 760.0, 0.0) / 120.0
-    near = follow(watch, whole, drift).blamed
-    far = follow(replace(watch, farthest=watch.farthest / 10.0), whole, drift).blamed
-    assert near[0].sensor == far[0].sensor == 0
-    assert far[0].time_min > near[0].time_min
