@@ -10,7 +10,8 @@ import numpy as np
 
 from config.recording_map import RecordingMap
 from drivers.recording_csv import read_recording
-from models.dataset import DatasetError, Recording, usable_recordings
+from models.dataset import DatasetError, Recording
+from models.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.families import HyperParameters
 from models.thermal.folds import cycles

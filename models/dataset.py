@@ -1,13 +1,11 @@
 """A recording of temperatures and displacements, what may be wrong with it, and its parts."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.align import block_means
-from models.findings import Finding, recording_findings
 from models.impossible import impossible_displacements, impossible_speeds, impossible_temperatures
 from models.records import FloatArray
 
@@ -186,10 +184,6 @@ class Recording:
         bounds.append(self.rows)
         return [self.part(a, b) for a, b in itertools.pairwise(bounds) if b > a]
 
-    def findings(self, rows_together: int | None = None) -> tuple[Finding, ...]:
-        """Return everything that is wrong or noteworthy, errors first (see `require_usable`)."""
-        return recording_findings(self, self.without_impossible(), rows_together)
-
     def without_impossible(self) -> "Recording":
         """Return the recording in which single values that cannot be are missing (see `models.impossible`)."""
         wrong_degc = np.zeros(self.temperatures_degc.shape, dtype=np.bool_)
@@ -206,46 +200,6 @@ class Recording:
             temperatures_degc=np.where(wrong_degc, np.nan, self.temperatures_degc),
             displacements_um=np.where(wrong_um, np.nan, self.displacements_um),
         )
-
-    def require_usable(self, rows_together: int | None = None) -> tuple[Finding, ...]:
-        """Return the warnings of a recording that training may use.
-
-        Parameters
-        ----------
-        rows_together
-            Rows of all recordings that are used together with this one, which have to be more than the
-            variables; None: it is used alone.
-
-        Returns
-        -------
-        tuple of Finding
-            Gaps, missing values, constant sensors.
-
-        Raises
-        ------
-        DatasetError
-            Naming every error: fewer rows than variables, columns without values, units that
-            cannot be right.
-
-        """
-        found = self.findings(rows_together)
-        if errors := [finding for finding in found if finding.severity == "error"]:
-            raise DatasetError("\n".join(f"{self.name}: {finding}" for finding in errors))
-        return found
-
-
-def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
-
-    Raises
-    ------
-    DatasetError
-        Naming every error of the first recording that has one, see `Recording.require_usable`.
-
-    """
-    together = sum(recording.rows for recording in recordings)
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in r.require_usable(together))
-    return [recording.without_impossible() for recording in recordings], warnings
 
 
 def _require_increasing(name: str, time_s: FloatArray) -> None:

@@ -1,12 +1,13 @@
 """What may be wrong with a recording: sentences that name column and row, and say what to do."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from models.align import contiguous_runs
+from models.dataset import DatasetError, Recording
 from models.impossible import (
     HIGHEST_DEGC,
     LOWEST_DEGC,
@@ -15,9 +16,6 @@ from models.impossible import (
     impossible_temperatures,
 )
 from models.records import FloatArray
-
-if TYPE_CHECKING:
-    from models.dataset import Recording
 
 SMALLEST_SPAN_UM = 0.5
 """All channels moving less than this while the machine warms are not in micrometres."""
@@ -47,27 +45,69 @@ class Finding:
         return f"{', '.join(place)}: {self.sentence}" if place else self.sentence
 
 
-def recording_findings(raw: "Recording", possible: "Recording", rows_together: int | None) -> tuple[Finding, ...]:
+def recording_findings(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
     """Return everything that is wrong or noteworthy in a recording, errors first.
 
     Parameters
     ----------
-    raw
+    recording
         The recording as it was read.
-    possible
-        The same without values that cannot be.
     rows_together
-        See `Recording.require_usable`.
+        See `require_usable`.
 
     """
+    possible = recording.without_impossible()
     found = [
-        *_rows(raw, rows_together),
-        *_impossible(raw),
+        *_rows(recording, rows_together),
+        *_impossible(recording),
         *_columns(possible),
         *_temperature_units(possible),
         *_displacement_units(possible),
     ]
     return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+
+
+def require_usable(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
+    """Return the warnings of a recording that training may use.
+
+    Parameters
+    ----------
+    recording
+        The recording as it was read.
+    rows_together
+        Rows of all recordings that are used together with this one, which have to be more than the
+        variables; None: it is used alone.
+
+    Returns
+    -------
+    tuple of Finding
+        Gaps, missing values, constant sensors.
+
+    Raises
+    ------
+    DatasetError
+        Naming every error: fewer rows than variables, columns without values, units that
+        cannot be right.
+
+    """
+    found = recording_findings(recording, rows_together)
+    if errors := [finding for finding in found if finding.severity == "error"]:
+        raise DatasetError("\n".join(f"{recording.name}: {finding}" for finding in errors))
+    return found
+
+
+def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
+
+    Raises
+    ------
+    DatasetError
+        Naming every error of the first recording that has one, see `require_usable`.
+
+    """
+    together = sum(recording.rows for recording in recordings)
+    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together))
+    return [recording.without_impossible() for recording in recordings], warnings
 
 
 def _error(column: str, row: int | None, sentence: str) -> Finding:
@@ -78,7 +118,7 @@ def _warning(column: str, row: int | None, sentence: str) -> Finding:
     return Finding(severity="warning", column=column, row=row, sentence=sentence)
 
 
-def _rows(recording: "Recording", rows_together: int | None) -> Iterator[Finding]:
+def _rows(recording: Recording, rows_together: int | None) -> Iterator[Finding]:
     variables = len(recording.temperature_names)
     rows = recording.rows if rows_together is None else rows_together
     if rows <= variables:
@@ -91,7 +131,7 @@ def _rows(recording: "Recording", rows_together: int | None) -> Iterator[Finding
         yield _warning("time", recording.rows_before + first + 1, sentence)
 
 
-def _impossible(recording: "Recording") -> Iterator[Finding]:
+def _impossible(recording: Recording) -> Iterator[Finding]:
     degc, um = recording.temperatures_degc[:, : recording.sensors], recording.displacements_um
     tables = [
         (recording.temperature_names[: recording.sensors], "degC", degc, impossible_temperatures(degc)),
@@ -110,7 +150,7 @@ def _impossible(recording: "Recording") -> Iterator[Finding]:
             yield _warning(names[column], recording.rows_before + row + 1, sentence)
 
 
-def _columns(recording: "Recording") -> Iterator[Finding]:
+def _columns(recording: Recording) -> Iterator[Finding]:
     speed_rpm = recording.speed_rpm
     if speed_rpm is not None and len(speed_rpm) and not np.isfinite(speed_rpm).any():
         sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
@@ -134,7 +174,7 @@ def _columns(recording: "Recording") -> Iterator[Finding]:
             yield _warning(name, None, sentence)
 
 
-def _temperature_units(recording: "Recording") -> Iterator[Finding]:
+def _temperature_units(recording: Recording) -> Iterator[Finding]:
     for name, column in zip(
         recording.temperature_names[: recording.sensors], recording.temperatures_degc.T, strict=False
     ):
@@ -151,7 +191,7 @@ def _temperature_units(recording: "Recording") -> Iterator[Finding]:
     yield from _fahrenheit(recording)
 
 
-def _fahrenheit(recording: "Recording") -> Iterator[Finding]:
+def _fahrenheit(recording: Recording) -> Iterator[Finding]:
     temperatures = recording.temperatures_degc[:, : recording.sensors]
     degc = np.where(np.isfinite(temperatures), temperatures, np.inf)
     if not degc.size or not WARMEST_START_DEGC < (lowest := float(degc.min())) < HIGHEST_DEGC:
@@ -164,7 +204,7 @@ def _fahrenheit(recording: "Recording") -> Iterator[Finding]:
     yield _error(recording.temperature_names[int(column)], recording.rows_before + int(row) + 1, sentence)
 
 
-def _displacement_units(recording: "Recording") -> Iterator[Finding]:
+def _displacement_units(recording: Recording) -> Iterator[Finding]:
     spans_um = _spans(recording.displacement_names, recording.displacements_um)
     for name, span_um in spans_um.items():
         if span_um > LARGEST_SPAN_UM:

@@ -64,6 +64,7 @@ def report(
     from daemon.thermal_report_page import write_report_page
     from drivers.recording_csv import RecordingFileError, read_recording
     from models.dataset import DatasetError
+    from models.findings import require_usable
 
     if html_path is not None and find_spec("plotly") is None:
         refuse("plotly cannot be found; install toolpoint with its extra 'plots', or leave --html out")
@@ -71,7 +72,7 @@ def report(
         recording_map = None if map_path is None else load_recording_map(map_path)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s
         raw = read_recording(recording_path, recording_map)
-        warnings = [f"{raw.name}: {finding}" for finding in raw.require_usable(len(raw.temperature_names) + 1)]
+        warnings = [f"{raw.name}: {finding}" for finding in require_usable(raw, len(raw.temperature_names) + 1)]
         recording = raw.without_impossible().downsampled(sample_s)
         model = None if model_path is None else _model(model_path)
         choices = ReportChoices(

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.cleanse import remove_sudden_jumps
-from models.dataset import DatasetError, Recording, usable_recordings
+from models.dataset import DatasetError, Recording
+from models.findings import require_usable, usable_recordings
 from models.records import FloatArray
 from models.thermal.evaluation import ResidualMetrics
 from models.thermal.increments import Factor, LinearFit, factorise, fit, increments, mean_square_k2
@@ -84,7 +85,7 @@ def train(
     averaged = averaged_recordings(recordings, choices.sample_s)
     together = sum(recording.rows for recording in averaged)
     for recording in averaged:
-        recording.require_usable(together)
+        require_usable(recording, together)
     period_s = _common_period_s(averaged)
     cleansed = [_cleansed(recording, choices).downsampled(choices.sample_s) for recording in recordings]
     folds = make_folds(averaged, cleansed, choices, period_s)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.dataset import DatasetError, Recording, usable_recordings
+from models.dataset import DatasetError, Recording
+from models.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.domain import farthest_leverage
 from models.thermal.families import Fit, HyperParameters

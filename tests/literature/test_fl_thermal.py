@@ -16,6 +16,7 @@ from sklearn.linear_model import LinearRegression
 
 from drivers.recording_csv import read_recording
 from models.dataset import Recording
+from models.findings import require_usable
 from models.records import FloatArray
 from models.thermal.estimate import estimate
 from models.thermal.evaluation import ResidualMetrics, residual_metrics
@@ -66,7 +67,7 @@ def assert_close(rmse_um: FloatArray, max_um: FloatArray, table: tuple[tuple[flo
 
 def test_the_recording_is_what_the_table_is_about(minutes: Recording) -> None:
     assert (minutes.rows, len(minutes.temperature_names), len(minutes.displacement_names)) == (2779, 16, 5)
-    assert minutes.require_usable() == ()
+    assert require_usable(minutes) == ()
 
 
 @pytest.mark.parametrize(("interval_min", "intercept"), list(TABLE), ids=str)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from models.dataset import DatasetError, Recording
+from models.findings import recording_findings, require_usable
 
 
 def recording(rows: int = 60, sensors: int = 3, period_s: float = 60.0) -> Recording:
@@ -22,7 +23,7 @@ def recording(rows: int = 60, sensors: int = 3, period_s: float = 60.0) -> Recor
 
 
 def sentences(one: Recording) -> str:
-    return "\n".join(str(finding) for finding in one.findings())
+    return "\n".join(str(finding) for finding in recording_findings(one))
 
 
 def spoilt(table: str, column: int, rows: slice | int, value: float) -> Recording:
@@ -33,7 +34,7 @@ def spoilt(table: str, column: int, rows: slice | int, value: float) -> Recordin
 
 
 def test_a_good_recording_has_no_findings() -> None:
-    assert recording().require_usable() == ()
+    assert require_usable(recording()) == ()
 
 
 def test_tables_and_names_must_fit() -> None:
@@ -57,12 +58,12 @@ def test_time_must_increase_and_the_row_is_named() -> None:
 
 def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
-    spoilt("temperatures_degc", 1, slice(4, 7), np.nan).require_usable()
+    require_usable(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
 
 
 def test_an_empty_column_is_refused() -> None:
     with pytest.raises(DatasetError, match=r"day\.csv: column c2: no value at all"):
-        spoilt("displacements_um", 1, slice(None), np.nan).require_usable()
+        require_usable(spoilt("displacements_um", 1, slice(None), np.nan))
 
 
 def test_a_constant_sensor_is_a_warning() -> None:
@@ -77,19 +78,19 @@ def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
 
 def test_fewer_rows_than_variables_are_refused() -> None:
     with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
-        recording(rows=20, sensors=30).require_usable()
+        require_usable(recording(rows=20, sensors=30))
 
 
 def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
     good = recording()
     with pytest.raises(DatasetError, match=r"column t1: a median of .* looks like kelvin"):
-        replace(good, temperatures_degc=good.temperatures_degc + 273.15).require_usable()
+        require_usable(replace(good, temperatures_degc=good.temperatures_degc + 273.15))
     with pytest.raises(DatasetError, match="looks like raw counts"):
-        replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0).require_usable()
+        require_usable(replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0))
     with pytest.raises(DatasetError, match="looks like millimetres"):
-        replace(good, displacements_um=good.displacements_um / 1000.0).require_usable()
+        require_usable(replace(good, displacements_um=good.displacements_um / 1000.0))
     with pytest.raises(DatasetError, match=r"column c1: moves by .* too far for micrometres"):
-        replace(good, displacements_um=good.displacements_um * 1000.0).require_usable()
+        require_usable(replace(good, displacements_um=good.displacements_um * 1000.0))
 
 
 @pytest.mark.parametrize("value", [850.0, -200.0, 1e9])
@@ -127,9 +128,9 @@ def test_rows_are_named_as_the_file_counts_them() -> None:
 def test_fahrenheit_is_recognised_by_a_workshop_that_warm() -> None:
     good = recording()
     with pytest.raises(DatasetError, match=r"column t\d, row \d+: .* is the lowest of all temperatures.*degF"):
-        replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0).require_usable()
+        require_usable(replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0))
     with pytest.raises(DatasetError, match="column t2: a median of -242 cannot be degC; is it connected"):
-        spoilt("temperatures_degc", 1, slice(None), -242.0).require_usable()
+        require_usable(spoilt("temperatures_degc", 1, slice(None), -242.0))
 
 
 def test_parts_keep_the_clock_of_the_whole() -> None:
@@ -171,12 +172,12 @@ def test_stretches_of_constant_speed() -> None:
 def test_rows_of_recordings_that_are_used_together_count_together() -> None:
     short = recording(rows=20, sensors=30)
     with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
-        short.require_usable()
+        require_usable(short)
     with pytest.raises(DatasetError, match="30 rows cannot determine 30 variables"):
-        short.require_usable(30)
-    short.require_usable(40)
+        require_usable(short, 30)
+    require_usable(short, 40)
 
 
 def test_a_speed_column_without_any_value_is_refused_and_not_taken_for_standstill() -> None:
     with pytest.raises(DatasetError, match="spindle speed: no value at all"):
-        replace(recording(), speed_rpm=np.full(60, np.nan)).require_usable()
+        require_usable(replace(recording(), speed_rpm=np.full(60, np.nan)))
