@@ -97,7 +97,7 @@ class ControlTask:
         self.skill = SkillWatch(self._sources, configuration)
         self._measured = MeasuredByNc(history, self.skill)
         self._asked_by_hand = ""
-        self._unstepped_reference = False
+        self._unseen_reference = False
         self.modelled = self._permission.modelled
         self._wake = asyncio.Event()
         self._stopping = False
@@ -234,8 +234,7 @@ class ControlTask:
             await self._sleep_until(poll.next_s)
             now_s = self._clock.now().monotonic_s
             estimate, self._fresh = self._fresh, None
-            if self._unstepped_reference or self.requests:  # both begin from where the guard stands now
-                self._unstepped_reference = False
+            if self._unseen_reference or self.requests:  # both begin from where the guard stands now
                 await self._guarded(self._poll())
             if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
@@ -263,7 +262,7 @@ class ControlTask:
             self.journal.raise_fault(f"unexpected {type(error).__name__} in the output task: {error}")
 
     async def _poll(self) -> None:
-        session = self.session
+        session, self._unseen_reference = self.session, False
         if session is None:
             return
         problems = await session.poll()
@@ -285,7 +284,7 @@ class ControlTask:
     def _adopt_reference(self, reference: Reference) -> None:
         still_um = float(np.nan_to_num(np.abs(self.applied_um())).max())
         refusal = self._references.adopt(reference, still_um)
-        self._unstepped_reference = not refusal
+        self._unseen_reference = not refusal
         if refusal:
             self._desk.refused(reference.reference_id, refusal)
             self.journal.notice(refusal)

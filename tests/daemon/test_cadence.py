@@ -38,7 +38,9 @@ async def test_waiting_ends_with_the_event_or_with_the_time():
     assert event.is_set()
 
 
-async def test_an_estimate_goes_before_the_poll_and_counts_as_the_ticks_work(tmp_path):
+@pytest.mark.parametrize(("new_reference", "expected"), [(False, ["act", "poll"]), (True, ["poll", "act"])])
+async def test_an_estimate_goes_before_the_poll_and_counts_as_the_ticks_work(tmp_path, new_reference, expected):
+    """But a new reference begins from where the guard stands now."""
     configuration, clock = machine(tmp_path), HandClock()
     rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
     async with running(rig):
@@ -53,6 +55,8 @@ async def test_an_estimate_goes_before_the_poll_and_counts_as_the_ticks_work(tmp
             control.stop()
 
         control._act, control._poll = act, poll
+        if new_reference:
+            rig.set_reference("r2")
         control.deliver(rig.estimate(1.0, 2.0))
         await control.run()
-    assert order == ["act", "poll"]
+    assert order[:2] == expected
