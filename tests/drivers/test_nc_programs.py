@@ -107,13 +107,13 @@ def test_the_programs_leave_the_modes_as_they_were(code: int) -> None:
     for number in (guard.programs.enter, guard.programs.leave, guard.programs.guard):
         assert number is not None
         guard.at(macros, 10.0).run(number)
-        assert guard.control.modal == {3: code, 6: 21, 7: 40, 9: 80}
+        assert guard.control.modal == {3: code, 5: 94, 6: 21, 7: 40, 9: 80}
     assert guard.programs.request is not None
     guard.at(macros, 10.0).start(guard.programs.request, K=1.0)
     guard.at(macros, 10.0).wait()
     while guard.at(macros, 30.0).wait() is not None:
         continue
-    assert guard.control.modal == {3: code, 6: 21, 7: 40, 9: 80}
+    assert guard.control.modal == {3: code, 5: 94, 6: 21, 7: 40, 9: 80}
 
 
 def test_a_timeout_can_say_so() -> None:
