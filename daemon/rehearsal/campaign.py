@@ -329,6 +329,7 @@ class Campaign:
             self._kills.due = happening
         elif happening.kind is Incident.MODEL_RELOAD:
             self._shelf.exchange()
+            self._memory.restarted(time_s)
             self._operations.released(time_s, self._shelf.model_id)
         elif happening.kind is Incident.DAMAGED_MODEL:
             self._shelf.damage()

@@ -41,9 +41,6 @@ HOUSEKEEPING_S = 6 * 3600.0
 MOST_WAITING = 300
 """With more records waiting for a disk that works, time waits too."""
 
-LARGE = 512
-"""Rows and columns of a product for which linear algebra takes its whole buffer."""
-
 
 class Reported(dict[str, int]):
     """What the store has acknowledged, told to the campaign at once: line and UTC of the cycle's first byte."""
@@ -199,22 +196,12 @@ class _Noted:
         await self._source.close()
 
 
-def _take_the_buffer_of_linear_algebra() -> None:
-    """Have the library of linear algebra take the buffer that it keeps for good at its first large product.
-
-    Some 9 MiB, which a model with lags would have it take in the middle of a life, and which is no growth.
-    """
-    large = np.ones((LARGE, LARGE))
-    assert np.isfinite(large @ large).all()
-
-
 def main() -> None:
     """Live; called in the daemon's process."""
     path, machine, acknowledged, epoch_utc_s, seed = sys.argv[1:6]
     configuration = load_configuration(Path(path))
     configure_logging(configuration.service.log_level, terminal=False)
     random.seed(seed)
-    _take_the_buffer_of_linear_algebra()
     clock = VirtualClock(epoch_utc_s=float(epoch_utc_s))
     channel = Channel(socket.socket(fileno=int(machine)))
     CampaignDaemon(configuration, clock, channel, int(acknowledged)).run()

@@ -40,7 +40,7 @@ class KillPlan:
 
 
 class MemoryWatch:
-    """Follows the resident memory of each life from its first hour on."""
+    """Follows the resident memory of each life and each model from the first hour on."""
 
     def __init__(self, warm_up_s: float) -> None:
         self._warm_up_s = warm_up_s
@@ -48,10 +48,10 @@ class MemoryWatch:
         self._at_start_mib: float | None = None
         self.rss_mib = 0.0
         self.growth_mib = 0.0
-        """The most that it has grown in one life [MiB]."""
+        """The most that it has grown in one life with one model [MiB]."""
 
     def restarted(self, time_s: float) -> None:
-        """A life begins."""
+        """A life begins, or the work of another model, which takes memory of its own."""
         self._began_s = self._next_s = time_s
         self._at_start_mib = None
 
