@@ -37,12 +37,12 @@ layers: $(VENV)/.installed-dev
 # The reference pages that are made from the code.
 docs: $(VENV)/.installed
 	$(BIN)/python -P -m config.reference > docs/reference/configuration.md
-	$(BIN)/python -P -m config.spindle_reference > docs/reference/spindle-file.md
+	$(BIN)/python -P -m config.machine.spindle_reference > docs/reference/spindle-file.md
 	$(BIN)/python -P -m daemon.cli.reference > docs/reference/commands.md
 
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.
 simulated-model: $(VENV)/.installed
-	$(BIN)/python -P -m daemon.rehearsal.simulated_model
+	$(BIN)/python -P -m daemon.simulation.simulated_model
 
 # Everything that an installation without a network needs, as one tar in dist/.
 bundle: $(VENV)/.installed

@@ -211,7 +211,7 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
         return _unknown_key(path, model)
     beyond_type = [detail for detail in details if detail["type"] not in _TYPES]
     wishes = list(dict.fromkeys(_wish(detail) for detail in beyond_type or details))
-    if any(wish is None for wish in wishes):
+    if any(target is None for target in wishes):
         return "; ".join(str(detail["msg"]).removeprefix("Value error, ") for detail in beyond_type)
     subject = "the name" if "[key]" in first["loc"] else "this"
     return f"{subject} must be {' or '.join(str(wish) for wish in wishes)}, not {_described(first['input'])}"

@@ -11,7 +11,11 @@ from config.knobs import Knob, Shape, knobs
 from config.schema import Configuration
 
 WIDTH = 100
+
+
 INDENT = "  "
+
+
 HEAD = """\
 Configuration of Toolpoint. It is valid as it stands; what it names is made up.
 
@@ -93,3 +97,12 @@ def _yaml(value: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
+
+
+def configuration_json_schema() -> dict[str, Any]:
+    """Return the configuration's JSON Schema (draft 2020-12)."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Configuration.model_json_schema(),
+        "title": "Toolpoint configuration",
+    }

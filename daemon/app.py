@@ -9,32 +9,33 @@ from typing import Any
 
 import structlog
 
-from config.commissioning import CommissioningError, CommissioningRecord, load_commissioning
+from config.records.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon.backup.scheduling import BackupJob
-from daemon.delays import line_timings
+from daemon.cnc.limits import commissioned_factors, echo_slack_um
+from daemon.cnc.link import CncLink
+from daemon.cnc.macro_block import MacroBlock
+from daemon.cnc.session import CncSession
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.compensation.restart import load_resume_point
+from daemon.compensation.task import ControlTask
+from daemon.estimation.task import Message, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.operation.commands import CommandDesk
-from daemon.operation.control_socket import ControlSocket
-from daemon.operation.notify import ServiceManager
-from daemon.operation.status import StatusBoard
-from daemon.operation.web import serve_metrics
-from daemon.output.cnc_link import CncLink
-from daemon.output.cnc_session import CncSession
-from daemon.output.control import ControlTask
-from daemon.output.last_block import LastBlock
-from daemon.output.limits import commissioned_factors, echo_slack_um
-from daemon.output.macro_block import MacroBlock
-from daemon.output.resume import load_resume_point
+from daemon.housekeeping.backup_job import BackupJob
+from daemon.housekeeping.retraining_job import RetrainingJob
+from daemon.messages import SpindleSpeed
+from daemon.model_release.file_access import own_account
+from daemon.model_release.loading import load_released
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.control_socket import ControlSocket
+from daemon.monitor.status import StatusBoard
+from daemon.monitor.web import serve_metrics
 from daemon.registry import PARTS, Parts
-from daemon.release.loading import load_released
-from daemon.release.reach import own_account
-from daemon.release.retraining_job import RetrainingJob
-from daemon.supervisor import Backoff, LinkHealth, keep_alive
-from daemon.telemetry import Telemetry
-from daemon.thermal import Message, SpindleSpeed, ThermalTask
+from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
+from daemon.telemetry.latency import line_timings
+from daemon.telemetry.metrics import Telemetry
+from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 
@@ -103,7 +104,7 @@ class Daemon:
             configuration.cnc.guard,
         )
         self._alive_real_s = float("-inf")
-        self._last_block = LastBlock.beside(configuration.history.path)
+        self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[Message] = asyncio.Queue()
@@ -235,7 +236,7 @@ class Daemon:
 
     async def _keep(self, health: LinkHealth, attempt: Any) -> None:
         service = self._configuration.service
-        await keep_alive(health, attempt, Backoff(service.retry_min_s, service.retry_max_s))
+        await run_with_reconnect(health, attempt, Backoff(service.retry_min_s, service.retry_max_s))
 
     async def _keep_line(self, line: LineConfig) -> None:
         health = self._line_health[line.name]

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon.jobs import Housekeeping, housekeeping_scheduler
+from daemon.housekeeping.side_job import Housekeeping, housekeeping_scheduler
 from drivers.clock import Clock
-from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
-from drivers.displacement_csv import DisplacementCsvSource
-from drivers.latsis_serial import LatsisSerialSource
+from drivers.displacement.source import DisplacementCsvSource
+from drivers.latsis.source import LatsisSerialSource
+from drivers.opcua.cnc import OpcUaCnc
 
 
 def open_temperature_source(configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:

@@ -43,7 +43,7 @@ class Backoff:
         return wait_s
 
 
-async def keep_alive(health: LinkHealth, attempt: Callable[[], Awaitable[None]], backoff: Backoff) -> None:
+async def run_with_reconnect(health: LinkHealth, attempt: Callable[[], Awaitable[None]], backoff: Backoff) -> None:
     """Run `attempt` again and again; it returns or raises when its link is gone.
 
     LinkError and FatalDriverError are expected (the second waits longest); any other exception

@@ -90,7 +90,7 @@ Frequency = Annotated[float, Field(gt=0)]
 class SpeedOperationConfig(Section):
     """One tool whose speed may be tuned, with what it cuts."""
 
-    shipped: ClassVar[Mapping[str, str]] = {"spindles": "spindles"}
+    shipped: ClassVar[Mapping[str, str]] = {"spindles": "machine/data/spindles"}
 
     tool_number: int = Field(ge=1, description="tool in the spindle, as the CNC numbers it", examples=[7])
     program: int | None = Field(None, ge=1, description="O number; none: any program", examples=[1000])

@@ -30,7 +30,7 @@ from daemon.backup.manifest import (
 )
 from daemon.history.database import HistoryError, schema_version
 from daemon.history.retention import backup as copy_store
-from daemon.release.shelf import released
+from daemon.model_release.repository import released
 
 SUFFIX = ".tar"
 BACKUP_MODE = 0o640

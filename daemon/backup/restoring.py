@@ -22,7 +22,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from config.loader import ConfigurationError, load_yaml_model, with_absolute_paths
-from config.release_record import ReleaseRecordError, load_release_record
+from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,

@@ -5,6 +5,7 @@ import math
 import os
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -14,16 +15,22 @@ from config.loader import ConfigurationError, load_configuration
 from config.schema import Configuration
 
 if TYPE_CHECKING:
-    from daemon.probe import Finding
+    from daemon.checkup.machine import Finding
 
 DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""
+
+
 CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 """Environment variable that names another."""
+
+
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 
+
 Command = TypeVar("Command", bound=Callable[..., Any])
+
 
 config_option = click.option(
     "--config",
@@ -106,3 +113,116 @@ def write_json(destination: str | None, content: Any) -> None:
         click.echo(text)
     else:
         Path(destination).write_text(text + "\n", encoding="utf-8")
+
+
+def parse_hours(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, float] | None:
+    """Return the two hours of a text such as 0-32."""
+    if value is None:
+        return None
+    first, _, last = value.partition("-")
+    try:
+        hours = float(first), float(last)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} are not two hours such as 0-32") from None
+    if not 0.0 <= hours[0] < hours[1] < float("inf"):
+        raise click.BadParameter(f"{value!r}: the first hour must lie before the last")
+    return hours
+
+
+def hours_option(name: str, help: str) -> Callable[[Command], Command]:  # noqa: A002
+    """Return an option that takes hours such as 0-32."""
+    return click.option(name, metavar="A-B", callback=parse_hours, help=help)
+
+
+class ProgressBar:
+    """A progress bar on standard error; nothing where that is no terminal."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> "ProgressBar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, what: str, done: int, total: int) -> None:
+        """Show how far a piece of work is."""
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=total)
+        self._progress.update(self._tasks[what], completed=done, total=total)
+
+
+POSITIVE = FiniteFloat(min=0.0, min_open=True)
+
+
+PICTURE_LIBRARIES = {".png": "matplotlib", ".html": "plotly"}
+
+
+spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=click.Path(path_type=Path))
+
+
+rotary_option = click.option(
+    "--rotary",
+    type=click.Choice(["correct", "published"]),
+    help="Rotary inertia of a segment's rigid rotation; published: 4-12 as printed. Without: what the file says.",
+)
+
+
+trust_option = click.option(
+    "--trust-units",
+    is_flag=True,
+    help="Take the units as stated (m/N over Hz), although the file's structure cannot have such a response.",
+)
+
+
+def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse a picture that cannot be written before the work is done."""
+    if value is None:
+        return None
+    library = PICTURE_LIBRARIES.get(value.suffix.lower())
+    if library is None:
+        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURE_LIBRARIES)}")
+    if find_spec(library) is None:
+        raise click.BadParameter(f"this picture needs {library}: install toolpoint[plots]")
+    if not value.parent.is_dir():
+        raise click.BadParameter(f"{value}: there is no folder {value.parent}")
+    return value
+
+
+def _destination(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse a file that cannot be written before the work is done."""
+    if value is not None and (value.is_dir() or not value.parent.is_dir()):
+        raise click.BadParameter(f"{value}: name a file in a folder that exists")
+    return value
+
+
+csv_option = click.option(
+    "--csv",
+    "csv_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    callback=_destination,
+    help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
+)
+
+
+picture_option = click.option(
+    "--picture",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    callback=_picture,
+    help="Draw the result: .png (still) or .html (to zoom into, complete in one file).",
+)
+
+
+def show_warnings(found: dict[str, Any]) -> None:
+    """Write the warnings of a result on standard error."""
+    for warning in found["warnings"]:
+        click.echo(f"warning: {warning}", err=True)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import click
 
-from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.initialising import CommissioningRefusedError
 
 LOOK_S = 0.05
 """Pause between two looks at the keyboard; the heartbeat to the CNC runs in it [s of the wall clock]."""

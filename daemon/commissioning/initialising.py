@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.spindle_speed import SpeedMacrosConfig
-from daemon.output.macro_block import MacroBlock
+from daemon.cnc.macro_block import MacroBlock
 
 VALUE_SLACK = 1e-6
 
@@ -72,3 +72,11 @@ def zero_groups(
     last = tuple((n, 0.0) for n in numbers if n in lasts)
     rest = tuple((n, 0.0) for n in numbers if n not in others)
     return tuple(group for group in (first, rest, last) if group)
+
+
+class CommissioningRefusedError(Exception):
+    """The commissioning cannot begin or go on; the text says what, why, and what the person can do."""
+
+
+class ForeignWriterError(CommissioningRefusedError):
+    """Somebody else writes the block: nothing more may be written, not even a retreat."""

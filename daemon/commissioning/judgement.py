@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from config.commissioning import PROOF_TOLERANCE, AxisReadings, CommissionedAxis
+from config.records.commissioning import PROOF_TOLERANCE, AxisReadings, CommissionedAxis
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.readings import Moment, Reading
-from daemon.commissioning.refusal import CommissioningRefusedError
 
 NOISE_SHARE = 0.1
 """Noise above this share of the offset drowns what shall be proved."""

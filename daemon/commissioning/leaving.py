@@ -4,8 +4,8 @@ import asyncio
 from collections.abc import Callable
 
 from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
 from daemon.commissioning.movement import Movement
-from daemon.commissioning.refusal import CommissioningRefusedError, ForeignWriterError
 from daemon.commissioning.station import Station
 from drivers.contract import DriverError
 
@@ -14,7 +14,7 @@ RECONNECTS = 15
 """A lost link is tried so often before the machine is left as it is."""
 
 
-class WayBack:
+class SafeExit:
     """Brings the machine back to zero whatever has ended the commissioning."""
 
     def __init__(self, station: Station, movement: Movement, dialogue: Dialogue, event: Callable[[str], None]) -> None:

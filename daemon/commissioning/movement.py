@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from config.guard import GuardStatus
 from daemon.commissioning.dialogue import Dialogue
-from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import Station
-from daemon.output.guard_watch import GUARD_CONTENT
+from daemon.compensation.alarms import GUARD_CONTENT
+from drivers.guard import GuardStatus
 from models.records import FloatArray
 
 CALL_THE_GUARD = "Call the guard now: in MDI, or run the program to its safe point."

@@ -5,17 +5,21 @@ from pathlib import Path
 
 import numpy as np
 
-from config.commissioning import LEAST_PROOF_UM
+from config.records.commissioning import LEAST_PROOF_UM
 from config.schema import Configuration
-from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import INCREMENT_SLACK, UM_PER_MM, refuse_unsafe
-from daemon.output.reference_watch import phase_of
+from daemon.compensation.references import phase_of
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
+from drivers.guard.speed_text import speed_text_number
+from drivers.guard.text import GuardTextError
 from models.records import CncMode, CncSample, Phase
 
 ANSWER_S = 1.0
 """A daemon takes a connection at its socket within this [s]."""
+
+
 GUARD_MODES = (CncMode.MDI, CncMode.MEMORY, CncMode.REMOTE)
 """Modes in which the guard can be called."""
 
@@ -92,3 +96,31 @@ def refuse_offset(configuration: Configuration, axes: tuple[str, ...], offset_um
                 f"axis {axis}: an offset of {offset_um:g} um is outside its absolute bound of {bound_um:g} um; choose "
                 "a smaller --offset-um"
             )
+
+
+def told_text(configuration: Configuration) -> int | None:
+    """Return the variable in which the speed program tells its text; None where no speed is tuned."""
+    tuning = configuration.spindle_speed
+    return None if tuning is None else tuning.macros.called_text
+
+
+def refuse_other_speed_program(configuration: Configuration, told: float | None) -> None:
+    """Refuse a speed program that has not run, or whose text is another; `told` is what its variable holds."""
+    tuning = configuration.spindle_speed
+    if tuning is None:
+        return
+    try:
+        number = speed_text_number(configuration)
+    except GuardTextError as error:
+        raise CommissioningRefusedError(f"the configuration has no speed program: {error}") from error
+    load = f"load what `toolpoint guard --speed` prints into the control as O{tuning.program}"
+    if told is None or told == 0.0:
+        raise CommissioningRefusedError(
+            f"the speed program has not told its text (#{tuning.macros.called_text} is vacant): {load}, and call it "
+            f"once, tool clear of the work: G65 P{tuning.program} S{tuning.lowest_rpm:.0f}. F100. K0."
+        )
+    if told != number:
+        raise CommissioningRefusedError(
+            f"the control runs another speed program: it told text {told:g} (#{tuning.macros.called_text}), the "
+            f"configuration's is {number}, with its limits and macro numbers: {load}, and call it once"
+        )

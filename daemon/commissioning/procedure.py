@@ -8,17 +8,22 @@ from importlib.metadata import version
 
 import numpy as np
 
-from config.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
 from daemon.commissioning.dialogue import Dialogue
-from daemon.commissioning.initialising import BlockFound
+from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError
 from daemon.commissioning.judgement import judge, refuse_noise
-from daemon.commissioning.leaving import WayBack
+from daemon.commissioning.leaving import SafeExit
 from daemon.commissioning.movement import Movement
-from daemon.commissioning.preconditions import refuse_clock, refuse_insecure, refuse_offset, refuse_state
+from daemon.commissioning.preconditions import (
+    refuse_clock,
+    refuse_insecure,
+    refuse_offset,
+    refuse_other_speed_program,
+    refuse_state,
+    told_text,
+)
 from daemon.commissioning.readings import DisplacementLog, Instruments, Moment, Reading
-from daemon.commissioning.refusal import CommissioningRefusedError
-from daemon.commissioning.speed_program import refuse_other_speed_program, told_text
 from daemon.commissioning.station import Station
 from daemon.history.writer import HistoryWriter
 from models.records import CncSample
@@ -97,7 +102,7 @@ class Commissioning:
             beside = [] if self._log is None else [self._log.follow()]
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
-            await WayBack(self._station, self._movement, self._dialogue, self._event).leave(error)
+            await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
             raise
         finally:
             await self._station.close()

@@ -11,7 +11,7 @@ import numpy as np
 from config.schema import Configuration
 from daemon import registry
 from daemon.commissioning.dialogue import Dialogue
-from daemon.commissioning.refusal import CommissioningRefusedError
+from daemon.commissioning.initialising import CommissioningRefusedError
 from drivers.clock import Clock
 
 SETTLED_LOOKS = 1.5

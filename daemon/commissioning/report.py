@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from config.commissioning import PROOF_TOLERANCE, CommissioningRecord, commissioning_text, macro_map_digest
+from config.records.commissioning import PROOF_TOLERANCE, CommissioningRecord, commissioning_text, macro_map_digest
 from config.schema import Configuration
 
 STYLE = """

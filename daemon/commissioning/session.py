@@ -7,20 +7,20 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from config.commissioning import CommissioningRecord
+from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon import registry
 from daemon.backup.restoring import give_to_owner_of_folder
+from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.commissioning.dialogue import Dialogue
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.preconditions import refuse_running_daemon
 from daemon.commissioning.procedure import Commissioning, Plan
 from daemon.commissioning.readings import DisplacementLog, Instruments
-from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.station import Station
 from daemon.history.database import HistoryError
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.output.last_block import LastBlock
 from drivers.clock import Clock
 from drivers.contract import Cnc
 
@@ -68,7 +68,7 @@ async def commission(
         history.start()
     except HistoryError as error:
         raise CommissioningRefusedError(str(error)) from error
-    last_block = LastBlock.beside(configuration.history.path)
+    last_block = WriteAheadRecord.beside(configuration.history.path)
     station = Station(
         configuration, clock, open_cnc or (lambda: registry.open_cnc(configuration, clock)), history, last_block
     )

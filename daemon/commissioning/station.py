@@ -11,15 +11,21 @@ from typing import Any, TypeVar
 import numpy as np
 
 from config.schema import Configuration
-from daemon.commissioning.initialising import BlockFound, find_block, ours_to_initialise, zero_groups
-from daemon.commissioning.refusal import CommissioningRefusedError, ForeignWriterError
+from daemon.cnc.clock_watch import power_cycled
+from daemon.cnc.limits import echo_slack_um, output_limits
+from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo, MacroBlock
+from daemon.cnc.session import CncSession
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.commissioning.initialising import (
+    BlockFound,
+    CommissioningRefusedError,
+    ForeignWriterError,
+    find_block,
+    ours_to_initialise,
+    zero_groups,
+)
 from daemon.history.writer import HistoryWriter, WriteId
-from daemon.output.cnc_session import CncSession
-from daemon.output.last_block import LastBlock
-from daemon.output.limits import echo_slack_um, output_limits
-from daemon.output.macro_block import ECHO_SLACK_UM, Echo, MacroBlock
-from daemon.output.reference_watch import power_cycled
-from daemon.telemetry import Telemetry
+from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from drivers.contract import Cnc, LinkError
 from models.records import (
@@ -53,7 +59,7 @@ class Station:
         clock: Clock,
         open_cnc: Callable[[], Cnc],
         history: HistoryWriter,
-        last_block: LastBlock,
+        last_block: WriteAheadRecord,
     ) -> None:
         self._configuration = configuration
         self.clock = clock
@@ -135,7 +141,7 @@ class Station:
         kept = self._last_block.load()
         known = kept if kept is not None else self._history.last_written_macros()
         if self._speed is not None:
-            known = {**(known or {}), **(LastBlock.of_speed(self._history.path).load() or {})}
+            known = {**(known or {}), **(WriteAheadRecord.of_speed(self._history.path).load() or {})}
         return find_block(self._configuration.cnc.macros, self._block, known, sample.macros, self._speed)
 
     async def initialise(self, numbers: tuple[int, ...], found: BlockFound, person: str) -> None:
@@ -265,7 +271,7 @@ class Station:
         assert sample is not None
         self._history.cnc_sample(sample)
         self._refuse_state(sample)
-        changed = self._creep()
+        changed = self._ramp()
         bits = tuple(self.enable)
         if session.last_command is None and not any(bits):
             return
@@ -283,7 +289,7 @@ class Station:
             raise CommissioningRefusedError("the control was switched off and on; begin the commissioning again")
         refuse_unsafe(sample)
 
-    def _creep(self) -> bool:
+    def _ramp(self) -> bool:
         """Move the command towards its target at the slew rate; return whether it moved."""
         now_s = self.clock.now().monotonic_s
         elapsed_min, self._moved_s = (now_s - self._moved_s) / 60.0, now_s

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
-from daemon.estimation.contract import Answer
+from daemon.estimation.online_model import Answer
 from models.records import FloatArray, Reference
 from models.thermal.estimate import linear_estimator
 from models.thermal.model import ThermalModel

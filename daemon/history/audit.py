@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.history.frames import Frame
+from daemon.history.columns.frames import Frame
 from daemon.history.series import WriteRecord
 from models.records import WriteOutcome
 

@@ -11,9 +11,8 @@ from typing import Any, Self
 import numpy as np
 
 from daemon.history.audit import write_records
-from daemon.history.database import HOUR_MS, connect_reader
-from daemon.history.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
-from daemon.history.joining import (
+from daemon.history.columns.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
+from daemon.history.columns.joining import (
     in_order,
     increments_of,
     merge_cycles,
@@ -23,8 +22,10 @@ from daemon.history.joining import (
     texts_of,
     time_s_of,
 )
-from daemon.history.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
-from daemon.history.packing import cycle_block, id_column
+from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
+from daemon.history.columns.packing import cycle_block, id_column
+from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
+from daemon.history.database import HOUR_MS, connect_reader
 from daemon.history.series import (
     CncHistory,
     DisplacementHistory,
@@ -33,7 +34,6 @@ from daemon.history.series import (
     TemperatureHistory,
     WriteRecord,
 )
-from daemon.history.temperature_chunks import CycleBlock, decode_temperatures
 from models.records import ProbeSample, Reference, WriteOutcome
 
 TABLES = {TEMPERATURES: CYCLES.table, **{kind.name: kind.table for kind in KINDS.values()}, "events": "events"}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daemon.history.codec import FloatArray, IntArray
+from daemon.history.columns.codec import FloatArray, IntArray
 from models.quality import Quality
 from models.records import WriteOutcome
 

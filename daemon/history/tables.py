@@ -7,9 +7,9 @@ from enum import Enum, auto
 import numpy as np
 import numpy.typing as npt
 
-from daemon.history.codec import FloatArray, IntArray
-from daemon.history.frames import ColumnType, Frame, Kind, MappingColumn
-from daemon.history.kinds import KINDS, TEMPERATURES
+from daemon.history.columns.codec import FloatArray, IntArray
+from daemon.history.columns.frames import ColumnType, Frame, Kind, MappingColumn
+from daemon.history.columns.kinds import KINDS, TEMPERATURES
 from daemon.history.reader import HistoryReader
 from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
 from models.quality import Quality, Reason

@@ -12,12 +12,12 @@ from typing import Any, TypeVar
 
 from config.schema.service import HistoryConfig
 from daemon.history import rows
+from daemon.history.columns.packer import packed_hours
+from daemon.history.columns.packing import PackedHour
 from daemon.history.database import OlderStoreError, WriterLock, connect_writer
 from daemon.history.engine import Engine, cause_in_words
 from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
-from daemon.history.packer import packed_hours
-from daemon.history.packing import PackedHour
 from daemon.history.reader import HistoryReader
 from daemon.history.retention import HousekeepingReport, store_hour, tidy
 from daemon.history.series import WriteRecord

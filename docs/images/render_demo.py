@@ -11,10 +11,10 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from daemon.cli.demo import demo_machine
-from daemon.operation.view import status_view, truth_panel
-from daemon.rehearsal.demonstration import Trail, switch_on, watch
-from daemon.rehearsal.processes import folder_for, rehearse, write_rehearsal_configuration
+from daemon.cli.simulate.demo import demo_machine
+from daemon.monitor.view import status_view, truth_panel
+from daemon.simulation.demonstration import Trail, switch_on, watch
+from daemon.simulation.processes import folder_for, rehearse, write_rehearsal_configuration
 
 OUTPUT = Path(__file__).with_name("demo.svg")
 WIDTH = 120

@@ -15,8 +15,8 @@ from models.dynamics.plausibility import level_m_per_n
 from models.dynamics.response_fit import (
     MOST_ITERATIONS,
     SEARCH_RANGE,
-    Found,
     Identified,
+    MacroValues,
     Model,
     Response,
     descend,
@@ -132,7 +132,7 @@ def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
 
 def _simplex(
     response: Response, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float], two_stages: bool
-) -> Found:
+) -> MacroValues:
     """Return the minimum of the source's cost, for twelve parameters in the source's two stages."""
     evaluations = 0
     if two_stages:
@@ -140,7 +140,7 @@ def _simplex(
         first = nelder_mead(lambda values: response(_untied(values)), measured, few, begin)
         begin, evaluations = {**begin, **_untied(first.values)}, first.evaluations
     found = nelder_mead(response, measured, free, begin)
-    return Found(found.values, found.log_error, found.evaluations + evaluations)
+    return MacroValues(found.values, found.log_error, found.evaluations + evaluations)
 
 
 def _least_squares(
@@ -150,7 +150,7 @@ def _least_squares(
     free: Sequence[str],
     begin: Mapping[str, float],
     two_stages: bool,
-) -> Found:
+) -> MacroValues:
     """Return the best fit of the logarithm.
 
     Twelve parameters that the told start does not lead to are looked for in the source's two stages, then by a
@@ -170,10 +170,10 @@ def _least_squares(
         tries.append(nelder_mead(response, measured, free, {**begin, **best.values}))
         tries.append(descend(model, measured, free, {**begin, **tries[-1].values}, MOST_ITERATIONS))
     best = _best(tries, free)
-    return Found(best.values, best.log_error, sum(each.evaluations for each in tries))
+    return MacroValues(best.values, best.log_error, sum(each.evaluations for each in tries))
 
 
-def _best(tries: Sequence[Found], free: Sequence[str]) -> Found:
+def _best(tries: Sequence[MacroValues], free: Sequence[str]) -> MacroValues:
     return min((each for each in tries if set(free) <= set(each.values)), key=lambda each: each.log_error)
 
 

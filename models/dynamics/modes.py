@@ -1,5 +1,6 @@
 """Undamped natural frequencies, found by counting, and their shapes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,17 +13,31 @@ from models.records import FloatArray
 
 LOWEST_HZ = 1.0
 """Natural frequencies below this are rigid-body modes."""
+
+
 HIGHEST_HZ = 100_000.0
 """Where a search ends; beam theory ends long before."""
+
+
 SECTIONS = 16
 """Parts into which an interval is divided at each step of the search."""
+
+
 PRECISION = 1e-12
 """Relative width of the interval that a natural frequency is known to lie in."""
+
+
 NODE = 1e-9
 """A front that moves less, beside the largest displacement, stands still."""
+
+
 INVERSE_ITERATIONS = 4
+
+
 SHAPE_STEP_M = 0.005
 """Largest distance between two points of a shape."""
+
+
 MOST_SHAPE_POINTS = 400
 """Points of a shape of one section at most; on a longer chain they lie further apart."""
 
@@ -251,3 +266,60 @@ def _matrix(span: Span) -> Values:
             [cross[1], cross[3], rear[1], rear[2]],
         ]
     )
+
+
+def modal_assurance(first: npt.NDArray[np.generic], second: npt.NDArray[np.generic]) -> float:
+    """Return how alike two shapes are, 0 to 1 (4-39, with the conjugates that complex vectors need).
+
+    Parameters
+    ----------
+    first, second
+        Real or complex displacements at the same points, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        When a shape is zero everywhere or the numbers of points differ.
+
+    """
+    one, two = np.asarray(first, dtype=np.complex128), np.asarray(second, dtype=np.complex128)
+    if one.shape != two.shape or one.ndim != 1:
+        raise ValueError(f"two shapes at the same points are needed, got {one.shape} and {two.shape}")
+    size = float(np.vdot(one, one).real * np.vdot(two, two).real)
+    if not size > 0.0:
+        raise ValueError("a shape that is zero everywhere is like nothing")
+    return float(abs(np.vdot(one, two)) ** 2 / size)
+
+
+def at_points(position_m: FloatArray, shape: FloatArray, wanted_m: FloatArray) -> FloatArray:
+    """Return a shape at other points [m] by linear interpolation between its own, shape (len(wanted_m),)."""
+    return np.interp(wanted_m, position_m, shape)
+
+
+MAC_POINTS = 200
+"""Evenly spaced points at which shapes are compared."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeChange:
+    """How one mode differs from the one it is compared with."""
+
+    frequency_hz: float
+    change_percent: float
+    """Of the frequency, against the base [%]."""
+    mac: float
+    """Likeness of the shapes (4-39)."""
+
+
+def mode_changes(base: Sequence[Mode], varied: Sequence[Mode]) -> list[ModeChange]:
+    """Return how modes differ, each compared with the base mode of its rank."""
+    changes = []
+    for one, two in zip(base, varied, strict=False):
+        ends = max(one.position_m[0], two.position_m[0]), min(one.position_m[-1], two.position_m[-1])
+        wanted = np.linspace(*ends, MAC_POINTS)
+        mac = modal_assurance(
+            at_points(one.position_m, one.displacement, wanted), at_points(two.position_m, two.displacement, wanted)
+        )
+        change = 100.0 * (two.frequency_hz / one.frequency_hz - 1.0)
+        changes.append(ModeChange(frequency_hz=two.frequency_hz, change_percent=change, mac=mac))
+    return changes

@@ -13,43 +13,69 @@ import numpy as np
 import numpy.typing as npt
 
 from models.dynamics.beam import ComplexArray
+from models.dynamics.errors import IdentificationError
 from models.records import FloatArray
 
 BOUNDS = {"kt": (1e-6, 1e13), "ct": (1e-12, 1e9), "kr": (1e-6, 1e11), "cr": (1e-15, 1e7)}
 """Range in which each kind of parameter is looked for [N/m, N s/m, N m/rad, N m s/rad]."""
+
+
 PLAUSIBLE = {"kt": 1e10, "ct": 1e7, "kr": 1e9, "cr": 1e6}
 """Values above these are no bearing's: the data do not bound the parameter, or the model is another machine's."""
 
+
 ASSUMED_ERROR = 0.01
 """Relative error of an FRF that is assumed where the fit itself is better."""
+
+
 IDENTIFIABLE = 0.5
 """A parameter is identifiable when an error of that size, the same way at all frequencies, moves its
 logarithm by less than this."""
+
+
 GOOD_FIT = 0.03
 """Root mean square of the log ratio below which no other start is tried, where the noise is not larger."""
+
+
 NOISE_MARGIN = 1.2
 """A fit that is this many times as bad as the noise is taken for good, too."""
+
+
 LARGEST_NOISE = 0.15
 """Scatter that is taken for noise at most."""
+
+
 RAYLEIGH_MEDIAN = 1.1774
 """Median of the size of a complex number whose parts scatter by 1."""
+
+
 MOST_ITERATIONS = 200
+
+
 SEARCH_ITERATIONS = 60
 """Iterations from a start that was only tried; one that leads somewhere needs fewer."""
+
+
 SEARCH_POINTS = 128
 """Points of parameter space at which the fit is looked at, to find further starts."""
+
+
 SEARCH_STARTS = 8
 """How many of them a descent begins at; a third of it where there are many parameters."""
+
+
 MANY = 7
+
+
 SEARCH_RANGE = {"kt": (1e6, 1e9), "ct": (3.0, 1e5), "kr": (3e3, 3e7), "cr": (1e-2, 1e3)}
 """Where further starts are looked for, by kind of parameter, in SI units."""
+
+
 LARGEST_STEP = 2.0
 """Largest change of a parameter's logarithm in one step."""
+
+
 NELDER_MEAD_EVALUATIONS = 1600
-
-
-class IdentificationError(ValueError):
-    """Data do not allow an identification; the text says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +133,7 @@ def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class MacroValues:
     """Where a search ended."""
 
     values: dict[str, float]
@@ -121,7 +147,7 @@ def levenberg_marquardt(
     free: Sequence[str],
     begin: Mapping[str, float],
     table: Mapping[str, float] | None = None,
-) -> Found:
+) -> MacroValues:
     """Return the parameters that minimise the squares of log(H / H_meas), varied by their logarithms.
 
     When the told start ends in a poor fit, another one (`table`) and the best of `SEARCH_POINTS`
@@ -156,7 +182,7 @@ def levenberg_marquardt(
             last = descend(model, measured, free, best.values, MOST_ITERATIONS)
             evaluations += last.evaluations
             best = last if last.log_error < best.log_error else best
-    return Found(best.values, best.log_error, evaluations)
+    return MacroValues(best.values, best.log_error, evaluations)
 
 
 def _starts(
@@ -193,7 +219,7 @@ def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
 
 def descend(
     model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], iterations: int
-) -> Found:
+) -> MacroValues:
     """Return where Levenberg and Marquardt's method ends from one start (see `levenberg_marquardt`).
 
     Parameters
@@ -236,7 +262,7 @@ def descend(
         if settled:
             break
     values = dict(zip(free, np.exp(at).tolist(), strict=True))
-    return Found(values, float(np.sqrt(cost / len(measured))), evaluations)
+    return MacroValues(values, float(np.sqrt(cost / len(measured))), evaluations)
 
 
 def _residual(
@@ -255,7 +281,7 @@ def nelder_mead(
     measured: ComplexArray,
     free: Sequence[str],
     begin: Mapping[str, float],
-) -> Found:
+) -> MacroValues:
     """Return the minimum of 4-36 by the simplex method, run twice, the second time from where the first ended."""
     minimize = import_module("scipy.optimize").minimize
 
@@ -277,7 +303,7 @@ def nelder_mead(
             break
     values = dict(zip(free, np.exp(at).tolist(), strict=True))
     ratio = np.log(response(values) / measured)
-    return Found(values, float(np.sqrt(np.mean(np.abs(ratio) ** 2))), evaluations)
+    return MacroValues(values, float(np.sqrt(np.mean(np.abs(ratio) ** 2))), evaluations)
 
 
 def report(

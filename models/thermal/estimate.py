@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.model import ThermalModel
-from models.thermal.telescoped import thermal_error_um
+from models.thermal.model import ThermalModel, thermal_error_um
 
 DOMAIN_WIDENING = 0.5
 """The range of increments seen in training is widened on both sides by this share of its width."""

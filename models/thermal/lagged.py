@@ -14,10 +14,10 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.domain import band_factor, leverage
 from models.thermal.estimate import DOMAIN_MARGIN_K, DOMAIN_WIDENING, Estimation
-from models.thermal.inputs import BRIDGE_MIN
 from models.thermal.lag_imputation import imputed_features, started_lags
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lags import lag_step, speed_inputs
+from models.thermal.layout import BRIDGE_MIN
 from models.thermal.watch import Watcher, WatchState
 
 SETTLED_LAGS = 4.0
@@ -308,14 +308,14 @@ class LaggedEstimator:
         known = imputed_features(self.model, change, excluded)
         return float(np.sqrt(leverage(self.model.ridges, known[None])[0] / self.model.leverage_limit))
 
-    def welcomed(self, state: LagState, sensors: Sequence[int]) -> LagState:
+    def reinitialised(self, state: LagState, sensors: Sequence[int]) -> LagState:
         """Return the state in which sensors (indices) that were silent are watched anew, and blamed for it no longer.
 
         See `Watcher.welcomed`; a model without a watch blames nobody.
         """
         if self._watcher is None or state.watch is None:
             return state
-        return replace(state, watch=self._watcher.welcomed(state.watch, sensors))
+        return replace(state, watch=self._watcher.reinitialised(state.watch, sensors))
 
     def readmit(self, state: LagState, sensors: tuple[int, ...]) -> LagState:
         """Return the state in which some sensors (indices) are not blamed any more; then set a new reference."""

@@ -7,7 +7,6 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.artifact import FORMAT_VERSION, OPTIONAL, model_from_json, read_axis_positions, read_training
-from models.thermal.inputs import Layout
 from models.thermal.json_fields import (
     null_for_nan,
     packed,
@@ -24,8 +23,8 @@ from models.thermal.json_fields import (
     whole_content,
 )
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
+from models.thermal.layout import Design, Layout, RidgeSolution
 from models.thermal.model import ModelError, ThermalModel, TrainingData
-from models.thermal.ridge import Design, RidgeSolution
 from models.thermal.watch import SensorWatch
 
 LAGGED_FORMAT_VERSION = 2

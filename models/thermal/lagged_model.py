@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.inputs import Layout
+from models.thermal.layout import Layout, RidgeSolution
 from models.thermal.model import TEST_TOLERANCE_UM, ModelError, TrainingData, check_band, check_identity
-from models.thermal.ridge import RidgeSolution
 from models.thermal.watch import SensorWatch
 
 

@@ -140,7 +140,7 @@ def rebased(
     before = estimate_since(estimator, replace(state, missing=hidden), reference)
     if before is None:
         return None
-    begun = estimator.begun(estimator.welcomed(state, returned), returned)
+    begun = estimator.begun(estimator.reinitialised(state, returned), returned)
     then = _set_anew(estimator, replace(begun, missing=hidden), reference.state, returned)
     after = estimator.estimate(begun, then)
     assert after is not None, "more sensors count now than before"
@@ -174,7 +174,7 @@ def resumed(
         As if nobody had been away.
 
     """
-    welcome = estimator.welcomed(state, sorted(columns))
+    welcome = estimator.reinitialised(state, sorted(columns))
     lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)
     then = _with_columns(reference.state, columns, state.time_min)
     return replace(welcome, lagged=lagged), replace(reference, state=then)

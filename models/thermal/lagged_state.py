@@ -13,7 +13,7 @@ from models.thermal.json_fields import parse, read_list, read_number, read_objec
 from models.thermal.lagged import LagState
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.model import ModelError
-from models.thermal.watch import Blame, WatchState
+from models.thermal.watch import SensorFault, WatchState
 
 STATE_VERSION = 2
 """Version of the layout; another one is refused."""
@@ -28,7 +28,7 @@ def state_to_json(model: LaggedModel, state: LagState) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
-    if isinstance(value, LagState | WatchState | Blame):
+    if isinstance(value, LagState | WatchState | SensorFault):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
@@ -89,7 +89,7 @@ def blamed_again(model: LaggedModel, state: LagState, signs: Mapping[int, str]) 
         return state
     already = blamed_signs(model, state)
     more = tuple(
-        Blame(sensor=model.sensor_ids.index(sensor_id), time_min=state.time_min, sign=sign)
+        SensorFault(sensor=model.sensor_ids.index(sensor_id), time_min=state.time_min, sign=sign)
         for sensor_id, sign in signs.items()
         if sensor_id in model.sensor_ids and sensor_id not in already
     )
@@ -145,12 +145,12 @@ def _items(value: Any) -> list[Any]:
     return read_list("state.watch.blamed", value)
 
 
-def _blame(path: str, content: Any, sensors: int) -> Blame:
-    item = read_object(path, content, {field.name for field in fields(Blame)})
+def _blame(path: str, content: Any, sensors: int) -> SensorFault:
+    item = read_object(path, content, {field.name for field in fields(SensorFault)})
     sensor = item["sensor"]
     if not isinstance(sensor, int) or isinstance(sensor, bool) or not 0 <= sensor < sensors:
         raise ModelError(f"{path}.sensor", f"{sensor!r:.40} is not the index of a sensor")
-    return Blame(
+    return SensorFault(
         sensor=sensor,
         time_min=read_number(f"{path}.time_min", item["time_min"]),
         sign=read_text(f"{path}.sign", item["sign"]),

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.telescoped import thermal_error_um
 
 KINDS = ("increments", "ridge", "pls", "lasso")
 """Families of models that end in one coefficient per temperature."""
+
+
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""
 
@@ -193,3 +194,33 @@ def make_test_vectors(
             TestVector(degc=degc, reference_degc=reference_degc, elapsed_min=elapsed_min, thermal_error_um=error)
         )
     return tuple(vectors)
+
+
+def thermal_error_um(
+    coefficients_um_per_k: FloatArray,
+    drift_um_per_min: FloatArray,
+    increment_k: FloatArray,
+    elapsed_min: float | FloatArray,
+) -> FloatArray:
+    """Return the thermal error since the reference.
+
+    Parameters
+    ----------
+    coefficients_um_per_k : shape (n_channels, n_sensors)
+        b [um/K].
+    drift_um_per_min : shape (n_channels,)
+        b_0 per minute [um/min].
+    increment_k : shape (n_sensors,) or (n, n_sensors)
+        Temperatures now minus at the reference [K].
+    elapsed_min : scalar or shape (n,)
+        Time since the reference [min].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_channels,) or (n, n_channels)
+        Actual minus nominal [um].
+
+    """
+    drift_um = np.multiply.outer(np.asarray(elapsed_min), drift_um_per_min)
+    error: FloatArray = increment_k @ coefficients_um_per_k.T + drift_um
+    return error

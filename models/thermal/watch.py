@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.inputs import BRIDGE_MIN, Layout
 from models.thermal.lags import lag_step, speed_inputs
+from models.thermal.layout import BRIDGE_MIN, Layout
 
 WATCH_LAGS_MIN = (10.0, 90.0)
 """Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
@@ -69,7 +69,7 @@ class SensorWatch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Blame:
+class SensorFault:
     """A sensor that was excluded, and why."""
 
     sensor: int
@@ -102,7 +102,7 @@ class WatchState:
     """The same over the long time."""
     over_min: FloatArray
     """For how long each sensor has departed [min], shape (n_sensors,)."""
-    blamed: tuple[Blame, ...] = field(default=())
+    blamed: tuple[SensorFault, ...] = field(default=())
 
     @property
     def excluded(self) -> tuple[int, ...]:
@@ -173,7 +173,7 @@ class Watcher:
         self._most_maps = max(8, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
 
-    def welcomed(self, state: WatchState, sensors: Sequence[int]) -> WatchState:
+    def reinitialised(self, state: WatchState, sensors: Sequence[int]) -> WatchState:
         """Return the state in which some sensors that were silent are watched anew, from what is expected of them.
 
         Their memory holds what they said before their silence, perhaps in another frame; from now on only what
@@ -320,7 +320,7 @@ class Watcher:
             blamed=state.blamed,
         )
 
-    def _blame_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[Blame]:
+    def _blame_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
         watch, excluded = self.watch, set(now.excluded)
         slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
@@ -333,7 +333,7 @@ class Watcher:
             for sensor in np.flatnonzero(applies):
                 if int(sensor) not in excluded:
                     excluded.add(int(sensor))
-                    found.append(Blame(sensor=int(sensor), time_min=now.time_min, sign=sign))
+                    found.append(SensorFault(sensor=int(sensor), time_min=now.time_min, sign=sign))
         return found
 
     def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
@@ -352,7 +352,7 @@ class Watcher:
         culprits = self._culprits(state, excluded, departures)
         if not culprits:
             return replace(state, over_min=over_min)
-        blames = tuple(Blame(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
+        blames = tuple(SensorFault(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
         return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, *blames))
 
     def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:

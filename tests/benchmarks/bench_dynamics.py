@@ -17,9 +17,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from config.spindle import SpindleDescription, load_spindle, spindle_folder
-from config.spindle_chain import build_spindle
-from daemon.dynamics.responses import frequencies, properties
+from config.machine.spindle import SpindleDescription, load_spindle, spindle_folder
+from config.machine.spindle_chain import build_spindle
+from daemon.workbench.dynamics.responses import frequencies, properties
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.chain import Chain

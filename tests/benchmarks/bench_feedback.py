@@ -26,10 +26,10 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from daemon.cli.demo import demo_machine
+from daemon.cli.simulate.demo import demo_machine
 from daemon.history.reader import HistoryReader
-from daemon.rehearsal.demonstration import switch_on, watch
-from daemon.rehearsal.processes import rehearse, write_rehearsal_configuration
+from daemon.simulation.demonstration import switch_on, watch
+from daemon.simulation.processes import rehearse, write_rehearsal_configuration
 
 STAGES = ("cleansed", "estimated", "written", "read_back")
 SETTLING_S = 30.0

@@ -18,9 +18,9 @@ import tty
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import SystemClock
 from drivers.contract import LinkError
-from drivers.latsis_cycle import CycleAssembler
-from drivers.latsis_frames import FrameParser, sum8
-from drivers.latsis_serial import LatsisSerialSource
+from drivers.latsis.cycle import CycleAssembler
+from drivers.latsis.frames import FrameParser, sum8
+from drivers.latsis.source import LatsisSerialSource
 from models.records import Instant
 
 BAUD = 9600

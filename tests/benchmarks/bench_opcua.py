@@ -24,7 +24,7 @@ sys.path.insert(0, str(SUPPORT))
 from scripted_machine import GROUPS, Keys, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
-from drivers.cnc_opcua import OpcUaCnc  # noqa: E402
+from drivers.opcua.cnc import OpcUaCnc  # noqa: E402
 
 BUSY = "while True: sum(range(1000))"
 

@@ -6,29 +6,26 @@ Run by hand: `python tests/benchmarks/bench_stability.py [--cases 500]`. Nothing
 import argparse
 import math
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from milling_cases import OFF_BOUNDARY, random_cases
 
-from config.thermomechanics import published_model
-from daemon.dynamics.spindle_files import read_spindle
-from models.stability.choice_check import ChoiceCheck
+from config.machine.published_bearings import published_model
+from config.machine.spindle_files import read_spindle
+from models.spindle_speed.choice import SpeedDemand, choose_speed
+from models.spindle_speed.planner import MillingOperation, SpeedPlanner
+from models.spindle_speed.tracked_tool_point import TrackedToolPoint
+from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes_sdm import spectral_radius_chart
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
 from models.stability.semi_discretisation import semi_discretisation, spectral_radius
-from models.stability.speed_planner import MillingOperation, SpeedPlanner
-from models.stability.spindle_speed import SpeedDemand, choose_speed
 from models.stability.state_space import state_space
-from models.stability.tracked_tool_point import TrackedToolPoint
 from models.thermomechanics.tool_point import ToolPointTracker
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from milling_cases import OFF_BOUNDARY, random_cases
 
 BENCHMARK = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
 STEPS = (20, 40, 80, 120, 200)
@@ -110,11 +107,11 @@ def new_speed() -> None:
     response = SampledResponse(frequency_hz=lines_hz, receptance=modes.receptance_m_per_n(lines_hz))
     demand = SpeedDemand(programmed_rpm=7000.0, depth_mm=0.5)
 
-    check = ChoiceCheck(cut("down", 1.0, 4), tuple(22.5 * number for number in range(8)))
+    check = StabilityVerification(cut("down", 1.0, 4), tuple(22.5 * number for number in range(8)))
 
     def look() -> None:
         again = SampledResponse(frequency_hz=lines_hz, receptance=response.receptance)
-        assert check.bears(again, 7000.0, 0.5, 0.02)
+        assert check.is_stable(again, 7000.0, 0.5, 0.02)
 
     def work() -> None:
         lobes = lowest_over_feed_directions(response, cut("down", 1.0, 4), from_rpm=5500.0, to_rpm=8500.0, points=400)

@@ -14,14 +14,20 @@ from pathlib import Path
 import numpy as np
 from sklearn.linear_model import LinearRegression
 
-from config.thermal_campaign import load_thermal_campaign
-from daemon.rehearsal.simulated_model import published_sensors
-from daemon.rehearsal.thermal_campaign import run_thermal_campaign
-from daemon.thermal_figures.campaign import Campaign, read_campaign
-from models.cleanse import remove_jumps_at_switching
+from config.recordings.thermal_campaign import load_thermal_campaign
+from daemon.simulation.simulated_model import published_sensors
+from daemon.simulation.thermal_campaign import run_thermal_campaign
+from daemon.workbench.thermal.figures.campaign import Campaign, read_campaign
+from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
-from models.thermal.campaign_study import Key, ResidualMap, measured_channel, random_sensor_order, residual_maps
-from models.thermal.published import MODELS, OUTPUTS, PublishedSet, channel_um
+from models.thermal.training.campaign_study import (
+    Key,
+    ResidualMap,
+    measured_channel,
+    random_sensor_order,
+    residual_maps,
+)
+from models.thermal.training.published import MODELS, OUTPUTS, PublishedSet, channel_um
 
 TARGET_S, TARGET_RATIO = 60.0, 50.0
 

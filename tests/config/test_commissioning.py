@@ -7,7 +7,9 @@ import stat
 import pytest
 from pydantic import ValidationError
 
-from config.commissioning import (
+from config.loader import load_configuration
+from config.machines import shipped_file
+from config.records.commissioning import (
     AxisReadings,
     CommissionedAxis,
     CommissioningError,
@@ -17,11 +19,9 @@ from config.commissioning import (
     macro_map_digest,
     save_commissioning,
 )
-from config.loader import load_configuration
-from config.machines import shipped_file
 from daemon.commissioning.report import record_digest
 from drivers.contract import SIMULATED_CNC_IDENTITY
-from drivers.sim.safe_point import GUARD_VERSION
+from drivers.sim.nc.safe_point import GUARD_VERSION
 
 MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
 READINGS = {"source": "read by the person", "before_um": 0.2, "at_offset_um": 5.1, "after_um": 0.0}

@@ -2,26 +2,21 @@
 
 import itertools
 import re
-import sys
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import pytest
+from guard_bench import AXES, MAP, GuardBench
 from pydantic import ValidationError
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-from guard_bench import AXES, MAP, GuardBench
-
-from config.guard import GuardPrograms, GuardStatus, GuardTextError, guard_digest, guard_program, guard_text
-from config.guard.sheet import guard_sheet, sheet_html, sheet_markdown
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.guard import PROGRAM_LABELS, GuardConfig
-from drivers.sim.custom_macro import compile_programs
+from drivers.guard import GuardPrograms, GuardStatus, GuardTextError, guard_digest, guard_program, guard_text
+from drivers.guard.sheet import guard_sheet, sheet_html, sheet_markdown
+from drivers.sim.nc.custom_macro import compile_programs
 
 GUARD = GuardConfig(increment_mm=0.0001)
 
@@ -72,7 +67,7 @@ def test_only_macros_of_the_map_and_of_the_memory_are_written(shipped: Configura
 def test_the_simulated_control_runs_the_very_text(shipped: Configuration) -> None:
     bench = GuardBench()
     assert bench.nc.text == guard_text(MAP, AXES, GUARD)
-    from drivers.sim.safe_point import SafePointApplication
+    from drivers.sim.nc.safe_point import SafePointApplication
 
     running = SafePointApplication(shipped.cnc.macros, shipped.compensation.axes, shipped.cnc.guard)
     named = guard_program(shipped).replace(f"(MACHINE {shipped.machine.upper()})", "(MACHINE NOT NAMED)")
@@ -101,8 +96,8 @@ def test_the_digest_knows_every_number(shipped: Configuration) -> None:
 
 @pytest.mark.parametrize("unit_um", [1000.0, 1.0, 0.1, 25400.0])
 def test_the_unit_of_the_macros_is_respected(unit_um: float) -> None:
-    from drivers.sim.nc import MacroTable
-    from drivers.sim.safe_point import SafePointApplication
+    from drivers.sim.nc.nc import MacroTable
+    from drivers.sim.nc.safe_point import SafePointApplication
 
     macro_map = MAP.model_copy(update={"unit_um": unit_um})
     macros, nc = MacroTable(), SafePointApplication(macro_map, AXES, GUARD)

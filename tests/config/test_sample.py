@@ -9,11 +9,10 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from config.json_schema import configuration_json_schema
 from config.knobs import Shape, knob_at, section_at, walk
 from config.loader import parse_yaml_model
 from config.machines import machine_names, shipped_file
-from config.sample import sample_configuration
+from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.cli import main

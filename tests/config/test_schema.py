@@ -5,10 +5,9 @@ from typing import Any
 import pytest
 import yaml
 
-from config.json_schema import configuration_json_schema
 from config.loader import ConfigurationError, parse_yaml_model
 from config.reference import configuration_reference
-from config.sample import sample_configuration
+from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.base import FORMS
 from config.schema.temperatures import expand_ranges

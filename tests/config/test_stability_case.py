@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from config.loader import parse_yaml_model
-from config.stability_case import DirectionCase, ModeCase, StabilityCase, load_stability_case
+from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase, load_stability_case
 from models.stability.cutting_coefficients import MATERIALS
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from config.schema.compensation import OutputConfig
-from daemon.output.alarm import alarm_of
-from daemon.output.guard_watch import GuardWatch
-from daemon.output.macro_block import Echo
-from models.compensation import initial_memory
-from models.output import OutputMemory
+from daemon.cnc.macro_block import Echo
+from daemon.compensation.alarms import GuardWatch, alarm_of
+from models.control.compensation import initial_memory
+from models.control.state import OutputMemory
 from models.records import OutputState
 
 INCH = 6

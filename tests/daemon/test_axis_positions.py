@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from daemon.cli import main
-from daemon.model_file import read_model
+from daemon.model_release.loading import read_model
 from models.thermal.lagged_artifact import any_model_from_json
 from models.thermal.lags import lag_table
 

@@ -5,15 +5,11 @@ import json
 import os
 import shutil
 import sqlite3
-import sys
 import tarfile
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from installation import Installation
 from other_user import OTHER, as_root
 
@@ -22,7 +18,7 @@ from daemon.backup.making import existing_backups, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history import HistoryReader
-from daemon.release.releasing import rollback
+from daemon.model_release.releasing import rollback
 
 EVER = (0.0, 1e11)
 

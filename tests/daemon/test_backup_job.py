@@ -2,15 +2,11 @@
 
 import json
 import os
-import sys
 import time
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from installation import Installation
 
 from config.loader import load_configuration
@@ -18,9 +14,9 @@ from config.schema.service import BackupConfig
 from daemon.app import Daemon
 from daemon.backup.making import existing_backups
 from daemon.backup.restoring import read_manifest
-from daemon.backup.scheduling import BackupJob
 from daemon.cli import main
 from daemon.history import HistoryReader
+from daemon.housekeeping.backup_job import BackupJob
 from drivers.clock import SystemClock
 
 EVER = (0.0, 1e11)

@@ -1,7 +1,6 @@
 """The bearing model of the spindle speed is released as thermal models are: deny by default, record, way back."""
 
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +9,6 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock
 from model_shelf import open_folder
 from other_user import OTHER, as_root, as_user
@@ -21,13 +17,13 @@ from speed_machine import bearing_model, speed_machine
 from config.loader import load_configuration
 from config.problems import ConfigurationError
 from config.schema import Configuration
+from daemon.checkup.machine import probe
 from daemon.cli import main
-from daemon.probe import probe
-from daemon.release.bearings import BEARINGS
-from daemon.release.reach import Account, own_account
-from daemon.release.releasing import release, rollback
-from daemon.release.shelf import ReleaseError
-from daemon.stability.tool_points import open_planning
+from daemon.model_release.bearings import BEARINGS
+from daemon.model_release.file_access import Account, own_account
+from daemon.model_release.releasing import release, rollback
+from daemon.model_release.repository import ReleaseError
+from daemon.spindle_speed.planning import open_planning
 from models.thermomechanics.artifact import model_to_json
 
 STRANGER = Account(user_id=OTHER)
@@ -131,7 +127,7 @@ def file(folder: Path) -> Path:
     """A configuration as YAML whose spindles are one beside it and one that ships."""
     configuration = configured(folder, lenient=True)
     document = configuration.model_dump(mode="json")
-    shipped = Path(__file__).resolve().parents[2] / "config/spindles/simulated_machine.yaml"
+    shipped = Path(__file__).resolve().parents[2] / "config/machine/data/spindles/simulated_machine.yaml"
     (folder / "own.yaml").write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
     document["spindle_speed"]["operations"][0]["spindles"] = {"x": "own.yaml", "y": "simulated_machine"}
     document["spindle_speed"]["operations"][0]["case"] = "case.yaml"

@@ -1,17 +1,12 @@
 """What falls due when, and what goes first."""
 
 import asyncio
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.output.cadence import Cadence, woken
+from daemon.compensation.operator_requests import Cadence, woken
 
 
 def test_it_is_due_every_period():

@@ -4,9 +4,9 @@ import pytest
 
 from config.loader import load_configuration
 from config.schema import Configuration
-from daemon.cli.demo import demo_machine
-from daemon.rehearsal.invariants import Claims, Ledger, WriteWatch
-from daemon.rehearsal.processes import write_rehearsal_configuration
+from daemon.cli.simulate.demo import demo_machine
+from daemon.simulation.faults.invariants import Claims, Ledger, WriteWatch
+from daemon.simulation.processes import write_rehearsal_configuration
 
 A, X, Y, Z, VALID, ENABLE, B = 500, 501, 502, 503, 120, 504, 505
 

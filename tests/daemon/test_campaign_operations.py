@@ -6,11 +6,18 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from daemon.rehearsal.heartbeat_watch import SETTLED_S, HeartbeatWatch
-from daemon.rehearsal.invariants import Claims, Ledger
-from daemon.rehearsal.operations_watch import ANSWERED_WITHIN_S, CALM_S, ENDED_WITHIN_S, OperationsWatch, Request
-from drivers.sim.campaign_script import Happening, Incident
-from drivers.sim.nc import NumericalControl
+from daemon.simulation.faults.invariants import Claims, Ledger
+from daemon.simulation.faults.operations_check import (
+    ANSWERED_WITHIN_S,
+    CALM_S,
+    ENDED_WITHIN_S,
+    SETTLED_S,
+    HeartbeatWatch,
+    OperationsWatch,
+    Request,
+)
+from daemon.simulation.faults.script import Happening, Incident
+from drivers.sim.nc.nc import NumericalControl
 
 MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
 CALM_FROM_S = 1000.0

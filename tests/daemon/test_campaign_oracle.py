@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daemon.rehearsal.state_oracle import FOLLOWERS, STARTS, Situation, unlawful, way
-from models import compensation
-from models.compensation import TRANSITIONS, Condition, initial_memory, step
-from models.output import OutputInputs, OutputLimits, OutputMemory
+from daemon.simulation.faults.state_oracle import FOLLOWERS, STARTS, Situation, unlawful, way
+from models.control import compensation
+from models.control.compensation import TRANSITIONS, Condition, initial_memory, step
+from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import OutputState, Phase
 
 Table = dict[OutputState, tuple[tuple[Condition, OutputState], ...]]

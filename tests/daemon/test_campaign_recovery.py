@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from daemon.rehearsal.invariants import Claims, Ledger
-from daemon.rehearsal.recovery import WITHIN_S, GoodInput, RecoveryWatch, Truth, where_it_leads
-from drivers.sim.campaign_script import Happening, Incident
+from daemon.simulation.faults.invariants import Claims, Ledger
+from daemon.simulation.faults.recovery import WITHIN_S, GoodInput, RecoveryWatch, Truth, where_it_leads
+from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.faults import FaultKind
 
 

@@ -1,22 +1,18 @@
 """What a fault campaign demands of the store, and that it finds what is missing there."""
 
-import sys
 from array import array
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from history_records import EPOCH_S, SMALL, StillClock, command, cycle, displacement, macros, receipt, trace
 
 from daemon.history.rows import utc_ms
 from daemon.history.writer import HistoryWriter
-from daemon.rehearsal.campaign_process import Acknowledgements, cycle_key
-from daemon.rehearsal.campaign_store import StoreCheck
-from daemon.rehearsal.invariants import Ledger
-from daemon.rehearsal.operations_watch import Probe
+from daemon.simulation.faults.invariants import Ledger
+from daemon.simulation.faults.operations_check import Probe
+from daemon.simulation.faults.process import Acknowledgements, cycle_key
+from daemon.simulation.faults.store_check import StoreCheck
 from models.records import ProbeSample
 
 NAMES = ("acknowledged_cycles_kept", "audit_complete", "audit_has_every_block", "displacements_once")

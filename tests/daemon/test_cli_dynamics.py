@@ -1,15 +1,12 @@
 """`toolpoint dynamics` with files as a person writes them, good and bad."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from config.spindle import shipped_spindles
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from dynamics_command import DIRECT, FREE, answer, nose, refusal, write_csv
+
+from config.machine.spindle import shipped_spindles
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from config.thermomechanics import data_folder, published_model
+from config.machine.published_bearings import data_folder, published_model
 from daemon.cli import main
 from models.thermomechanics.artifact import model_to_json
 

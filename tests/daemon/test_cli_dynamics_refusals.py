@@ -1,16 +1,13 @@
 """`toolpoint dynamics` with files and numbers that are refused, and the sentences."""
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from daemon.cli.dynamics_options import PICTURE_LIBRARIES
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from dynamics_command import DIRECT, STEEL, TURNING, answer, call, nose, refusal, write_csv
+
+from daemon.cli.common import PICTURE_LIBRARIES
 
 
 @pytest.fixture

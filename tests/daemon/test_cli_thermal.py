@@ -118,6 +118,6 @@ def test_bad_files_end_with_file_line_and_column(tmp_path: Path) -> None:
 
 
 def test_training_never_loads_a_fitting_library() -> None:
-    code = "import sys, daemon.training; print(sorted({'sklearn', 'scipy'} & set(sys.modules)))"
+    code = "import sys, daemon.workbench.thermal.training; print(sorted({'sklearn', 'scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

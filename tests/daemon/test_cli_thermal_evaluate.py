@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from daemon.cli.thermal_evaluate import MODELS, parse_fault
+from daemon.cli.thermal.evaluate import MODELS, parse_fault
 from models.thermal.lagged_artifact import any_model_from_json
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lags import lag_table
-from models.thermal.linear_families import FAMILIES
 from models.thermal.model import ThermalModel
-from models.thermal.trial import Fault
+from models.thermal.training.linear_families import FAMILIES
+from models.thermal.training.trial import Fault
 
 MINUTES = 120
 SPLIT = ("--train-hours", "0-8", "--test-hours", "8-12")

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from daemon.thermal_estimates import RecordedEstimates
-from drivers.recording_csv import read_recording, write_recording
+from daemon.workbench.thermal.estimates import RecordedEstimates
+from drivers.files.recording_csv import read_recording, write_recording
 from models.thermal.lagged_artifact import any_model_from_json
 from models.thermal.lags import lag_table
 

@@ -1,25 +1,21 @@
 """One connected CNC: what is accepted as ours, and what the audit says of a write."""
 
 import contextlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, HandClock, Z, machine
 from memory_cnc import MemoryNc
 
+from daemon.cnc.limits import output_limits
+from daemon.cnc.macro_block import LAST_SEQUENCE, MacroBlock
+from daemon.cnc.session import CncSession
+from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.output.cnc_session import CncSession
-from daemon.output.last_block import LastBlock
-from daemon.output.limits import output_limits
-from daemon.output.macro_block import LAST_SEQUENCE, MacroBlock
-from daemon.telemetry import Telemetry
+from daemon.telemetry.metrics import Telemetry
 from drivers.contract import FatalDriverError, LinkError
 from models.records import CompensationCommand, OutputState, Trace, WriteOutcome
 
@@ -38,7 +34,7 @@ class Desk:
             clock=self.clock,
             machine=MachineLayout.from_configuration(self.configuration),
         )
-        self.last_block = LastBlock(directory / "last-block")
+        self.last_block = WriteAheadRecord(directory / "last-block")
         self.block = MacroBlock(self.configuration.cnc.macros, AXES, {})
 
     def session(self, known=None) -> CncSession:
@@ -87,10 +83,10 @@ async def test_a_vacant_macro_is_named_until_it_is_filled(desk, number):
     session = desk.session()
     for _ in range(2):
         assert any(f"#{number} is vacant" in problem for problem in await session.poll())
-    assert any(f"#{number} is vacant" in problem for problem in session.forgive())
+    assert any(f"#{number} is vacant" in problem for problem in session.acknowledge())
     desk.nc.macros.set(number, 0.0)
     assert any(f"#{number} holds 0, we wrote nothing" in problem for problem in await session.poll())
-    assert session.forgive() == []
+    assert session.acknowledge() == []
     assert await session.poll() == []
 
 
@@ -190,5 +186,5 @@ async def test_a_value_that_is_not_kept_is_seen_in_the_read_back(desk):
     desk.nc.forgets = Z
     receipt = await desk.write(session, 4.0)
     assert receipt.outcome is WriteOutcome.DIFFERS and f"#{Z} holds 0" in receipt.detail
-    assert session.forgive() == []
+    assert session.acknowledge() == []
     assert await session.poll() == [], "acknowledged: what the control holds is known now"

@@ -1,17 +1,11 @@
 """Commissioning of the simulated machine over real OPC UA, and attacks on it."""
 
-import sys
-from pathlib import Path
-
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import Bench, Person, serving
 
-from config.commissioning import commissioning_obstacle, save_commissioning
-from daemon.probe import probe
+from config.records.commissioning import commissioning_obstacle, save_commissioning
+from daemon.checkup.machine import probe
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -4,21 +4,17 @@ import asyncio
 import itertools
 import os
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import STOPPED, Bench, Person, refused, serving
 
-from daemon.commissioning.refusal import ForeignWriterError
+from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError
-from drivers.sim.wiring import Wiring
+from drivers.sim.nc.wiring import Wiring
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -1,17 +1,12 @@
 """A commissioning whose block expires in a control that takes the offset out then."""
 
 import asyncio
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import Person, serving
 
 from drivers.contract import LinkError
-from drivers.sim.safe_point import simulated_guard
+from drivers.sim.nc.safe_point import simulated_guard
 
 
 async def test_a_guard_that_zeroes_an_expired_block_is_no_stranger(tmp_path, monkeypatch):

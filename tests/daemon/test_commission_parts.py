@@ -12,7 +12,9 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.commissioning import (
+from config.loader import load_configuration
+from config.machines import shipped_file
+from config.records.commissioning import (
     PROOF_TOLERANCE,
     AxisReadings,
     CommissionedAxis,
@@ -20,17 +22,15 @@ from config.commissioning import (
     load_commissioning,
     macro_map_digest,
 )
-from config.guard import GuardStatus, guard_program
-from config.loader import load_configuration
-from config.machines import shipped_file
-from daemon.cli.commission import commission
+from daemon.cli.admin.commission import commission
 from daemon.commissioning.dialogue import TerminalDialogue
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.judgement import judge
 from daemon.commissioning.movement import GUARD_SAYS
 from daemon.commissioning.readings import Instruments, Moment, Reading
-from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.report import record_digest, report_html
 from daemon.commissioning.session import hand_over, with_secrets
+from drivers.guard import GuardStatus, guard_program
 
 CONFIGURATION = load_configuration(shipped_file("cfrpmt.yaml"))
 

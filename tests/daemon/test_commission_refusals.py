@@ -1,18 +1,13 @@
 """What is refused before a commissioning touches the machine, and what it initialises: over real OPC UA."""
 
 import asyncio
-import sys
-from pathlib import Path
 
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import Bench, Person, refused, serving
 
 from daemon.history.database import WriterLock
-from daemon.operation.control_socket import ControlSocket
+from daemon.monitor.control_socket import ControlSocket
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

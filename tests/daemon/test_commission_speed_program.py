@@ -1,18 +1,14 @@
 """Commissioning with a tuned spindle speed: the control must run the configuration's speed program; over OPC UA."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import Bench, Person, refused, serving
 from speed_machine import speed_machine
 
-from config.guard.speed_text import speed_text_number
+from drivers.guard.speed_text import speed_text_number
 
 TEXT = 548
 """The variable in which the speed program tells its text, one that the bench's server has."""

@@ -1,19 +1,15 @@
 """What commissioning does with the macro variables of the spindle speed."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from commissioning_bench import Bench, Person, refused, serving
 from speed_machine import MACROS, speed_machine
 
-from daemon.output.last_block import LastBlock
+from daemon.cnc.write_ahead import WriteAheadRecord
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -74,6 +70,6 @@ async def test_what_the_daemon_has_written_is_known(bench: Bench, tuned: Callabl
     for number in MACROS.ours:
         bench.machine.nc.macros.set(number, 0.0)
     bench.machine.nc.macros.set(MACROS.speed, 9400.0)
-    LastBlock.of_speed(bench.store).keep({MACROS.speed: (9200.0, 9400.0)})
+    WriteAheadRecord.of_speed(bench.store).keep({MACROS.speed: (9200.0, 9400.0)})
     await bench.commission(Person(bench), change=tuned, initialise_only=True)
     assert bench.macro(MACROS.speed) == 9400.0

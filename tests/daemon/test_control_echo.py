@@ -1,16 +1,10 @@
 """What the control says that it applies is believed only as far as the guard can have done it."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import ENABLE, Bench, Z, running
 
 from daemon.history import HistoryReader
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
 ECHO_Z = 513

@@ -1,13 +1,7 @@
 """The control task when the output cannot be trusted or the link is lost: nothing is written that should not be."""
 
-import sys
-from pathlib import Path
-
 import pytest
 import structlog
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import (
     ENABLE,
     SEQUENCE_A,
@@ -20,7 +14,7 @@ from control_rig import (
 )
 
 from config.schema.cnc import OpcUaConfig
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

@@ -1,12 +1,6 @@
 """The control task after a restart of the daemon: from the echo, with the reference and its baseline."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import (
     Bench,
     Z,
@@ -14,7 +8,7 @@ from control_rig import (
 )
 
 from daemon.history import HistoryReader
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 from models.records import Reference, WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from daemon.operation.control_socket import ControlClient, ControlSocket, DaemonUnreachableError, RequestError
+from daemon.monitor.control_socket import ControlClient, ControlSocket, DaemonUnreachableError, RequestError
 
 
 async def serve(path, handle, work):

@@ -1,15 +1,10 @@
 """The control task: what it follows, what a person may ask of it, when a reference ends."""
 
 import asyncio
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import (
     BLOCK,
     ENABLE,
@@ -25,9 +20,9 @@ from control_rig import (
 )
 from memory_cnc import MemoryNc
 
-from daemon.thermal import ReferenceRequest
+from daemon.messages import ReferenceRequest
 from drivers.clock import SystemClock
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 from models.records import CncRun
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)

@@ -6,9 +6,9 @@ import pytest
 from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.app import Daemon
-from daemon.delays import line_timings
+from daemon.telemetry.latency import line_timings
 from drivers.clock import ScaledClock
-from drivers.latsis_frames import frame_bytes
+from drivers.latsis.frames import frame_bytes
 from models.records import Instant, TemperatureCycle, Trace
 
 

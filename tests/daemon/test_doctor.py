@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from config.sample import sample_configuration
-from daemon.diagnosis import OUR_PACKAGES, examine
+from daemon.checkup.computer import OUR_PACKAGES, examine
 
 
 def test_this_environment_is_healthy():

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from daemon.output.echo_watch import EchoWatch
-from daemon.output.macro_block import Echo
-from daemon.telemetry import Telemetry
+from daemon.cnc.macro_block import Echo
+from daemon.compensation.applied_tracker import EchoWatch
+from daemon.telemetry.metrics import Telemetry
 from models.records import CompensationCommand, Instant, OutputState, Trace
 
 

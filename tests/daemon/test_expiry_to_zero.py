@@ -1,15 +1,11 @@
 """A guard under the policy `zero` takes an expired offset out; the daemon must know that and not call it false."""
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, Rig, running
 
-from drivers.sim.safe_point import GuardStatus, SafePointApplication, simulated_guard
+from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication, simulated_guard
 from models.records import CncRun
 
 

@@ -1,13 +1,7 @@
 """Requests of the NC program: reference, tool setting, probe, tool change; lost, late and unknown ones."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, Z, running
 from nc_requests import (
     ACKNOWLEDGE,
@@ -23,7 +17,7 @@ from nc_requests import (
 )
 
 from daemon.history import HistoryReader
-from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
 from models.records import WriteOutcome
 
 

@@ -1,13 +1,7 @@
 """Requests and references when something goes wrong between the poll, the step and the answer."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, running
 from nc_requests import (
     ACKNOWLEDGE,

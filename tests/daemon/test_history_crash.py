@@ -11,12 +11,9 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from history_records import EPOCH_S, SMALL, StillClock
 from write_history import degc_of
 

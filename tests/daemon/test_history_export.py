@@ -7,13 +7,10 @@ import sys
 import time
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from history_records import EPOCH_S, SMALL, StillClock
 
 from config.schema.service import HistoryConfig

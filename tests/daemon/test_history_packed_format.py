@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daemon.history.codec import (
+from daemon.history.columns.codec import (
     ByteReader,
     block,
     decode_floats,
@@ -18,7 +18,7 @@ from daemon.history.codec import (
     signed_varint,
     varint,
 )
-from daemon.history.frames import (
+from daemon.history.columns.frames import (
     ColumnType,
     Kind,
     concatenate,
@@ -27,8 +27,8 @@ from daemon.history.frames import (
     frame_from_rows,
     select_rows,
 )
-from daemon.history.kinds import CNC, CYCLES, KINDS, WRITES, _integers, _numbers
-from daemon.history.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
+from daemon.history.columns.kinds import CNC, CYCLES, KINDS, WRITES, _integers, _numbers
+from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
 
 SOME = settings(max_examples=60, deadline=None)
 INT64 = st.integers(-(2**63), 2**63 - 1)

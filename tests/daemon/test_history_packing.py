@@ -2,26 +2,22 @@
 
 import asyncio
 import sqlite3
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import psutil
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from history_records import EPOCH_S, SMALL, StillClock
 
 from config.schema.service import HistoryConfig
 from daemon.history import HistoryReader, HistoryWriter, backup, housekeeping
+from daemon.history.columns.kinds import CYCLES, KINDS
+from daemon.history.columns.packing import PackedHour, pack_hours
 from daemon.history.database import HistoryError, connect_reader, connect_writer
-from daemon.history.kinds import CYCLES, KINDS
-from daemon.history.packing import PackedHour, pack_hours
 from daemon.history.retention import SPARE_PAGES, store_hour
 from models.records import WriteOutcome
 

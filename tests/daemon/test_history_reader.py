@@ -2,19 +2,15 @@
 
 import os
 import sqlite3
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from history_records import EPOCH_S, FULL, SMALL, StillClock
 
 from config.schema.service import HistoryConfig

@@ -2,19 +2,15 @@
 
 import asyncio
 import sqlite3
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from history_records import EPOCH_S, SMALL, StillClock
 
 from daemon.history import HistoryError, HistoryReader, HistoryWriter, database

@@ -1,25 +1,21 @@
 """A model with lags in the daemon: states filled from the history, doubted until then, continuous over a restart."""
 
 import asyncio
-import sys
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
 
+from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRequest, SpindleSpeed, ThermalTask
-from models.dataset import Recording
-from models.output import OperatorRequest
+from daemon.messages import ReferenceRequest, SpindleSpeed
+from daemon.telemetry.metrics import Telemetry
+from models.control.state import OperatorRequest
 from models.quality import Quality, Reason
+from models.recordings.dataset import Recording
 from models.records import (
     CncMode,
     CncRun,
@@ -29,7 +25,7 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
-from models.thermal.train_family import train_family
+from models.thermal.training.train_family import train_family
 
 MINUTES = 18 * 60
 STEP_S = 30.0

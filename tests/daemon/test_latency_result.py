@@ -9,8 +9,8 @@ import pytest
 from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.history.series import WriteRecord
-from daemon.rehearsal.latency_experiment import DWELL_S, Experiment, one_sensor_model, setting_of
-from daemon.rehearsal.latency_result import STATISTICS, Account, moves_of, result
+from daemon.simulation.latency.experiment import DWELL_S, Experiment, one_sensor_model, setting_of
+from daemon.simulation.latency.result import STATISTICS, Account, moves_of, result
 from models.records import WriteOutcome
 
 EPOCH_UTC_S = 1.7e9

@@ -1,17 +1,11 @@
 """From configuration and commissioning record to the limits of the output."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import machine, record_for
 
-from config.commissioning import CommissionedAxis
+from config.records.commissioning import CommissionedAxis
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.output.limits import commissioned_factors, echo_slack_um, guard_programs, output_limits
+from daemon.cnc.limits import commissioned_factors, echo_slack_um, guard_programs, output_limits
 
 
 def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from config.schema.cnc import MacroMapConfig
-from daemon.output.macro_block import MacroBlock
+from daemon.cnc.macro_block import MacroBlock
 from models.records import CompensationCommand, OutputState
 
 AXES = ("y", "z")

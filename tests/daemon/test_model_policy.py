@@ -1,7 +1,6 @@
 """Releases without a person, and what the commands say."""
 
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,30 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import SENSOR_IDS
 from model_shelf import configured, open_folder, proposal
 from small_model import model
 
-from config.release_record import ReleaseRecord
+from config.records.release_record import ReleaseRecord
 from config.sample import sample_configuration
 from config.schema.compensation import ReleaseConfig
 from daemon.cli import main
-from daemon.release.loading import load_released
-from daemon.release.proposing import propose
-from daemon.release.reach import Account
-from daemon.release.releasing import (
-    proposals,
-    release,
-    release_by_policy,
-    shelf_of,
-)
-from daemon.release.shelf import ReleaseError, sha256_of
-from models.dataset import Recording
+from daemon.model_release.file_access import Account
+from daemon.model_release.loading import load_released
+from daemon.model_release.releasing import proposals, release, release_by_policy, shelf_of
+from daemon.model_release.repository import ReleaseError, sha256_of
+from daemon.model_release.retraining import propose
+from models.recordings.dataset import Recording
 from models.thermal.lagged_model import LaggedModel
-from models.thermal.train_family import train_family
+from models.thermal.training.train_family import train_family
 
 STRANGER = Account(user_id=54321)
 

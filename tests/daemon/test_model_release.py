@@ -2,26 +2,21 @@
 
 import json
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from model_shelf import configured, open_folder, proposal
 from other_user import OTHER, as_root, as_user, in_child
 from small_model import model
 
 from config.schema.compensation import ReleaseConfig
 from daemon.history import HistoryReader
-from daemon.release.loading import load_released
-from daemon.release.proposing import propose
-from daemon.release.reach import Account, account_of_daemon, how_it_could_change, own_account
-from daemon.release.releasing import (
+from daemon.model_release.file_access import Account, account_of_daemon, how_it_could_change, own_account
+from daemon.model_release.loading import load_released
+from daemon.model_release.releasing import (
     person_now,
     proposals,
     release,
@@ -29,7 +24,8 @@ from daemon.release.releasing import (
     shelf_of,
     why_proposals_are_hidden,
 )
-from daemon.release.shelf import ReleaseError
+from daemon.model_release.repository import ReleaseError
+from daemon.model_release.retraining import propose
 from models.thermal.artifact import model_to_json
 from models.thermal.model import ThermalModel
 
@@ -285,7 +281,7 @@ def test_the_person_is_who_logged_in_not_root(monkeypatch):
     assert f"(uid {OTHER})" in as_user(OTHER, person_now)
     monkeypatch.setenv("SUDO_UID", str(OTHER))
     assert f"(uid {OTHER + 1})" in as_user(OTHER + 1, person_now), "only root's word counts for somebody else"
-    monkeypatch.setattr("daemon.release.releasing._login_uid", lambda: str(2**32 - 1))
+    monkeypatch.setattr("daemon.model_release.releasing._login_uid", lambda: str(2**32 - 1))
     assert person_now() == f"unknown (uid {OTHER}) as root"
     monkeypatch.delenv("SUDO_UID")
     assert person_now() == "root (uid 0)"

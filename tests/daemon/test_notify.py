@@ -2,17 +2,12 @@
 
 import asyncio
 import socket
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.operation.notify import ServiceManager
+from daemon.telemetry.sd_notify import ServiceManager
 
 
 @pytest.fixture

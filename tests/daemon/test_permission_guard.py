@@ -1,15 +1,9 @@
 """The guard that echoes and the guard that was commissioned must be the same."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, record_for, running
 
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 
 
 @pytest.fixture

@@ -1,19 +1,15 @@
 """A daemon on a restored store moves nothing until a person has looked."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, running
 
 from daemon.backup.making import make_backup
 from daemon.backup.restoring import restore
-from models.output import OperatorRequest
+from models.control.state import OperatorRequest
 
 
 @pytest.fixture

@@ -1,29 +1,18 @@
 """What a previous run left, and whether it may be taken up again."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, machine
 
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.compensation.references import reference_from_state, reference_to_state
+from daemon.compensation.restart import load_resume_point, rest_to_state, wanted_at_start, with_rest
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.output.last_block import LastBlock
-from daemon.output.resume import (
-    load_resume_point,
-    reference_from_state,
-    reference_to_state,
-    rest_to_state,
-    wanted_at_start,
-    with_rest,
-)
-from models.compensation import initial_memory
+from models.control.compensation import initial_memory
 from models.records import Reference
 
 AXES = ("x", "y", "z")
@@ -46,7 +35,7 @@ def history_of(configuration, clock):
 
 
 def block_of(configuration):
-    return LastBlock.beside(configuration.history.path)
+    return WriteAheadRecord.beside(configuration.history.path)
 
 
 def reference(clock):
@@ -156,6 +145,6 @@ def test_a_shorter_line_over_a_longer_one_is_read_as_what_it_is(configuration):
 
 
 def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
-    block = LastBlock(tmp_path / "missing" / "last-block")
+    block = WriteAheadRecord(tmp_path / "missing" / "last-block")
     block.keep({500: (1.0,)})
     assert block.load() is None

@@ -1,17 +1,13 @@
 """Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
 
-import sys
 import time
 from pathlib import Path
 
+import history_records as make
 import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-import history_records as make
 from control_rig import SENSOR_IDS
 from installation import Installation
 
@@ -23,10 +19,10 @@ from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
-from daemon.release.past_recordings import recordings_from_history
-from daemon.release.retraining_job import RetrainingJob
+from daemon.housekeeping.retraining_job import RetrainingJob
+from daemon.model_release.past_recordings import recordings_from_history
 from drivers.clock import SystemClock
-from models.dataset import DatasetError
+from models.recordings.dataset import DatasetError
 from models.thermal.lagged_artifact import any_model_from_json
 from models.thermal.lags import lag_table
 

@@ -1,18 +1,13 @@
 """Sensors that leave, return and are excluded: over a restart, another model, and in the means of labels."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import SENSOR_IDS
 from thermal_rig import Task, model
 
-from daemon.thermal import ReferenceRebased
+from daemon.messages import ReferenceRebased
 from models.thermal.model import TestVector
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from config.machines import shipped_file
-from daemon.rehearsal.simulated_model import (
+from daemon.simulation.simulated_model import (
     CHANNELS,
     MODEL_NAME,
     TRAINING_SEEDS,
@@ -13,8 +13,8 @@ from daemon.rehearsal.simulated_model import (
     published_sensors,
     simulated_recording,
 )
-from daemon.rehearsal.simulation import DEMO_SEED
-from drivers.sim.program import PartProgram, demo_program, rotation_program
+from daemon.simulation.simulation import DEMO_SEED
+from drivers.sim.nc.program import PartProgram, demo_program, rotation_program
 from models.thermal.artifact import model_from_json
 from models.thermal.model import ThermalModel
 

@@ -1,13 +1,7 @@
 """Do no harm: displacements and probes tell whether the estimate helps, and the output heeds them."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, running
 
 from config.schema.displacements import DisplacementsConfig

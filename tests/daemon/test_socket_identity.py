@@ -3,21 +3,18 @@
 import asyncio
 import grp
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import Bench, Z, running
 from other_user import OTHER, as_root
 
 from daemon.history import HistoryReader
-from daemon.operation.commands import CommandDesk
-from daemon.operation.control_socket import ControlClient, ControlSocket, DaemonUnreachableError
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.control_socket import ControlClient, ControlSocket, DaemonUnreachableError
 
 PATIENCE_S = 60.0
 

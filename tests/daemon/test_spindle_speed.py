@@ -1,25 +1,21 @@
 """The tuning of the spindle speed in the daemon, on a CNC in this process that runs the shipped speed program."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, running
 from speed_machine import MACROS, bearing_model, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
-from config.guard.speed_text import SpeedStatus
 from config.loader import parse_yaml_model
 from config.problems import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
+from daemon.checkup.machine import probe
 from daemon.history.reader import HistoryReader
-from daemon.operation.view import speed_in_words
-from daemon.probe import probe
+from daemon.monitor.view import speed_in_words
+from drivers.guard.speed_text import SpeedStatus
 from models.records import WriteOutcome
 from models.thermomechanics.artifact import model_to_json
 

@@ -1,23 +1,19 @@
 """The block of the spindle speed: whose it is at the start and after a connection, and what never leaves."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import running
 from speed_machine import MACROS, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
-from config.guard.speed_text import SpeedStatus
-from daemon.output.last_block import LastBlock
-from daemon.output.speed_block import DISABLED, MadeFor, SpeedBlock, SpeedPair
-from daemon.output.speed_writer import SpeedWriteError, SpeedWriter
-from models.output import OperatorRequest
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.spindle_speed.macro_block import DISABLED, OperationKey, SpeedBlock, SpeedPair
+from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
+from drivers.guard.speed_text import SpeedStatus
+from models.control.state import OperatorRequest
 
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED
@@ -40,7 +36,9 @@ async def acknowledge(bench: SpeedRig) -> None:
 
 
 def fill(bench: SpeedRig, *, valid_for_s: float | None = None, **changes: float) -> None:
-    made_for = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0)
+    made_for = OperationKey(
+        tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0
+    )
     pair = SpeedPair(made_for=made_for, speed_rpm=10500.0, feed_mm_min=2100.0, enable=valid_for_s is not None)
     groups = SpeedBlock(MACROS).encode(pair, after=3, valid_until_s=bench.nc.clock_s + (valid_for_s or 0.0))
     for number, value in (each for group in groups for each in group):
@@ -74,7 +72,7 @@ async def test_a_block_that_nobody_here_has_written_is_a_fault(tmp_path: Path, f
 
 async def test_what_was_written_through_other_macros_proves_nothing(tmp_path: Path) -> None:
     bench = SpeedRig(tmp_path)
-    LastBlock.of_speed(bench.configuration.history.path).keep({number + 10: (0.0,) for number in MACROS.ours})
+    WriteAheadRecord.of_speed(bench.configuration.history.path).keep({number + 10: (0.0,) for number in MACROS.ours})
     fill(bench, valid_for_s=500.0)
     async with running(bench.new_rig()):
         await bench.rig.turn()
@@ -174,7 +172,9 @@ async def test_a_pair_out_of_bounds_never_leaves(tmp_path: Path, change: dict) -
     tuning = speed_machine(tmp_path).spindle_speed
     assert tuning is not None
     writer = SpeedWriter(tuning, SpeedBlock(MACROS), tmp_path / "store.sqlite")
-    made_for = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0)
+    made_for = OperationKey(
+        tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=2.0, radial_mm=0.0, kind=1.0
+    )
     pair = replace(DISABLED, made_for=made_for, enable=True, **change)
     operation = tuning.operations[0].model_copy(update={"highest_rpm": 9800.0})
     with pytest.raises(SpeedWriteError, match="out of bounds"):

@@ -3,23 +3,19 @@
 import asyncio
 import contextlib
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from control_rig import running
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-from control_rig import running
 from speed_machine import MACROS, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
-from config.guard.speed_text import SpeedStatus
-from models.output import OperatorRequest
+from drivers.guard.speed_text import SpeedStatus
+from models.control.state import OperatorRequest
 
 OPERATIONS: list[dict[str, float]] = [
     *({} for _ in range(8)),

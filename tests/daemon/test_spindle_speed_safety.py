@@ -1,23 +1,19 @@
 """What must never happen to the spindle speed, each by the history that would bring it about."""
 
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import running
 from memory_cnc import MemoryCnc
 from speed_machine import MACROS
 from speed_rig import CUT, SAFE, SpeedRig
 
-from config.guard.speed_text import SpeedStatus
 from daemon.history.reader import HistoryReader
 from drivers.contract import FatalDriverError
-from models.output import OperatorRequest
+from drivers.guard.speed_text import SpeedStatus
+from models.control.state import OperatorRequest
 
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED

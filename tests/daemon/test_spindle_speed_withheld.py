@@ -1,23 +1,19 @@
 """When the NC is to take no pair although it may be written: another tool, another program, no dynamics, a person."""
 
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import running
 from speed_machine import CASE
 from speed_rig import CUT, SAFE, SpeedRig
 
-from config.guard.speed_text import SpeedStatus
 from config.schema.spindle_speed import SpeedOperationConfig
-from daemon.operation.commands import CommandDesk
-from daemon.operation.control_socket import RequestError
-from daemon.output.spindle_speed import SpindleSpeedOutput
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.control_socket import RequestError
+from daemon.spindle_speed.task import SpindleSpeedOutput
+from drivers.guard.speed_text import SpeedStatus
 from models.records import CncRun
 
 PROGRAMMED = (9000.0, 1800.0)

@@ -2,21 +2,16 @@
 
 import asyncio
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.operation.commands import CommandDesk
-from daemon.operation.control_socket import RequestError
-from daemon.operation.status import StatusBoard, without_nan
-from daemon.thermal import ThermalTask
+from daemon.estimation.task import ThermalTask
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.control_socket import RequestError
+from daemon.monitor.status import StatusBoard, without_nan
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle, Trace
 

@@ -5,7 +5,7 @@ import contextlib
 
 import structlog
 
-from daemon.supervisor import Backoff, LinkHealth, keep_alive
+from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
 from drivers.contract import DriverError, FatalDriverError, LinkError
 
 
@@ -33,7 +33,7 @@ async def run_attempts(outcomes):
         if outcome is not None:
             raise outcome
 
-    task = asyncio.create_task(keep_alive(health, attempt, Backoff(0.0001, 0.001)))
+    task = asyncio.create_task(run_with_reconnect(health, attempt, Backoff(0.0001, 0.001)))
     try:
         async with asyncio.timeout(30):
             await reached.wait()
@@ -64,7 +64,7 @@ async def test_the_same_problem_is_logged_once_and_shown_as_it_is():
 
 
 async def test_cancelling_ends_it():
-    task = asyncio.create_task(keep_alive(LinkHealth("x"), lambda: asyncio.sleep(3600), Backoff(0.1, 1.0)))
+    task = asyncio.create_task(run_with_reconnect(LinkHealth("x"), lambda: asyncio.sleep(3600), Backoff(0.1, 1.0)))
     await asyncio.sleep(0.01)
     task.cancel()
     assert isinstance((await asyncio.gather(task, return_exceptions=True))[0], asyncio.CancelledError)

@@ -5,8 +5,8 @@ import pytest
 import structlog
 from prometheus_client import generate_latest
 
-from daemon.delays import KEPT_DELAYS, PUBLISHED_DELAY_S, DelaySeries, LineTiming, line_timings
-from daemon.telemetry import LOG_PERIOD_S, Telemetry
+from daemon.telemetry.latency import KEPT_DELAYS, PUBLISHED_DELAY_S, DelaySeries, LineTiming, line_timings
+from daemon.telemetry.metrics import LOG_PERIOD_S, Telemetry
 from models.records import (
     CompensationCommand,
     Instant,

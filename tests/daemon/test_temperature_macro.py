@@ -1,13 +1,7 @@
 """One temperature in a macro of its own: written when it changes, read back, in the audit; never in a fault."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from drivers.recording_csv import read_metadata, read_recording
+from drivers.files.recording_csv import read_metadata, read_recording
 
 PROGRAMME = """
 name: short

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from drivers.recording_csv import write_recording
+from drivers.files.recording_csv import write_recording
 from models.records import FloatArray
 
 SENSORS = 8

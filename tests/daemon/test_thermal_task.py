@@ -1,23 +1,18 @@
 """The thermal task: cycles in, cleansed temperatures, references and estimates out."""
 
 import asyncio
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import structlog
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import machine
 from thermal_rig import Task, model
 
 from config.machines import shipped_file
 from daemon.history import HistoryReader
-from daemon.release.loading import load_released
-from daemon.release.reach import own_account
-from daemon.thermal import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from daemon.model_release.file_access import own_account
+from daemon.model_release.loading import load_released
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle
 

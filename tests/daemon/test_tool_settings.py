@@ -1,16 +1,10 @@
 """Tool settings: kept per tool, over the end of the work's reference and a restart; never over a power cycle."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from control_rig import running
 from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
 
-from daemon.thermal import ReferenceEnded
+from daemon.messages import ReferenceEnded
 from models.records import Reference
 
 

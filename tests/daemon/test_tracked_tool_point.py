@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.thermomechanics import published_model
-from daemon.dynamics.spindle_files import read_spindle
+from config.machine.published_bearings import published_model
+from config.machine.spindle_files import read_spindle
+from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.stability.response import SampledResponse
-from models.stability.tracked_tool_point import TrackedToolPoint
 from models.thermomechanics.tool_point import ToolPointTracker
 
 LABELS = {"IR": [0, 1], "A": [2], "F": [3], "Room": [4]}

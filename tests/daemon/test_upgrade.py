@@ -2,23 +2,19 @@
 
 import io
 import sqlite3
-import sys
 import tarfile
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from history_records import EPOCH_S, SMALL, StillClock
 
 from daemon.backup import making
 from daemon.backup.manifest import BackupError, sha256_of_stream
 from daemon.backup.restoring import disarm, read_manifest
 from daemon.history import HistoryError, HistoryReader
+from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.database import schema_version
-from daemon.history.kinds import TEMPERATURES
 from daemon.history.writer import HistoryWriter
 from models.records import WriteOutcome
 

@@ -5,8 +5,8 @@ import io
 import pytest
 from rich.console import Console
 
-from daemon.delays import PUBLISHED_DELAY_S
-from daemon.operation.view import sparkline, status_view, truth_panel
+from daemon.monitor.view import sparkline, status_view, truth_panel
+from daemon.telemetry.latency import PUBLISHED_DELAY_S
 
 AXIS = {
     "estimate_from": "Z1",

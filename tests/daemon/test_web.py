@@ -7,8 +7,8 @@ import urllib.request
 
 import pytest
 
-from daemon.operation.web import serve_metrics
-from daemon.telemetry import Telemetry
+from daemon.monitor.web import serve_metrics
+from daemon.telemetry.metrics import Telemetry
 
 
 def free_port():

@@ -6,7 +6,6 @@ the offset that the NC has taken, which nobody but the guard can have moved.
 
 import asyncio
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 
@@ -14,19 +13,16 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 import structlog
+from control_rig import ENABLE, SENSOR_IDS, Y, Z
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-from control_rig import ENABLE, SENSOR_IDS, Y, Z
 from nc_requests import PROBE, REFERENCE, TOOL_CHANGE, Z_AXIS, ask
 from small_model import model
 from whole_loop import BOUND_UM, REACH_UM, STEP_UM, WholeLoop, lagged_model
 
-from daemon.output.macro_block import ECHO_SLACK_UM
-from drivers.sim.safe_point import GuardStatus
-from models.output import OperatorRequest
+from daemon.cnc.macro_block import ECHO_SLACK_UM
+from drivers.sim.nc.safe_point import GuardStatus
+from models.control.state import OperatorRequest
 from models.records import CncRun, FloatArray, OutputState, Phase
 
 MODELS = {"first": model("first"), "second": model("second"), "lagged": lagged_model("lagged")}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.accelerometer_recording import AccelerometerFileError, read_acceleration
+from drivers.files.accelerometer_recording import AccelerometerFileError, read_acceleration
 
 SHARES = 0.5 * np.sin(np.arange(500) * 0.31)
 

@@ -2,21 +2,18 @@
 
 import asyncio
 import math
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 import pytest_asyncio
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import GROUPS, NAMESPACE, SERVER_URI, Keys, ScriptedNc, cnc_config
 
 from config.schema.cnc import OpcUaNodesConfig
 from drivers.clock import SystemClock
-from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import FatalDriverError, LinkError
-from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun, Instant
 
 pytestmark = [pytest.mark.wires, pytest.mark.asyncio(loop_scope="module")]

@@ -14,8 +14,8 @@ sys.path.insert(0, str(SUPPORT))
 from scripted_machine import GROUPS, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
-from drivers.cnc_opcua import OpcUaCnc  # noqa: E402
 from drivers.contract import LinkError  # noqa: E402
+from drivers.opcua.cnc import OpcUaCnc  # noqa: E402
 
 pytestmark = pytest.mark.wires
 IMPATIENT_S = 3.0  # a slow computer still connects within it

@@ -1,7 +1,6 @@
 """Encryption, users and certificates: who is let in, and what is said when somebody is not."""
 
 import asyncio
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -10,15 +9,13 @@ import pytest
 import pytest_asyncio
 from asyncua import Client, ua
 from cryptography import x509
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import GROUPS, PASSWORD, SERVER_URI, USER, Keys, ScriptedNc, cnc_config
 
 from drivers.clock import SystemClock
-from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import FatalDriverError, LinkError
-from drivers.opcua_certificates import create_application_certificate
-from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.opcua.certificates import create_application_certificate
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 pytestmark = [pytest.mark.wires, pytest.mark.asyncio(loop_scope="module")]
 

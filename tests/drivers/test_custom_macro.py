@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.sim.custom_macro import Interpreter, MacroControl, MacroError, compile_programs
-from drivers.sim.nc import MacroTable
+from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroError, compile_programs
+from drivers.sim.nc.nc import MacroTable
 
 
 def control() -> MacroControl:

@@ -1,17 +1,13 @@
 """Displacement files as loggers write them: what a file may look like, and its bad rows."""
 
 import asyncio
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from displacement_file import HEADER, T0, Follower, append, config, minutes, read_all, row
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-from displacement_file import HEADER, T0, Follower, append, config, minutes, read_all, row
 
 from models.quality import Reason
 

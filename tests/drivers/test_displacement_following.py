@@ -3,23 +3,19 @@
 import asyncio
 import errno
 import os
-import sys
 import threading
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from displacement_file import HEADER, PATIENCE_S, T0, Follower, append, config, minutes, row
 
-from drivers import displacement_csv
 from drivers.clock import ScaledClock, SystemClock
 from drivers.contract import DisplacementSource, LinkError
-from drivers.displacement_csv import DisplacementCsvSource
-from drivers.displacement_tail import CATCH_UP_FILES, FileTail
+from drivers.displacement import source as displacement_csv
+from drivers.displacement.source import DisplacementCsvSource
+from drivers.displacement.tail import CATCH_UP_FILES, FileTail
 from models.records import DisplacementSample
 
 

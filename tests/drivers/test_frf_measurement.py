@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from drivers.frf_measurement import MeasurementFileError, read_measurements
+from drivers.files.frf_measurement import MeasurementFileError, read_measurements
 
 FREQUENCY_HZ = np.linspace(0.0, 2000.0, 41)
 OMEGA = 2 * np.pi * FREQUENCY_HZ

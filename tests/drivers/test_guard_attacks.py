@@ -1,17 +1,12 @@
 """The shipped text of the guard under attack: everything that could make it move the tool wrongly."""
 
 import itertools
-import sys
 from collections import Counter
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
-from drivers.sim.safe_point import GuardStatus
+from drivers.sim.nc.safe_point import GuardStatus
 
 MEMORY = range(590, 597)
 READS = 7

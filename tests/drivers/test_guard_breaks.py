@@ -1,17 +1,12 @@
 """The shipped text of the guard when it is broken off: clocks, power-off, reset in the middle, a lost memory."""
 
 import itertools
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from guard_bench import AXES, CLOCK_S, MAP, NOISE_UM, GuardBench
 
-from drivers.sim.nc import CLOCK_WRAP_S
-from drivers.sim.safe_point import GuardStatus
+from drivers.sim.nc.nc import CLOCK_WRAP_S
+from drivers.sim.nc.safe_point import GuardStatus
 
 MEMORY = range(590, 597)
 READS = 7

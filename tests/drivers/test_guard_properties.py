@@ -1,18 +1,12 @@
 """Properties of the shipped guard text over random histories of daemon, operator, program and accidents."""
 
-import sys
-from pathlib import Path
-
 import hypothesis.strategies as st
 import pytest
+from guard_bench import AXES, INCREMENT_UM, MAP, NOISE_UM, GuardBench
 from hypothesis import HealthCheck, given, settings
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
-from guard_bench import AXES, INCREMENT_UM, MAP, NOISE_UM, GuardBench
-
-from drivers.sim.safe_point import GuardStatus
+from drivers.sim.nc.safe_point import GuardStatus
 
 ANYTHING = st.one_of(st.none(), st.floats(-1e6, 1e6), st.sampled_from([0.0, 1.0, -1.0, 0.004, 7.0, 1e-9]))
 INSIDE = {

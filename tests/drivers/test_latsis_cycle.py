@@ -1,22 +1,17 @@
 """Cycles of a LATSIS line: values in chain order, who is missing and why, and when a pass ends."""
 
 import random
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from latsis_line import BYTE_S, PERIOD_S, Line, instant, only
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.contract import FatalDriverError
-from drivers.latsis_cycle import SILENT_AFTER_CYCLES, CycleAssembler
-from drivers.latsis_numbering import RELEASED_AFTER_CYCLES
+from drivers.latsis.cycle import SILENT_AFTER_CYCLES, CycleAssembler
+from drivers.latsis.numbering import RELEASED_AFTER_CYCLES
 from models.quality import Reason
 from models.records import Instant
 

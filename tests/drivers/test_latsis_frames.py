@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.schema.temperatures import BARE, CHECKED, GrammarConfig
-from drivers.latsis_frames import (
+from drivers.latsis.frames import (
     CHECKSUMS,
     MAX_LINE_BYTES,
     Frame,

@@ -1,15 +1,9 @@
 """The numbering of a LATSIS line: when it is not trusted, and when it is trusted again."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from latsis_line import Line, only
 
-from drivers.latsis_numbering import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
+from drivers.latsis.numbering import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
 from models.quality import Reason
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from config.schema.temperatures import LineConfig, SensorConfig
-from drivers.latsis_cycle import CycleAssembler
-from drivers.latsis_pacing import LONGEST_PAUSE_REAL_S, ReadPacer
+from drivers.latsis.cycle import CycleAssembler
+from drivers.latsis.pacing import LONGEST_PAUSE_REAL_S, ReadPacer
 from models.records import Instant
 
 COUNT = 130

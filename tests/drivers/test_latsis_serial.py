@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from config.schema.temperatures import LineConfig, SensorConfig
-from drivers import latsis_serial
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.contract import FatalDriverError, LinkError, TemperatureSource
-from drivers.latsis_serial import LatsisSerialSource
-from drivers.serial_port import SerialPort, StopSignal
+from drivers.latsis import source as latsis_serial
+from drivers.latsis.serial_port import SerialPort, StopSignal
+from drivers.latsis.source import LatsisSerialSource
 from models.records import TemperatureCycle
 
 pytestmark = pytest.mark.wires
@@ -213,7 +213,7 @@ async def test_unknown_kind_of_port_is_fatal() -> None:
 FORBIDDEN = """
 import os, sys
 sys.path.insert(0, sys.argv[2])
-from drivers.serial_port import SerialPort, StopSignal
+from drivers.latsis.serial_port import SerialPort, StopSignal
 if os.geteuid() == 0:  # root may open everything
     os.setgroups([])
     os.setgid(65534)

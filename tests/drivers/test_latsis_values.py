@@ -1,16 +1,11 @@
 """Values of LATSIS sensors: how codes become temperatures, and which codes are refused."""
 
 import math
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from latsis_line import Line, only
 
-from drivers.latsis_values import RESET_BURST_SENSORS, decode_mlx90615, decode_tmp102
+from drivers.latsis.values import RESET_BURST_SENSORS, decode_mlx90615, decode_tmp102
 from models.quality import Reason
 
 

@@ -1,22 +1,17 @@
 """When the simulated machine runs its NC programs: handshake, safe flag, alarms, operator messages."""
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from guard_bench import AXES, MAP
 
 from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
 from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
-from drivers.sim.day import Day
-from drivers.sim.machine import CfrpMachine
-from drivers.sim.nc_programs import MACRO_ALARM
-from drivers.sim.program import SAFE, Block, PartProgram
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.nc_programs import MACRO_ALARM
+from drivers.sim.nc.program import SAFE, Block, PartProgram
 
 REQUEST = RequestMacrosConfig(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524)
 FLAG = 525

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from drivers.contract import FatalDriverError
-from drivers.opcua_certificates import (
+from drivers.opcua.certificates import (
     application_uri,
     chain_thumbprint,
     create_application_certificate,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.opcua_log import RateLimitedHandler, limit_library_log
+from drivers.opcua.log import RateLimitedHandler, limit_library_log
 
 
 class Recorder(logging.Handler):

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from config.problems import ConfigurationError
-from config.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
-from drivers.recording_csv import RecordingFileError, read_header, read_metadata, read_recording, write_recording
+from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
+from drivers.files.recording_csv import (
+    RecordingFileError,
+    read_header,
+    read_metadata,
+    read_recording,
+    write_recording,
+)
 
 MAP = RecordingMap(time="t", speed="rpm", temperatures=["t*"], displacements=["c*"])
 GOOD = "t,rpm,c1,t1,t2\n0,0,0.5,20,21\n15,1250,0.75,20.5,21.25\n"

@@ -6,9 +6,9 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from drivers.sim.campaign_script import DAY_S, HABITS, ON_LINES, Happening, Incident, campaign, wire_faults
+from daemon.simulation.faults.script import DAY_S, HABITS, ON_LINES, Happening, Incident, campaign, wire_faults
 from drivers.sim.faults import FaultKind, check_targets
-from drivers.sim.program import shift_program
+from drivers.sim.nc.program import shift_program
 
 CONFIGURATION = load_configuration(Path(shipped_file("cfrpmt.yaml")))
 LINES = CONFIGURATION.temperatures.lines

@@ -1,18 +1,15 @@
 """The simulated logger's CSV: its layout, its growth and what can happen to it."""
 
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import displacements
 
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
-from drivers.sim.displacement_wire import DisplacementCsv
 from drivers.sim.faults import Fault, FaultKind
+from drivers.sim.wires.displacement_wire import DisplacementCsv
 
 START_UTC_S = datetime(2024, 3, 1, 8, 0, 0, tzinfo=UTC).timestamp()
 HEAD = b"\xef\xbb\xbfTime,X1,Z\r\n"

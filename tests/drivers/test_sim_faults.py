@@ -1,11 +1,8 @@
 """Fault scripts: what they say, and how their mistakes are told."""
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import configuration
 
 from drivers.sim.faults import Fault, FaultKind, FaultScriptError, check_targets, load_faults, of_kind, parse_faults

@@ -7,10 +7,10 @@ from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.temperatures import SensorConfig
 from drivers.sim.contract import SimulatedMachine
-from drivers.sim.day import Day
-from drivers.sim.machine import CfrpMachine
-from drivers.sim.nc import ModeCode, RunCode
-from drivers.sim.program import SAFE, Block, PartProgram, demo_program
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.nc import ModeCode, RunCode
+from drivers.sim.nc.program import SAFE, Block, PartProgram, demo_program
 
 MAP = MacroMapConfig(
     writable=["100-149", "500-549"],

@@ -2,19 +2,15 @@
 
 import asyncio
 import math
-import sys
 from collections.abc import AsyncIterator
-from pathlib import Path
 
 import psutil
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import NAMESPACE, SERVER_URI, ScriptedNc, cnc_config
 
-from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 pytestmark = [pytest.mark.wires, pytest.mark.asyncio(loop_scope="module")]
 

@@ -9,11 +9,11 @@ import yaml
 from config.loader import load_configuration
 from config.machines import shipped_file
 from drivers.clock import ScaledClock
-from drivers.sim.day import Day
-from drivers.sim.latsis_wire import LatsisWires
-from drivers.sim.machine import CfrpMachine
-from drivers.sim.packs import PackedMachine, PackScript, PackScriptError, SensorOnPacks, load_pack_script
-from drivers.sim.program import standing_program
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.machine.packs import PackedMachine, PackScript, PackScriptError, SensorOnPacks, load_pack_script
+from drivers.sim.nc.program import standing_program
+from drivers.sim.wires.latsis_wire import LatsisWires
 
 SCRIPT = PackScript(
     sensor=5, ice_degc=2.0, hot_degc=42.0, lag_s=40.0, change_degc=0.1875, moves_s=(100.0, 400.0), macro=549

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from drivers.sim.body import warm_temperatures
-from drivers.sim.day import SPREAD, Day
-from drivers.sim.heat import INDEX, RATED_SPEED_RPM, Drive
-from drivers.sim.plant import MAX_STEP_S, Plant
-from drivers.sim.structure import CHANNELS, Structure
+from drivers.sim.machine.body import warm_temperatures
+from drivers.sim.machine.day import SPREAD, Day
+from drivers.sim.machine.heat import INDEX, Drive
+from drivers.sim.machine.plant import MAX_STEP_S, Plant
+from drivers.sim.machine.structure import CHANNELS, Structure
+from drivers.sim.nc.program import RATED_SPEED_RPM
 from models.records import FloatArray
 
 X, Y1, Y2, Z1, Z2, Z3 = range(len(CHANNELS))

@@ -7,8 +7,8 @@ from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
-from drivers.sim.recorded import LEAD_IN_S, POSITIONING_S, RecordedMachine
-from models.dataset import Recording
+from drivers.sim.machine.recorded import LEAD_IN_S, POSITIONING_S, RecordedMachine
+from models.recordings.dataset import Recording
 
 REQUEST = RequestMacrosConfig(counter=530, kind=531, axis=532, value_mm=533, acknowledge=534)
 CHANNELS = ("Y1", "Z1", "Z2")

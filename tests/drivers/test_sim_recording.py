@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from config.schema.temperatures import SensorConfig
-from drivers.sim.day import Day
-from drivers.sim.program import (
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.recording import record, write_recording
+from drivers.sim.machine.sensors import RotationJump
+from drivers.sim.nc.program import (
     PartProgram,
     alternating_program,
     demo_program,
@@ -15,8 +17,6 @@ from drivers.sim.program import (
     stepwise_program,
     switching_program,
 )
-from drivers.sim.recording import record, write_recording
-from drivers.sim.sensors import RotationJump
 
 SENSORS = [
     SensorConfig(id=2, component="Ambient", label="Room"),

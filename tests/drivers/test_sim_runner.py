@@ -3,7 +3,6 @@
 import asyncio
 import json
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -11,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import ScriptedMachine, cnc_config, configuration
 
 from drivers.clock import ScaledClock, SystemClock
-from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import LinkError
+from drivers.opcua.cnc import OpcUaCnc
 from drivers.sim.faults import Fault, FaultKind, FaultScriptError
-from drivers.sim.latsis_wire import PHASE_STEP
-from drivers.sim.runner import LARGEST_STEP_S, Ready, run_simulated_machine
+from drivers.sim.wires.latsis_wire import PHASE_STEP
+from drivers.sim.wires.runner import LARGEST_STEP_S, Ready, run_simulated_machine
 from models.records import Instant
 
 pytestmark = pytest.mark.wires

@@ -6,8 +6,8 @@ import pytest
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
-from drivers.sim.nc import MacroTable, NumericalControl, RunCode
-from drivers.sim.safe_point import GUARD_VERSION, GuardStatus, SafePointApplication
+from drivers.sim.nc.nc import MacroTable, NumericalControl, RunCode
+from drivers.sim.nc.safe_point import GUARD_VERSION, GuardStatus, SafePointApplication
 
 MAP = MacroMapConfig(
     writable=["100-149", "500-549"],

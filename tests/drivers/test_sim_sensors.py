@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from config.schema.temperatures import SensorConfig
-from drivers.sim.day import Day
-from drivers.sim.heat import INDEX
-from drivers.sim.parameters import NODES
-from drivers.sim.plant import Plant
-from drivers.sim.sensor_places import sensor_shares
-from drivers.sim.sensors import CONTACT_LAG_S, OFFSET_LIMIT_K, RotationJump, SensorArray, displacement_reading_um
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.heat import INDEX
+from drivers.sim.machine.parameters import NODES
+from drivers.sim.machine.plant import Plant
+from drivers.sim.machine.sensor_places import sensor_shares
+from drivers.sim.machine.sensors import (
+    CONTACT_LAG_S,
+    OFFSET_LIMIT_K,
+    RotationJump,
+    SensorArray,
+    displacement_reading_um,
+)
 
 SENSORS = [
     *(SensorConfig(id=i, component="Ambient", label="Room") for i in (1, 2, 3, 4)),

@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.spindle import spindle_folder
-from daemon.dynamics.spindle_files import read_spindle
-from daemon.rehearsal.impact_campaign import labelled_sensors
-from drivers.frf_measurement import read_measurements
-from drivers.impact_index import read_index
-from drivers.recording_csv import read_header
-from drivers.sim import spindle_beam
-from drivers.sim.body import MachineBody
-from drivers.sim.day import Day
-from drivers.sim.heat import INDEX
-from drivers.sim.impact_campaign import CampaignPlan, TrueResonance, campaign_plan, run_campaign
-from drivers.sim.program import Block, PartProgram
-from drivers.sim.spindle_beam import BEARING_PLACES_MM, SpindleBeam, Spring, Stretch
-from drivers.sim.spindle_bearings import bearings, nominal_bearings
+from config.machine.spindle import spindle_folder
+from config.machine.spindle_files import read_spindle
+from daemon.simulation.impact_campaign import labelled_sensors
+from drivers.files.frf_measurement import read_measurements
+from drivers.files.impact_index import read_index
+from drivers.files.recording_csv import read_header
+from drivers.sim.machine.body import MachineBody
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.heat import INDEX
+from drivers.sim.nc.program import Block, PartProgram
+from drivers.sim.spindle import spindle_beam
+from drivers.sim.spindle.impact_campaign import CampaignPlan, TrueResonance, campaign_plan, run_campaign
+from drivers.sim.spindle.spindle_beam import BEARING_PLACES_MM, SpindleBeam, Spring, Stretch
+from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.chain import SpringDamper
 from models.records import FloatArray

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from drivers.sim.tcp_relay import TcpRelay
+from drivers.sim.wires.tcp_relay import TcpRelay
 
 pytestmark = pytest.mark.wires
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Coroutine
 from typing import Any
 
-from drivers.sim.virtual_time import VirtualClock, VirtualLoop
+from daemon.simulation.faults.virtual_time import VirtualClock, VirtualLoop
 
 
 class EmptyWorld:

@@ -3,21 +3,18 @@
 import errno
 import os
 import select
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import ScriptedMachine, configuration
 
 from config.schema.temperatures import GrammarConfig, LineConfig
 from drivers.sim.faults import Fault, FaultKind
-from drivers.sim.latsis_encoding import LineTransmitter, checksum, encode_frame
-from drivers.sim.latsis_wire import LatsisWires
-from drivers.sim.pty_port import PtyPort
+from drivers.sim.wires.latsis_encoding import LineTransmitter, checksum, encode_frame
+from drivers.sim.wires.latsis_wire import LatsisWires
+from drivers.sim.wires.pty_port import PtyPort
 
 BARE_CYCLE = b"04194\r\n030193\r\n02192\r\n01191\r\n"
 """Sensors 4, 3 (infrared, four digits), 2 and 1 of the line `spindle`, which read 190h plus their ID."""

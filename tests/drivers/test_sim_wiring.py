@@ -4,10 +4,10 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from drivers.sim.day import Day
-from drivers.sim.machine import CfrpMachine
-from drivers.sim.program import standing_program
-from drivers.sim.wiring import STRAIGHT, Wiring
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.program import standing_program
+from drivers.sim.nc.wiring import STRAIGHT, Wiring
 
 MACHINE = load_configuration(shipped_file("cfrpmt.yaml"))
 MACROS = MACHINE.cnc.macros

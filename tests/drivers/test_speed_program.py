@@ -1,23 +1,19 @@
 """The speed program as `toolpoint guard --speed` prints it, run by the simulated NC."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from speed_machine import MACROS, speed_machine
 
-from config.guard.speed_text import SpeedStatus, speed_program, speed_text_number
 from config.machines import shipped_file
 from daemon.cli import main
-from daemon.output.speed_block import DISABLED, NOTHING, MadeFor, SpeedBlock, SpeedCall, SpeedPair
-from drivers.sim.custom_macro import Interpreter, MacroControl, compile_programs
-from drivers.sim.nc import MacroTable
+from daemon.spindle_speed.macro_block import DISABLED, NOTHING, OperationKey, SpeedBlock, SpeedCall, SpeedPair
+from drivers.guard.speed_text import SpeedStatus, speed_program, speed_text_number
+from drivers.sim.nc.custom_macro import Interpreter, MacroControl, compile_programs
+from drivers.sim.nc.nc import MacroTable
 
 CLOCK_S = 1000.0
 
@@ -51,7 +47,7 @@ class SpeedBench:
         return self.control.spindle_rpm, self.control.feed_mm_min, status
 
 
-OPERATION = MadeFor(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=4.5, radial_mm=5.0, kind=1.0)
+OPERATION = OperationKey(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=4.5, radial_mm=5.0, kind=1.0)
 CALL = {"S": 9000.0, "F": 1800.0, "D": 4.5, "E": 5.0}
 PAIR = SpeedPair(made_for=OPERATION, speed_rpm=9400.0, feed_mm_min=1880.0, enable=True)
 PROGRAMMED = (9000.0, 1800.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.thermomechanics import SIGNALS, TABLES, data_folder, published_model
+from config.machine.published_bearings import SIGNALS, TABLES, data_folder, published_model
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
 X_AT_20_DEGC = {"ct_12": 68.0, "kr_12": 4.129e6, "kt_34": 1.102e8, "kt_5": 3.66e7, "ct_5": 2300.0}

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 
-from drivers.recording_csv import read_recording
-from models.dataset import Recording
-from models.findings import require_usable
+from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import Recording
+from models.recordings.findings import require_usable
 from models.records import FloatArray
 from models.thermal.estimate import estimate
-from models.thermal.evaluation import ResidualMetrics, residual_metrics
-from models.thermal.train import TrainingChoices, TrainingResult, train
+from models.thermal.training.evaluation import ResidualMetrics, residual_metrics
+from models.thermal.training.train import TrainingChoices, TrainingResult, train
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
 PATH = SHARED / "data" / "fl_thermal" / "fl_thermal_46h_15s.csv"

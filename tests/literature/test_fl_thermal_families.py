@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from daemon.cli.thermal_evaluate import parse_fault
-from daemon.thermal_evaluation import Protocol, evaluate
-from drivers.recording_csv import read_recording
-from models.dataset import Recording
+from daemon.cli.thermal.evaluate import parse_fault
+from daemon.workbench.thermal.evaluation import Protocol, evaluate
+from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import Recording
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
 PATH = SHARED / "data" / "fl_thermal" / "fl_thermal_46h_15s.csv"

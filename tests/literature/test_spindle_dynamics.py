@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from config.spindle import SpindleDescription, load_spindle, shipped_spindles, spindle_folder
-from config.spindle_chain import build_spindle, segment_elasticity
-from daemon.dynamics.responses import frequencies as band
-from daemon.dynamics.responses import response, response_summary
+from config.machine.spindle import SpindleDescription, load_spindle, shipped_spindles, spindle_folder
+from config.machine.spindle_chain import build_spindle, segment_elasticity
+from daemon.workbench.dynamics.responses import frequencies as band
+from daemon.workbench.dynamics.responses import response, response_summary
 from models.dynamics.modes import natural_frequencies
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from config.thermal_campaign import Operation, load_thermal_campaign
+from config.recordings.thermal_campaign import Operation, load_thermal_campaign
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 TABLE = SHARED / "reference" / "datasets_table_3_1.csv"

@@ -1,22 +1,17 @@
 """Where the request counts from: references that settle, probes, weights, and zero_first."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from output_machine import LIMITS, ON, Machine
 
-from models.baseline import probe_objection, request_um, weight_of
-from models.compensation import LONGEST_INTERVAL_S, step, why_not_ready
-from models.output import OperatorRequest
+from models.control.baseline import probe_objection, request_um, weight_of
+from models.control.compensation import LONGEST_INTERVAL_S, step, why_not_ready
+from models.control.state import OperatorRequest
 from models.records import OutputState, Phase
 
 # --- a reference settles ---------------------------------------------------------------

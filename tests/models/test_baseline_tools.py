@@ -1,13 +1,7 @@
 """Tool settings and tool terms: where the request of a tool counts from, and for how long."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from output_machine import Machine
 
 from models.records import OutputState

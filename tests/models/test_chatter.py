@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.sim.milling import MillingCuts, arc_of, mill
+from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
 from models.records import FloatArray
 from models.stability.chatter import (
     ChatterMonitor,

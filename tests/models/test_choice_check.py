@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from models.stability.choice_check import ChoiceCheck
+from models.spindle_speed.choice import SpeedDemand
+from models.spindle_speed.planner import MillingOperation, SpeedPlanner
+from models.spindle_speed.tool_point import EstimatedToolPoint
+from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, ToolPointResponse, mode_from_stiffness
 from models.stability.semi_discretisation import semi_discretisation, spectral_radius
-from models.stability.speed_planner import MillingOperation, SpeedPlanner
-from models.stability.spindle_speed import SpeedDemand
 from models.stability.state_space import state_space
-from models.stability.tool_point import EstimatedToolPoint
 
 START_RAD, EXIT_RAD = engagement_rad(MillingMode.DOWN, 8.0, 16.0)
 CUT = Cut(teeth=4, start_rad=START_RAD, exit_rad=EXIT_RAD, tangential_n_per_m2=8e8, radial_ratio=0.3)
@@ -29,34 +29,41 @@ def radius(speed_rpm: float, depth_mm: float) -> float:
 
 
 def test_it_says_what_the_spectral_radius_says() -> None:
-    check = ChoiceCheck(CUT, (0.0,), largest_radius=0.999)
+    check = StabilityVerification(CUT, (0.0,), largest_radius=0.999)
     said = []
     for speed_rpm in np.linspace(6050.0, 10050.0, 25).tolist():
         borne = radius(speed_rpm, 5.0) <= 0.999
-        assert check.bears(MODES, speed_rpm, 5.0, 0.0) is borne
+        assert check.is_stable(MODES, speed_rpm, 5.0, 0.0) is borne
         said.append(borne)
     assert True in said
     assert False in said
 
 
 def test_an_frf_is_looked_at_by_the_modes_that_follow_it() -> None:
-    check = ChoiceCheck(CUT)
-    said = [check.bears(SAMPLED, speed_rpm, 5.0, 0.01) for speed_rpm in (6200.0, 7000.0, 8500.0, 9300.0)]
-    assert said == [ChoiceCheck(CUT).bears(MODES, each, 5.0, 0.01) for each in (6200.0, 7000.0, 8500.0, 9300.0)]
+    check = StabilityVerification(CUT)
+    said = [check.is_stable(SAMPLED, speed_rpm, 5.0, 0.01) for speed_rpm in (6200.0, 7000.0, 8500.0, 9300.0)]
+    assert said == [
+        StabilityVerification(CUT).is_stable(MODES, each, 5.0, 0.01) for each in (6200.0, 7000.0, 8500.0, 9300.0)
+    ]
     assert said == [False, False, True, True]
 
 
 def test_all_feed_directions_must_be_borne() -> None:
     speeds = np.linspace(6000.0, 9000.0, 13).tolist()
-    turned = [tuple(ChoiceCheck(CUT, (feed,)).bears(MODES, each, 5.0, 0.0) for each in speeds) for feed in (0.0, 90.0)]
-    both = tuple(ChoiceCheck(CUT, (0.0, 90.0)).bears(MODES, each, 5.0, 0.0) for each in speeds)
+    turned = [
+        tuple(StabilityVerification(CUT, (feed,)).is_stable(MODES, each, 5.0, 0.0) for each in speeds)
+        for feed in (0.0, 90.0)
+    ]
+    both = tuple(StabilityVerification(CUT, (0.0, 90.0)).is_stable(MODES, each, 5.0, 0.0) for each in speeds)
     assert both == tuple(x and y for x, y in zip(*turned, strict=True))
     assert turned[0] != turned[1]
 
 
 def test_where_no_modes_follow_there_is_no_second_opinion() -> None:
     noise = np.random.default_rng(1).normal(size=(len(FREQUENCY_HZ), 2, 2)) * 1e-7 + 0j
-    assert ChoiceCheck(CUT).bears(SampledResponse(frequency_hz=FREQUENCY_HZ, receptance=noise), 7000.0, 3.0, 0.02)
+    assert StabilityVerification(CUT).is_stable(
+        SampledResponse(frequency_hz=FREQUENCY_HZ, receptance=noise), 7000.0, 3.0, 0.02
+    )
 
 
 def test_the_planner_leaves_out_what_does_not_pass() -> None:
@@ -68,7 +75,7 @@ def test_the_planner_leaves_out_what_does_not_pass() -> None:
         return zeroth_order_lobes(response, CUT, from_rpm=8000.0, to_rpm=12200.0, points=401)
 
     alone = SpeedPlanner(operation, lobes_of).choice(known)
-    looked_at = SpeedPlanner(operation, lobes_of, ChoiceCheck(CUT)).choice(known)
+    looked_at = SpeedPlanner(operation, lobes_of, StabilityVerification(CUT)).choice(known)
     assert alone.speed_rpm == 10200.0
     assert max(radius(alone.speed_rpm * share, 4.0) for share in (0.995, 1.0, 1.005)) > 0.985
     assert looked_at.stable

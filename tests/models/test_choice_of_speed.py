@@ -5,12 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from models.stability.errors import StabilityError
-from models.stability.lobes import StabilityLobes
-from models.stability.lobes_zoa import zeroth_order_lobes
-from models.stability.milling import Cut, MillingMode, engagement_rad
-from models.stability.response import ModalResponse, mode_from_stiffness
-from models.stability.spindle_speed import (
+from models.spindle_speed.choice import (
     SpeedDemand,
     SpeedLimits,
     choose_speed,
@@ -18,6 +13,11 @@ from models.stability.spindle_speed import (
     rule_candidates_rpm,
     speed_change_per_step_rpm,
 )
+from models.stability.errors import StabilityError
+from models.stability.lobes import StabilityLobes
+from models.stability.lobes_zoa import zeroth_order_lobes
+from models.stability.milling import Cut, MillingMode, engagement_rad
+from models.stability.response import ModalResponse, mode_from_stiffness
 
 
 def cut() -> Cut:

@@ -6,18 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from config.schema.temperatures import CleansingConfig
-from models.cleanse import (
-    CleansingResult,
-    CleansingRules,
-    CleansingState,
-    age_s,
-    cleanse_cycle,
-    initial_state,
-    remove_jumps_at_switching,
-    remove_sudden_jumps,
-    scatter_um,
-)
+from models.cleanse import CleansingResult, CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
 from models.quality import Quality, Reason
+from models.recordings.jumps import remove_jumps_at_switching, remove_sudden_jumps, scatter_um
 from models.records import FloatArray
 
 RULES = CleansingRules()

@@ -8,14 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from models.compensation import (
-    LONGEST_INTERVAL_S,
-    TRANSITIONS,
-    initial_memory,
-    step,
-    why_not_ready,
-)
-from models.output import OperatorRequest, OutputInputs, OutputLimits
+from models.control.compensation import LONGEST_INTERVAL_S, TRANSITIONS, initial_memory, step, why_not_ready
+from models.control.state import OperatorRequest, OutputInputs, OutputLimits
 from models.records import OutputState, Phase
 
 AXES = ("y", "z")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.dataset import DatasetError, Recording
-from models.findings import recording_findings, require_usable
+from models.recordings.dataset import DatasetError, Recording
+from models.recordings.findings import recording_findings, require_usable
 
 
 def recording(rows: int = 60, sensors: int = 3, period_s: float = 60.0) -> Recording:

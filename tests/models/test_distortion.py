@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from models.dataset import DatasetError
+from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.distortion import (
+from models.thermal.training.distortion import (
     Stretch,
     distortion,
     rotations,
@@ -15,8 +15,8 @@ from models.thermal.distortion import (
     stable_after_min,
     value_range_um,
 )
-from models.thermal.energy import Process, energy_efficiency, productivity_per_h
-from models.thermal.warm_up import fit_warm_up
+from models.thermal.training.energy import Process, energy_efficiency, productivity_per_h
+from models.thermal.training.warm_up import fit_warm_up
 
 MINUTES = np.arange(121.0)
 

@@ -24,8 +24,14 @@ from models.dynamics.coupling import (
     ground_stiffness,
     segment_receptance,
 )
-from models.dynamics.mac import at_points, modal_assurance
-from models.dynamics.modes import deflection_shape, dense_stiffness, modes, natural_frequencies
+from models.dynamics.modes import (
+    at_points,
+    deflection_shape,
+    dense_stiffness,
+    modal_assurance,
+    modes,
+    natural_frequencies,
+)
 from models.dynamics.section import Elasticity, Tube, beam_segment
 
 ComplexArray = npt.NDArray[np.complex128]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from models.records import FloatArray
 from models.thermal.estimate import DOMAIN_MARGIN_K, Estimation, estimate, linear_estimator
-from models.thermal.evaluation import residual_metrics
 from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
+from models.thermal.training.evaluation import residual_metrics
 
 COEFFICIENTS = np.array([[1.0, 2.0, -1.0, 0.0], [0.5, 0.0, 0.0, -0.5]])
 DRIFT = np.array([0.1, 0.0])

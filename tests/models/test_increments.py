@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression, Ridge
 
-from models.dataset import DatasetError, Recording
-from models.thermal.increments import Increments, combine, factorise, fit, increments
-from models.thermal.telescoped import thermal_error_um
+from models.recordings.dataset import DatasetError, Recording
+from models.thermal.model import thermal_error_um
+from models.thermal.training.increments import Increments, combine, factorise, fit, increments
 
 
 def run(rows: int = 200, sensors: int = 6, channels: int = 3, seed: int = 1) -> Recording:

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
-from models.dataset import Recording
+from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.families import Fit, default_family
-from models.thermal.folds import inner_folds
-from models.thermal.inputs import build_inputs
 from models.thermal.json_fields import content_sha256
 from models.thermal.lagged import LaggedEstimator
 from models.thermal.lagged_artifact import any_model_from_json, lagged_model_from_json, lagged_model_to_json
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lagged_state import state_from_json, state_to_json
 from models.thermal.lags import lag_step, lag_table
+from models.thermal.layout import Design
 from models.thermal.model import ModelError, ThermalModel
-from models.thermal.ridge import Design, RidgeProblem
-from models.thermal.train_family import train_family
+from models.thermal.training.families import Fit, default_family
+from models.thermal.training.folds import inner_folds
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.ridge import RidgeProblem
+from models.thermal.training.train_family import train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
 SENSORS = 5
@@ -138,7 +139,7 @@ def _absolute_penalty(problem: RidgeProblem, relative: float) -> float:
 
 
 def _largest_eigenvalue(problem: RidgeProblem) -> float:
-    from models.thermal.ridge import _centred
+    from models.thermal.training.ridge import _centred
 
     return float(np.linalg.eigvalsh(_centred(problem._pieces)[0])[-1])
 

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.dataset import Recording
+from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.lag_imputation import imputed_features
 from models.thermal.lagged import LaggedEstimator, LagState
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.lagged_rebase import LagReference, estimate_since, lag_reference, rebased, returning
 from models.thermal.lags import lag_table
-from models.thermal.train_family import train_family
+from models.thermal.training.train_family import train_family
 
 SENSORS = 5
 MINUTES = 1500

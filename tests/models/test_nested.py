@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 
-from models.cleanse import remove_jumps_at_switching
-from models.dataset import DatasetError, Recording
+from models.recordings.dataset import DatasetError, Recording
+from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
-from models.thermal.campaign_study import (
+from models.thermal.training.campaign_study import (
     by_increasing_speed,
     progressive_fits,
     random_sensor_order,
     residual_maps,
 )
-from models.thermal.increments import combine
-from models.thermal.nested import nested_fits
-from models.thermal.published import MODELS, PublishedSet, prepare
+from models.thermal.training.increments import combine
+from models.thermal.training.nested import nested_fits
+from models.thermal.training.published import MODELS, PublishedSet, prepare
 
 SENSORS = 9
 ROOM = ("T1", "T2")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.dataset import Recording
+from models.recordings.dataset import Recording
 from models.thermal.lags import lag_table
-from models.thermal.prepared import prepare
+from models.thermal.training.prepared import prepare
 
 SPEEDS_RPM = (3000.0, 5000.0, 2000.0, 4000.0, 6000.0, 2500.0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sklearn.decomposition import PCA
 
-from models.dataset import DatasetError
-from models.thermal.principal_components import differences, principal_components
+from models.recordings.dataset import DatasetError
+from models.thermal.training.principal_components import differences, principal_components
 
 
 def test_components_are_scikit_learns() -> None:

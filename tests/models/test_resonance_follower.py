@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from config.spindle import spindle_folder
-from daemon.dynamics.spindle_files import read_spindle
+from config.machine.spindle import spindle_folder
+from config.machine.spindle_files import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import properties_from_parameters
+from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
-from models.dynamics.response_fit import IdentificationError
 from models.thermomechanics.resonance import ResonanceFollower, band, peaks
 
 TYPICAL = {"ct_12": 300.0, "kr_12": 3e6, "kt_34": 1e8, "kt_5": 5e7, "ct_5": 800.0}

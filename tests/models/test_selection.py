@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from models.dataset import Recording
-from models.thermal.folds import inner_folds
-from models.thermal.inputs import build_inputs
+from models.recordings.dataset import Recording
 from models.thermal.lags import lag_table
-from models.thermal.selection import Method, SensorComparison
+from models.thermal.training.folds import inner_folds
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.selection import Method, SensorComparison
 
 
 @pytest.fixture(scope="module")

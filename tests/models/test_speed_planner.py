@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
+from models.spindle_speed.choice import SpeedDemand
+from models.spindle_speed.planner import MillingOperation, SpeedPlanner
+from models.spindle_speed.strategies import ResonanceRule, TunedSpeed
+from models.spindle_speed.tool_point import EstimatedToolPoint
+from models.spindle_speed.tuning import SpeedTuningSettings
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, ToolPointResponse, mode_from_stiffness
-from models.stability.speed_planner import MillingOperation, SpeedPlanner
-from models.stability.speed_strategies import ResonanceRule, TunedSpeed
-from models.stability.speed_tuning import SpeedTuningSettings
-from models.stability.spindle_speed import SpeedDemand
-from models.stability.tool_point import EstimatedToolPoint
 
 START_RAD, EXIT_RAD = engagement_rad(MillingMode.DOWN, 5.0, 10.0)
 CUT = Cut(teeth=4, start_rad=START_RAD, exit_rad=EXIT_RAD, tangential_n_per_m2=8e8, radial_ratio=0.3)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
-from models.stability.errors import StabilityError
-from models.stability.speed_tuning import (
+from models.spindle_speed.choice import SpeedChoice
+from models.spindle_speed.tuning import (
     SpeedState,
     SpeedTuningInputs,
     SpeedTuningMemory,
@@ -19,7 +19,7 @@ from models.stability.speed_tuning import (
     not_written,
     step,
 )
-from models.stability.spindle_speed import SpeedChoice
+from models.stability.errors import StabilityError
 
 SETTINGS = SpeedTuningSettings(hysteresis_rpm=50.0, dwell_s=20.0, step_rpm=100.0)
 
@@ -33,9 +33,11 @@ def choice(speed_rpm: float, pocket: tuple[float, float] | None = None, alarm: s
     )
 
 
-def at(now_s: float, wish: SpeedChoice | None, phase: Phase = Phase.SAFE_POINT, **changes: object) -> SpeedTuningInputs:
+def at(
+    now_s: float, target: SpeedChoice | None, phase: Phase = Phase.SAFE_POINT, **changes: object
+) -> SpeedTuningInputs:
     base = SpeedTuningInputs(
-        now_s=now_s, phase=phase, enabled=True, programmed_rpm=8000.0, programmed_feed_mm_min=1600.0, choice=wish
+        now_s=now_s, phase=phase, enabled=True, programmed_rpm=8000.0, programmed_feed_mm_min=1600.0, choice=target
     )
     return replace(base, **changes)
 
@@ -95,8 +97,8 @@ def test_another_pocket_is_one_jump() -> None:
 @pytest.mark.parametrize("phase", [Phase.CUTTING, Phase.IDLE])
 def test_nothing_is_written_outside_a_safe_block(phase: Phase) -> None:
     memory = begun()
-    for now_s, wish in ((1.0, choice(9500.0)), (50.0, choice(6000.0)), (90.0, None)):
-        command, memory = step(memory, at(now_s, wish, phase), SETTINGS)
+    for now_s, target in ((1.0, choice(9500.0)), (50.0, choice(6000.0)), (90.0, None)):
+        command, memory = step(memory, at(now_s, target, phase), SETTINGS)
         assert (command.speed_rpm, command.write) == (8600.0, False)
     disabled, memory = step(memory, at(95.0, None, phase, enabled=False), SETTINGS)
     assert (disabled.speed_rpm, disabled.write) == (8600.0, False)
@@ -141,9 +143,9 @@ def test_another_programmed_speed_is_another_operation() -> None:
     assert (command.speed_rpm, command.write) == (5900.0, True)
 
 
-@pytest.mark.parametrize("wish", [None, choice(6000.0)])
-def test_an_operation_that_begins_without_data_runs_as_programmed(wish: SpeedChoice | None) -> None:
-    blocked = at(1.0, wish, programmed_rpm=6000.0, flagged_span_rpm=1e3)
+@pytest.mark.parametrize("target", [None, choice(6000.0)])
+def test_an_operation_that_begins_without_data_runs_as_programmed(target: SpeedChoice | None) -> None:
+    blocked = at(1.0, target, programmed_rpm=6000.0, flagged_span_rpm=1e3)
     command, memory = step(begun(), blocked, SETTINGS)
     assert (command.state, command.speed_rpm, command.write) == (SpeedState.HOLD, 6000.0, True)
     later = at(2.0, choice(6100.0), programmed_rpm=6000.0)
@@ -155,7 +157,7 @@ def test_the_filter_smooths_inside_a_pocket_only() -> None:
     memory = step(initial_memory(8000.0), at(0.0, choice(8600.0)), settings)[1]
     command, memory = step(memory, at(1.0, choice(8700.0, (8000.0, 9000.0))), settings)
     assert not command.write
-    assert 8600.0 < memory.wish_rpm < 8610.0
+    assert 8600.0 < memory.target_rpm < 8610.0
     assert step(memory, at(2.0, choice(6500.0, (6400.0, 6700.0))), settings)[0].speed_rpm == 6500.0
 
 
@@ -201,9 +203,9 @@ WISHES = st.one_of(
 )
 def test_whatever_happens(history: list) -> None:
     memory, now_s, before = initial_memory(8000.0), 0.0, 8000.0
-    for elapsed_s, wish, phase, enabled, span in history:
+    for elapsed_s, target, phase, enabled, span in history:
         now_s += elapsed_s
-        inputs = at(now_s, wish, phase, enabled=enabled, flagged_span_rpm=span)
+        inputs = at(now_s, target, phase, enabled=enabled, flagged_span_rpm=span)
         command, memory = step(memory, inputs, SETTINGS)
         assert isinstance(command, SpindleSpeedCommand)
         assert command.write == (command.speed_rpm != before)

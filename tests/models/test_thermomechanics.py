@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from config.spindle import spindle_folder
-from config.thermomechanics import SIGNALS, load_bounds, published_model
-from daemon.dynamics.spindle_files import read_spindle
+from config.machine.published_bearings import SIGNALS, load_bounds, published_model
+from config.machine.spindle import spindle_folder
+from config.machine.spindle_files import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
+from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
-from models.dynamics.response_fit import IdentificationError
 from models.quality import Quality
 from models.records import FloatArray, Instant, MachineTemperatures, Trace
 from models.thermal.model import ModelError

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.dataset import DatasetError, Recording
-from models.thermal.train import TrainingChoices, TrainingResult, sensor_ids_from_names, train
-from models.thermal.validation import BAND_QUANTILE, make_folds
+from models.recordings.dataset import DatasetError, Recording
+from models.thermal.training.train import TrainingChoices, TrainingResult, sensor_ids_from_names, train
+from models.thermal.training.validation import BAND_QUANTILE, make_folds
 
 CREATED = "2026-01-01T00:00:00+00:00"
 WEIGHTS = np.random.default_rng(3).normal(0.0, 2.0, (5, 2))

@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.dataset import DatasetError, Recording
+from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
-from models.thermal.domain import band_factor, farthest_leverage, leverage, leverage_positions
-from models.thermal.families import default_family
-from models.thermal.folds import cycles, inner_folds, spindle_starts
-from models.thermal.inputs import build_inputs
+from models.thermal.domain import band_factor, leverage
 from models.thermal.lags import lag_table
-from models.thermal.probing import BiasFilter, probed_residual_um, wander_um2_per_min
-from models.thermal.trust import excursions, few_folds_factor, fit_bias_filter, independent_folds, judge
+from models.thermal.training.domain import farthest_leverage, leverage_positions
+from models.thermal.training.families import default_family
+from models.thermal.training.folds import cycles, inner_folds, spindle_starts
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.probing import BiasFilter, probed_residual_um, wander_um2_per_min
+from models.thermal.training.trust import excursions, few_folds_factor, fit_bias_filter, independent_folds, judge
 
 
 def recording(um: FloatArray, degc: FloatArray, rpm: FloatArray | None, step_s: float = 60.0) -> Recording:

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.dataset import Recording
+from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.folds import inner_folds
-from models.thermal.inputs import build_inputs
 from models.thermal.lags import lag_table
+from models.thermal.training.folds import inner_folds
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.watch_fit import fit_watch, smoothed
 from models.thermal.watch import SensorWatch, Watcher, WatchState, departure_maps, without_columns
-from models.thermal.watch_fit import fit_watch, smoothed
 
 SENSORS = 6
 

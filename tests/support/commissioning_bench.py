@@ -11,24 +11,24 @@ from typing import Any
 
 import pytest
 
-from config.commissioning import CommissioningRecord
 from config.loader import load_configuration
 from config.machines import shipped_file
+from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.guard import GuardConfig
+from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.procedure import Plan
-from daemon.commissioning.refusal import CommissioningRefusedError
 from daemon.commissioning.session import Sources, commission
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
 from drivers.clock import ScaledClock
-from drivers.sim.day import Day
-from drivers.sim.machine import CfrpMachine
-from drivers.sim.opcua_server import SimulatedCncServer
-from drivers.sim.program import Block, PartProgram, standing_program
-from drivers.sim.tcp_relay import TcpRelay
-from drivers.sim.wiring import STRAIGHT, Wiring
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.program import Block, PartProgram, standing_program
+from drivers.sim.nc.wiring import STRAIGHT, Wiring
+from drivers.sim.wires.opcua_server import SimulatedCncServer
+from drivers.sim.wires.tcp_relay import TcpRelay
 
 SPEED = 40.0
 FOREVER_S = 60.0

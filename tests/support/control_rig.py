@@ -9,29 +9,29 @@ from typing import Any
 import numpy as np
 from memory_cnc import MemoryNc
 
-from config.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
 from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, RequestMacrosConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
+from daemon.cnc.limits import commissioned_factors
+from daemon.cnc.link import CncLink
+from daemon.cnc.macro_block import MacroBlock
+from daemon.cnc.session import CncSession
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.compensation.references import _Asked
+from daemon.compensation.restart import ResumePoint, load_resume_point
+from daemon.compensation.task import ControlTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.output.cnc_link import CncLink
-from daemon.output.cnc_session import CncSession
-from daemon.output.control import ControlTask
-from daemon.output.last_block import LastBlock
-from daemon.output.limits import commissioned_factors
-from daemon.output.macro_block import MacroBlock
-from daemon.output.references import _Asked
-from daemon.output.resume import ResumePoint, load_resume_point
-from daemon.supervisor import Backoff, keep_alive
-from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceEnded, ReferenceRequest
+from daemon.messages import ReferenceEnded, ReferenceRequest
+from daemon.supervisor import Backoff, run_with_reconnect
+from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
-from drivers.sim.safe_point import GUARD_VERSION
-from models.output import OperatorRequest
+from drivers.sim.nc.safe_point import GUARD_VERSION
+from models.control.state import OperatorRequest
 from models.records import Instant, Reference, ThermalErrorEstimate, Trace
 
 SENSOR_IDS = (1, 2, 3, 11, 12)
@@ -145,7 +145,7 @@ class Rig:
         self.block = MacroBlock(
             configuration.cnc.macros, axes, commissioned_factors(record, axes), guard=configuration.cnc.guard
         )
-        self.last_block = LastBlock.beside(configuration.history.path)
+        self.last_block = WriteAheadRecord.beside(configuration.history.path)
         loaded = load_resume_point(configuration, self.history, clock, self.last_block)
         self.resume = resume if resume is not None else loaded
         self.link = CncLink(nc.open, self._open_session)
@@ -273,7 +273,7 @@ class Bench:
 async def running(rig: Rig, *, connect: bool = True) -> AsyncIterator[Rig]:
     """Keep the rig's link and history alive."""
     rig.history.start()
-    keeper = asyncio.create_task(keep_alive(rig.link.health, rig.link.attempt, Backoff(0.001, 0.002)))
+    keeper = asyncio.create_task(run_with_reconnect(rig.link.health, rig.link.attempt, Backoff(0.001, 0.002)))
     try:
         if connect:
             await rig.connected()

@@ -8,7 +8,7 @@ from typing import Any
 
 from config.schema.displacements import DisplacementsConfig
 from drivers.clock import SystemClock
-from drivers.displacement_csv import DisplacementCsvSource
+from drivers.displacement.source import DisplacementCsvSource
 from models.records import DisplacementSample
 
 PATIENCE_S = 20.0

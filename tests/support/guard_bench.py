@@ -6,8 +6,8 @@ from typing import Any
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import GuardConfig
-from drivers.sim.nc import MacroTable
-from drivers.sim.safe_point import GuardStatus, SafePointApplication
+from drivers.sim.nc.nc import MacroTable
+from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 
 MAP = MacroMapConfig(
     writable=["120", "500-529"],

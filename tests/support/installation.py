@@ -11,11 +11,11 @@ from small_model import model
 
 from config.loader import load_configuration
 from daemon.backup.making import make_backup
+from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.compensation.references import reference_to_state
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.output.last_block import LastBlock
-from daemon.output.resume import reference_to_state
-from daemon.release.releasing import release
+from daemon.model_release.releasing import release
 from drivers.clock import SystemClock
 from models.records import Reference
 from models.thermal.artifact import model_to_json
@@ -68,7 +68,7 @@ class Installation:
         writer.put_state("alive_utc_s", time.time())
         writer.event("note", "before the back-up", "anna")
         writer.close()
-        kept = LastBlock.beside(self.configuration.history.path)
+        kept = WriteAheadRecord.beside(self.configuration.history.path)
         kept.keep({500: (7.0,), 503: (0.01,)})
         kept.close()
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Sequence
 
 from config.schema.temperatures import LineConfig, SensorConfig
-from drivers.latsis_cycle import CycleAssembler
-from drivers.latsis_frames import crc8, sum8
-from drivers.latsis_values import decode_mlx90615, decode_tmp102
+from drivers.latsis.cycle import CycleAssembler
+from drivers.latsis.frames import crc8, sum8
+from drivers.latsis.values import decode_mlx90615, decode_tmp102
 from models.quality import Quality, Reason
 from models.records import Instant, TemperatureCycle
 

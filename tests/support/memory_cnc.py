@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from config.schema import Configuration
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError
-from drivers.sim.nc import MacroTable
-from drivers.sim.safe_point import GuardStatus, SafePointApplication
+from drivers.sim.nc.nc import MacroTable
+from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 from models.records import CncMode, CncRun, CncSample
 
 

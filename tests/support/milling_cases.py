@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.sim.milling import MillingCuts, arc_of, is_stable
+from drivers.sim.spindle.milling import MillingCuts, arc_of, is_stable
 from models.records import FloatArray
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, mode_from_stiffness

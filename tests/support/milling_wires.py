@@ -10,18 +10,18 @@ from typing import Any
 from control_rig import record_for
 from speed_machine import MACROS, bearing_model, speed_machine
 
-from config.commissioning import save_commissioning
-from config.guard.speed_text import SpeedStatus, speed_program
+from config.records.commissioning import save_commissioning
 from config.schema import Configuration
 from daemon.app import Daemon
 from drivers.clock import ScaledClock
+from drivers.guard.speed_text import SpeedStatus, speed_program
 from drivers.sim.contract import AxisTruth
-from drivers.sim.custom_macro import Interpreter, compile_programs
-from drivers.sim.latsis_wire import LatsisWires
-from drivers.sim.nc import NumericalControl, RunCode
-from drivers.sim.opcua_server import SimulatedCncServer
-from drivers.sim.safe_point import SafePointApplication
-from drivers.sim.tcp_relay import TcpRelay
+from drivers.sim.nc.custom_macro import Interpreter, compile_programs
+from drivers.sim.nc.nc import NumericalControl, RunCode
+from drivers.sim.nc.safe_point import SafePointApplication
+from drivers.sim.wires.latsis_wire import LatsisWires
+from drivers.sim.wires.opcua_server import SimulatedCncServer
+from drivers.sim.wires.tcp_relay import TcpRelay
 from models.thermomechanics.artifact import model_to_json
 
 CUT, SAFE = 200, 900

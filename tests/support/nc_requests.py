@@ -4,7 +4,7 @@ from pathlib import Path
 
 from control_rig import Bench, Rig
 
-from daemon.thermal import ReferenceRequest
+from daemon.messages import ReferenceRequest
 
 COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE = 520, 521, 522, 523, 524
 REFERENCE, PROBE, TOOL_CHANGE = 1, 2, 3

@@ -1,12 +1,12 @@
-"""The output with a guard that a test lets run: `models.compensation` without clock and wire."""
+"""The output with a guard that a test lets run: `models.control.compensation` without clock and wire."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from models.compensation import initial_memory, step
-from models.output import OperatorRequest, OutputInputs, OutputLimits
+from models.control.compensation import initial_memory, step
+from models.control.state import OperatorRequest, OutputInputs, OutputLimits
 from models.records import OutputState, Phase
 
 AXES = ("y", "z")

@@ -11,9 +11,9 @@ from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, OpcUaSecur
 from config.schema.compensation import AxisConfig, CompensationConfig
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
-from drivers.opcua_certificates import create_application_certificate
+from drivers.opcua.certificates import create_application_certificate
 from drivers.sim.contract import AxisTruth
-from drivers.sim.opcua_server import ServerSecurity
+from drivers.sim.wires.opcua_server import ServerSecurity
 
 USER, PASSWORD = "toolpoint", "a secret with blanks "
 CLIENT_URI = "urn:test-computer:toolpoint"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from scripted_machine import Keys, ScriptedNc, cnc_config
 
-from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 
 async def _serve(directory: Path | None) -> None:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from control_rig import machine
 
+from config.machine.published_bearings import load_bounds
 from config.schema import Configuration
 from config.schema.spindle_speed import SpeedMacrosConfig, SpeedOperationConfig, SpindleSpeedConfig
-from config.thermomechanics import load_bounds
 from models.dynamics.bearings import PARAMETERS
 from models.thermomechanics.regression import AxisRegression, PropertyRegression, ThermomechanicalModel
 

@@ -8,9 +8,9 @@ from control_rig import HandClock, Rig, record_for
 from memory_cnc import MemoryNc
 from speed_machine import MACROS, bearing_model, speed_machine
 
-from config.guard.speed_text import SpeedStatus, speed_program
-from daemon.output.spindle_speed import SpindleSpeedOutput
-from drivers.sim.custom_macro import Interpreter, compile_programs
+from daemon.spindle_speed.task import SpindleSpeedOutput
+from drivers.guard.speed_text import SpeedStatus, speed_program
+from drivers.sim.nc.custom_macro import Interpreter, compile_programs
 from models.records import MachineTemperatures, Trace
 from models.thermomechanics.artifact import model_to_json
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from control_rig import SENSOR_IDS, HandClock, machine
 
+from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.telemetry import Telemetry
-from daemon.thermal import ReferenceRebased, ReferenceRefused, ReferenceRequest, ThermalTask
+from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
+from daemon.telemetry.metrics import Telemetry
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.model import TestVector, ThermalModel

@@ -11,13 +11,12 @@ from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 from thermal_rig import CHAINS
 
 from config.schema import Configuration
-from daemon.estimation.contract import AnyThermalModel
-from daemon.thermal import Message, ThermalTask
+from daemon.estimation.task import Message, ThermalTask
 from models.quality import Quality, Reason
 from models.records import FloatArray, TemperatureCycle, Trace
-from models.thermal.inputs import Layout
+from models.thermal.family import AnyThermalModel
 from models.thermal.lagged_model import FeatureTestVector, LaggedModel
-from models.thermal.ridge import Design, RidgeSolution
+from models.thermal.layout import Design, Layout, RidgeSolution
 
 MOMENT_S = 10.0
 SLEW_UM_PER_MIN = 12.0

@@ -12,12 +12,12 @@ from typing import Any
 import yaml
 
 from config.schema import Configuration
-from daemon.cli.demo import demo_machine
+from daemon.cli.simulate.demo import demo_machine
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
-from daemon.operation.control_socket import ControlClient, DaemonUnreachableError
-from daemon.rehearsal.demonstration import switch_on
-from daemon.rehearsal.processes import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
+from daemon.simulation.demonstration import switch_on
+from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_configuration
 from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)

@@ -20,8 +20,8 @@ import numpy as np
 from history_records import EPOCH_S, SMALL, StillClock
 
 from daemon.history import HistoryWriter, engine
+from daemon.history.columns.packing import pack_hours
 from daemon.history.database import WriterLock, connect_reader, connect_writer
-from daemon.history.packing import pack_hours
 from daemon.history.retention import store_hour
 
 FOREVER_S = 60.0

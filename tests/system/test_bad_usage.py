@@ -7,11 +7,11 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from config.commissioning import CommissioningError, load_commissioning
+from config.records.commissioning import CommissioningError, load_commissioning
 from daemon.cli import main
-from daemon.cli.rehearsing import rehearsal_folder
-from daemon.model_file import read_model
-from daemon.rehearsal.processes import RehearsalError
+from daemon.cli.simulate.demo import simulation_folder
+from daemon.model_release.loading import read_model
+from daemon.simulation.processes import RehearsalError
 
 
 def refused(*arguments):
@@ -81,7 +81,7 @@ def test_a_destination_that_cannot_be_written_is_refused_before_the_run(tmp_path
 
 
 def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
-    with pytest.raises(SystemExit) as ended, rehearsal_folder(None) as folder:
+    with pytest.raises(SystemExit) as ended, simulation_folder(None) as folder:
         (folder / "daemon.log").write_text("".join(f"line {number}\n" for number in range(9)), encoding="utf-8")
         (folder / "simulator.log").write_text("port taken\n", encoding="utf-8")
         raise RehearsalError("the daemon ended with status 3")
@@ -92,7 +92,7 @@ def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
 
 
 def test_a_run_that_breaks_off_names_the_folder_that_stays(tmp_path, capsys):
-    with pytest.raises(SystemExit), rehearsal_folder(tmp_path / "run"):
+    with pytest.raises(SystemExit), simulation_folder(tmp_path / "run"):
         raise RehearsalError("the daemon ended with status 3")
     assert str(tmp_path / "run") in capsys.readouterr().err
     assert (tmp_path / "run").is_dir()

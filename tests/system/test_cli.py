@@ -5,12 +5,8 @@ import json
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from wires import on_wires
 
 from daemon.history import HistoryReader

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from config.commissioning import load_commissioning
-from daemon.cli.demo import demo_machine
-from daemon.operation.control_socket import ControlClient
-from daemon.rehearsal.processes import write_rehearsal_configuration
+from config.records.commissioning import load_commissioning
+from daemon.cli.simulate.demo import demo_machine
+from daemon.monitor.control_socket import ControlClient
+from daemon.simulation.processes import write_rehearsal_configuration
 
 TOOLPOINT = [sys.executable, "-P", "-m", "daemon.cli"]
 SPEED = 30.0

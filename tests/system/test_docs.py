@@ -9,12 +9,12 @@ import yaml
 
 from config.knobs import walk
 from config.loader import parse_yaml_model
-from config.recording_map import RecordingMap
+from config.recordings.recording_map import RecordingMap
 from config.reference import configuration_reference
 from config.schema import Configuration
 from daemon.cli import COMMANDS, main
 from daemon.cli.reference import commands, commands_reference
-from daemon.telemetry import Telemetry
+from daemon.telemetry.metrics import Telemetry
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from config.spindle import parse_spindle
-from config.spindle_chain import build_spindle
-from config.spindle_reference import spindle_reference
+from config.machine.spindle import parse_spindle
+from config.machine.spindle_chain import build_spindle
+from config.machine.spindle_reference import spindle_reference
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from daemon.rehearsal.demonstration import result
-from daemon.telemetry import Telemetry
+from daemon.simulation.demonstration import result
+from daemon.telemetry.metrics import Telemetry
 from drivers.sim.faults import FaultKind
-from drivers.sim.safe_point import GuardStatus
-from models.compensation import TRANSITIONS
+from drivers.sim.nc.safe_point import GuardStatus
+from models.control.compensation import TRANSITIONS
 from models.quality import Quality, Reason
 from models.records import OutputState, WriteOutcome
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from daemon.cli.demo import demo_machine
+from daemon.cli.simulate.demo import demo_machine
 from daemon.history import HistoryReader
-from daemon.rehearsal import campaign
-from daemon.rehearsal.campaign_result import Result, failures, numbers, summary
-from daemon.rehearsal.campaign_run import run_campaign
-from drivers.sim.campaign_script import DAY_S, Happening, Incident
+from daemon.simulation.faults import campaign
+from daemon.simulation.faults.result import Result, failures, numbers, summary
+from daemon.simulation.faults.run import run_campaign
+from daemon.simulation.faults.script import DAY_S, Happening, Incident
 from drivers.sim.faults import FaultKind
 
 pytestmark = pytest.mark.wires
@@ -100,8 +100,8 @@ def test_a_part_with_requests_another_model_and_another_policy(tmp_path: Path) -
 
 MUTANT = """
 import sys
-from models import compensation
-from models.compensation import Condition
+from models.control import compensation
+from models.control.compensation import Condition
 from models.records import OutputState
 
 state, condition, target = sys.argv.pop(1), sys.argv.pop(1), sys.argv.pop(1)
@@ -109,7 +109,7 @@ rows = compensation.TRANSITIONS[OutputState[state]]
 compensation.TRANSITIONS[OutputState[state]] = tuple(
     (c, OutputState[target]) if c is Condition[condition] else (c, t) for c, t in rows
 )
-from daemon.rehearsal.campaign_daemon import main
+from daemon.simulation.faults.daemon import main
 
 main()
 """
@@ -131,10 +131,10 @@ def test_a_daemon_with_a_wrong_transition_is_found(
     start = subprocess.Popen
 
     def start_mutant(arguments: list[str], **more: Any) -> Any:
-        at = arguments.index("daemon.rehearsal.campaign_daemon")
+        at = arguments.index("daemon.simulation.faults.daemon")
         return start([*arguments[: at - 1], str(program), *row, *arguments[at + 1 :]], **more)
 
-    monkeypatch.setattr("daemon.rehearsal.campaign_process.subprocess.Popen", start_mutant)
+    monkeypatch.setattr("daemon.simulation.faults.process.subprocess.Popen", start_mutant)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[2]))
     script = (Happening(kind=Incident.WORK_OFFSET, at_s=220.0, duration_s=20.0),)
     (tmp_path / "campaign").mkdir()

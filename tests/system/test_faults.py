@@ -1,14 +1,9 @@
 """What goes wrong on the wires, while the whole daemon runs: the output holds, recovers, and never jumps."""
 
 import signal
-import sys
 import time
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from wires import check_audit, on_wires
 
 from daemon.history import HistoryReader

@@ -7,7 +7,7 @@ from click.testing import CliRunner, Result
 
 from config.machines import shipped_file
 from daemon.cli import main
-from drivers.sim.custom_macro import compile_programs
+from drivers.sim.nc.custom_macro import compile_programs
 
 CONFIGURATION = str(shipped_file("cfrpmt.yaml"))
 

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.schema.temperatures import GrammarConfig
-from drivers.latsis_frames import Frame, FrameParser
-from drivers.sim.latsis_encoding import encode_frame
+from drivers.latsis.frames import Frame, FrameParser
+from drivers.sim.wires.latsis_encoding import encode_frame
 
 GRAMMARS = st.builds(
     GrammarConfig,

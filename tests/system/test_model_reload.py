@@ -2,7 +2,6 @@
 
 import json
 import signal
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +9,6 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from wires import EVER, FOREVER_S, check_audit, on_wires
 
 from config.machines import shipped_file

@@ -12,14 +12,11 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from scripted_machine import (
     CLIENT_URI,
     GROUPS,
@@ -33,9 +30,9 @@ from scripted_machine import (
 )
 
 from drivers.clock import SystemClock
-from drivers.cnc_opcua import OpcUaCnc
 from drivers.contract import FatalDriverError, LinkError
-from drivers.sim.opcua_server import SimulatedCncServer
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun
 
 PEER = Path(__file__).resolve().parent / "node_peer"

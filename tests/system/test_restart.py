@@ -1,14 +1,9 @@
 """The daemon is killed in the middle and comes back."""
 
 import random
-import sys
 import time
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from wires import FIRST_REFERENCE_S, check_audit, on_wires
 
 from daemon.history import HistoryReader

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from config.loader import load_configuration
+from config.machine.published_bearings import load_bounds
+from config.machine.spindle import spindle_folder
+from config.machine.spindle_files import read_spindle
 from config.machines import shipped_file
-from config.spindle import spindle_folder
-from config.thermomechanics import load_bounds
-from daemon.dynamics.campaign import CampaignResult, read_run, run_campaign
-from daemon.dynamics.identifying import Band
-from daemon.dynamics.spindle_files import read_spindle
-from daemon.rehearsal.impact_campaign import labelled_sensors, write_campaign
-from drivers.sim.day import Day
-from drivers.sim.impact_campaign import AXES, TrueResonance, watched_day
-from drivers.sim.program import MINUTE_S, STANDSTILL, Block, PartProgram, demo_program
+from daemon.simulation.impact_campaign import labelled_sensors, write_campaign
+from daemon.workbench.dynamics.campaign import CampaignResult, read_run, run_campaign
+from daemon.workbench.dynamics.identifying import Band
+from drivers.sim.machine.day import Day
+from drivers.sim.nc.program import MINUTE_S, STANDSTILL, Block, PartProgram, demo_program
+from drivers.sim.spindle.impact_campaign import AXES, TrueResonance, watched_day
 from models.records import FloatArray
 from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracker
 

@@ -1,18 +1,14 @@
 """The spindle speed over real wires: sensors on lines, the CNC over OPC UA, the NC program as it is shipped."""
 
 import asyncio
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from milling_wires import CUT, SAFE, MillingWires, milling, tuned
 from speed_machine import MACROS, speed_machine
 
-from config.guard.speed_text import SpeedStatus
 from daemon.history import HistoryReader
+from drivers.guard.speed_text import SpeedStatus
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.wires

@@ -4,21 +4,17 @@
 """
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from milling_cases import random_cases
 
-from drivers.sim.milling import MillingCuts, arc_of, is_stable, mill
+from drivers.sim.spindle.milling import MillingCuts, arc_of, is_stable, mill
 from models.stability.milling import Cut
 from models.stability.response import ModalResponse, mode_from_stiffness
 from models.stability.semi_discretisation import chatter_frequency_hz, semi_discretisation, spectral_radius
 from models.stability.state_space import state_space
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-from milling_cases import random_cases
 
 
 def test_stable_and_unstable_agree_off_the_boundary() -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from config.stability_case import load_stability_case
+from config.machine.stability_case import load_stability_case
 from daemon.cli import main
-from daemon.rehearsal.warm_up import WarmUpRequest, WarmUpRun, warm_up
+from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun, warm_up
+from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.stability.errors import StabilityError
-from models.stability.spindle_speed import SpeedDemand, SpeedLimits
 
 CASE = """\
 teeth: 4

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from config.stability_case import StabilityCase, load_stability_case
-from daemon.rehearsal.warm_up import WarmUpRequest, WarmUpRun, warm_up
-from drivers.sim.heat import INDEX
-from drivers.sim.milling import MillingCuts, arc_of, mill
-from drivers.sim.spindle_beam import END_MILL_16, SpindleBeam
-from drivers.sim.spindle_bearings import bearings, nominal_bearings
-from drivers.sim.warming_spindle import WarmingBeams
+from config.machine.stability_case import StabilityCase, load_stability_case
+from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun, warm_up
+from drivers.sim.machine.heat import INDEX
+from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
+from drivers.sim.spindle.spindle_beam import END_MILL_16, SpindleBeam
+from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
+from drivers.sim.spindle.warming_spindle import WarmingBeams
+from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.stability.errors import StabilityError
-from models.stability.spindle_speed import SpeedDemand, SpeedLimits
 
 CASE = """\
 teeth: 4

@@ -1,0 +1,291 @@
+"""A spindle as data: segments, materials, rings, bearings, holder, tool, joints (YAML)."""
+
+from functools import cache
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from config.loader import load_yaml_model, parse_yaml_model
+from config.schema.base import KeyPath, KeyProblems, Name, Section
+
+Origin = Literal["published", "derived", "fitted", "assumed", "measured", "design"]
+"""Where a number comes from."""
+Rotary = Literal["correct", "published"]
+
+LEAST_GPA, MOST_GPA = 1e-3, 2000.0
+"""Range of moduli: softer is foam, stiffer than diamond is a slip of the pen."""
+STIFFEST = 1e15
+"""Largest stiffness or damping in SI units; a rigid tie needs no more, and more drowns the shaft in rounding."""
+
+OWN_CONSTANTS = ("E_gpa", "G_gpa", "nu", "density_g_cm3")
+RATIO_SUM = 1e-3
+"""How far the volume ratios of a mixture may sum up beside 1; they are then made to."""
+
+
+class MaterialDescription(Section):
+    """A material: isotropic with G_gpa, or a laminate with G_zx_gpa and G_zy_gpa."""
+
+    E_gpa: float = Field(ge=LEAST_GPA, le=MOST_GPA, description="Young's modulus along the axis [GPa]")
+    G_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus of an isotropic material [GPa]"
+    )
+    G_zx_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus between axis and radius [GPa]"
+    )
+    G_zy_gpa: float | None = Field(
+        None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus between axis and circumference [GPa]"
+    )
+    nu: float | None = Field(
+        None, gt=-1, lt=1, description="Poisson's ratio; none: a section with it must give its own"
+    )
+    density_g_cm3: float = Field(ge=0.01, le=25, description="density [g/cm^3]")
+    origin: Origin | None = Field(None, description="where the numbers come from")
+    note: str | None = Field(None, description="what a reader should know about them")
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        laminate = (self.G_zx_gpa is not None, self.G_zy_gpa is not None)
+        if (self.G_gpa is None) != all(laminate) or any(laminate) != all(laminate):
+            raise KeyProblems([((), "give G_gpa, or both G_zx_gpa and G_zy_gpa")])
+        return self
+
+
+class Constants(Section):
+    """Elastic constants of a tube: written out, or a material with constants that override it."""
+
+    E_gpa: float | None = Field(None, ge=LEAST_GPA, le=MOST_GPA, description="Young's modulus [GPa]")
+    G_gpa: float | None = Field(None, ge=LEAST_GPA, le=MOST_GPA, description="shear modulus [GPa]")
+    nu: float | None = Field(None, gt=-1, lt=1, description="Poisson's ratio of the shear coefficient")
+    density_g_cm3: float | None = Field(None, ge=0.01, le=25, description="density [g/cm^3]")
+    material: str | None = Field(None, description="name of a material, shipped or under `materials`")
+
+    def _missing(self) -> list[tuple[KeyPath, str]]:
+        """Return what lacks when no material stands beside the constants."""
+        lacking = [name for name in OWN_CONSTANTS if getattr(self, name) is None]
+        if not lacking:
+            return []
+        return [((), f"{' and '.join(lacking)} missing: write all of {', '.join(OWN_CONSTANTS)}, or name a material")]
+
+
+class Ring(Constants):
+    """A tube shrunk onto a segment: rotor or sleeve."""
+
+    outer_mm: float = Field(gt=0, description="outer diameter [mm]; the inner one is the segment's outer")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.material is None and (problems := self._missing()):
+            raise KeyProblems(problems)
+        return self
+
+
+class Core(Constants):
+    """A tube inside a segment that bends with it: the taper of a holder."""
+
+    inner_mm: float = Field(ge=0, description="inner diameter [mm]; the outer one is the segment's inner")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.material is None and (problems := self._missing()):
+            raise KeyProblems(problems)
+        return self
+
+
+class LayerDescription(Section):
+    """One layer of a section, from the bore outwards."""
+
+    material: str = Field(description="name of a material, shipped or under `materials`")
+    outer_mm: float = Field(gt=0, description="outer diameter of the layer [mm]")
+
+
+class SegmentDescription(Constants):
+    """A stretch of constant section."""
+
+    length_mm: float = Field(ge=0.01, le=10_000, description="length [mm]")
+    outer_mm: float = Field(ge=0.1, le=2_000, description="outer diameter [mm]")
+    inner_mm: float = Field(0.0, ge=0, description="inner diameter [mm]; 0: a full section")
+    mixture: dict[str, float] | None = Field(
+        None, min_length=1, description="material -> volume ratio; spread uniformly over the section"
+    )
+    layers: list[LayerDescription] | None = Field(None, min_length=1, description="layers from the bore outwards")
+    ring: Ring | None = Field(None, description="a tube shrunk onto the segment")
+    core: Core | None = Field(None, description="a tube inside that bends with the segment")
+    axial_load_n: float = Field(0.0, description="axial load [N], positive in compression")
+    origin: Origin | None = Field(None, description="where the numbers come from")
+    note: str | None = Field(None, description="what a reader should know about them")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems: list[tuple[KeyPath, str]] = []
+        if self.inner_mm >= self.outer_mm:
+            problems.append(
+                (("inner_mm",), f"inner {self.inner_mm:g} mm must be smaller than outer_mm {self.outer_mm:g} mm")
+            )
+        if self.ring and self.ring.outer_mm <= self.outer_mm:
+            sentence = f"a ring sits on the segment, so it must be larger than outer_mm {self.outer_mm:g} mm"
+            problems.append((("ring", "outer_mm"), sentence))
+        if self.core and self.core.inner_mm >= self.inner_mm:
+            sentence = f"a core sits in the bore, so it must be smaller than inner_mm {self.inner_mm:g} mm"
+            problems.append((("core", "inner_mm"), sentence))
+        if problems := [*problems, *self._form_problems()]:
+            raise KeyProblems(problems)
+        return self
+
+    def _form_problems(self) -> list[tuple[KeyPath, str]]:
+        given = [name for name in ("material", "mixture", "layers") if getattr(self, name) is not None]
+        if len(given) > 1:
+            return [((given[1],), f"give one of {' and '.join(given)}")]
+        if not given:
+            return self._missing()
+        problems: list[tuple[KeyPath, str]] = []
+        if self.mixture is not None:
+            problems += [
+                (("mixture", name), f"a volume ratio is not negative, got {ratio:g}")
+                for name, ratio in self.mixture.items()
+                if ratio < 0.0
+            ]
+            if abs(sum(self.mixture.values()) - 1.0) > RATIO_SUM:
+                problems.append(
+                    (("mixture",), f"volume ratios must sum up to 1, not to {sum(self.mixture.values()):g}")
+                )
+        inner = self.inner_mm
+        for index, layer in enumerate(self.layers or ()):
+            if layer.outer_mm <= inner:
+                problems.append((("layers", index, "outer_mm"), f"must be larger than what lies inside, {inner:g} mm"))
+            inner = layer.outer_mm
+        if self.layers and not problems and abs(inner - self.outer_mm) > 1e-6:
+            sentence = f"the outermost layer ends at {inner:g} mm, but outer_mm is {self.outer_mm:g} mm"
+            problems.append((("layers", len(self.layers) - 1, "outer_mm"), sentence))
+        return problems
+
+
+class Springs(Section):
+    """Springs and dampers between two bodies."""
+
+    kt_n_per_m: float = Field(0.0, ge=0, le=STIFFEST, description="translational stiffness [N/m]")
+    ct_ns_per_m: float = Field(0.0, ge=0, le=STIFFEST, description="translational damping [N s/m]")
+    kr_nm_per_rad: float = Field(0.0, ge=0, le=STIFFEST, description="rotational stiffness [N m/rad]")
+    cr_nms_per_rad: float = Field(0.0, ge=0, le=STIFFEST, description="rotational damping [N m s/rad]")
+    origin: Origin | None = Field(None, description="where the numbers come from")
+    note: str | None = Field(None, description="what a reader should know about them")
+
+
+class BearingDescription(Springs):
+    """A bearing between the shaft and the housing."""
+
+    group: Literal["12", "34", "5"] = Field(description="bearings of a group share their properties; in quotes")
+    position_mm: float = Field(ge=0, description="distance from the nose [mm]")
+    position_origin: Origin | None = Field(None, description="where the position comes from")
+
+
+class JointDescription(Springs):
+    """An elastic joint within the shaft."""
+
+    after_segment: int = Field(ge=1, description="number of the segment in front of the joint, from 1")
+
+
+class Body(Section):
+    """Holder or tool: its segments from the front backwards and the joint at its rear end."""
+
+    segments: list[SegmentDescription] = Field(min_length=1, description="from the front backwards")
+    joint: Springs | None = Field(None, description="contact at the rear end; none: rigid")
+    structural_damping: float | None = Field(
+        None, ge=0, lt=0.5, description="zeta of E (1 + j zeta), G (1 + j zeta); none: the shaft's"
+    )
+
+
+class SpindleDescription(Section):
+    """A spindle: shaft from the nose backwards, bearings, and what is clamped into it."""
+
+    name: str | None = Field(None, description="name of the spindle, for people")
+    note: str | None = Field(None, description="what a reader should know")
+    structural_damping: float = Field(0.0, ge=0, lt=0.5, description="zeta of E (1 + j zeta), G (1 + j zeta)")
+    rigid_rotary_inertia: Rotary | None = Field(
+        None, description="correct (default), or published: 4-12 as printed, to reproduce the source's tables"
+    )
+    bearings_identified_with: Rotary | None = Field(
+        None, description="rotary-inertia setting with which the bearing properties were identified"
+    )
+    materials: dict[Name, MaterialDescription] = Field({}, description="materials beside the shipped ones")
+    segments: list[SegmentDescription] = Field(min_length=1, description="the shaft from the nose backwards")
+    joints: list[JointDescription] = Field([], description="elastic joints within the shaft")
+    bearings: list[BearingDescription] | None = Field(None, description="none: the shaft is free at both ends")
+    holder: Body | None = Field(None, description="the tool holder")
+    tool: Body | None = Field(None, description="the tool")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems: list[tuple[KeyPath, str]] = []
+        length = sum(segment.length_mm for segment in self.segments)
+        for index, bearing in enumerate(self.bearings or ()):
+            if bearing.position_mm > length + 1e-6:
+                sentence = f"{bearing.position_mm:g} mm lies outside the shaft, which is {length:g} mm long"
+                problems.append((("bearings", index, "position_mm"), sentence))
+        for index, joint in enumerate(self.joints):
+            if joint.after_segment >= len(self.segments):
+                sentence = f"must lie between two segments: 1 to {len(self.segments) - 1}"
+                problems.append((("joints", index, "after_segment"), sentence))
+        places = [joint.after_segment for joint in self.joints]
+        problems += [
+            (("joints", index, "after_segment"), f"there is a joint after segment {place} already")
+            for index, place in enumerate(places)
+            if place in places[:index]
+        ]
+        if self.tool and not self.holder:
+            problems.append((("tool",), "a tool needs a holder; describe it under `holder`"))
+        if self.bearings_identified_with and self.rigid_rotary_inertia is None:
+            sentence = "bearing properties identified with a setting need it stated: write rigid_rotary_inertia, too"
+            problems.append((("bearings_identified_with",), sentence))
+        for name in ("holder", "tool"):
+            body = getattr(self, name)
+            if body and body.joint and not (body.joint.kt_n_per_m > 0.0 and body.joint.kr_nm_per_rad > 0.0):
+                problems.append(
+                    ((name, "joint"), "kt_n_per_m and kr_nm_per_rad must be above 0, or leave the joint out")
+                )
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+
+class _Materials(Section):
+    """The shipped materials."""
+
+    materials: dict[Name, MaterialDescription]
+
+
+def load_spindle(path: Path) -> SpindleDescription:
+    """Return a spindle file; materials are checked when it is built.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong, each with file, line, column and key.
+
+    """
+    return load_yaml_model(path, SpindleDescription)
+
+
+def parse_spindle(text: str, file: str) -> SpindleDescription:
+    """Return spindle text as a description; `file` names the text in errors. Raises ConfigurationError."""
+    return parse_yaml_model(text, SpindleDescription, file)
+
+
+def spindle_folder() -> Path:
+    """Return the folder of the shipped spindles."""
+    return Path(__file__).parent / "data" / "spindles"
+
+
+def shipped_spindles() -> tuple[str, ...]:
+    """Return the names of the shipped spindles."""
+    return tuple(sorted(path.stem for path in spindle_folder().glob("*.yaml")))
+
+
+def shipped_materials() -> dict[str, MaterialDescription]:
+    """Return the shipped materials by name."""
+    return dict(_read_materials().materials)
+
+
+@cache
+def _read_materials() -> _Materials:
+    return load_yaml_model(Path(__file__).parent / "data" / "materials.yaml", _Materials)

@@ -1,0 +1,163 @@
+"""`toolpoint check`: does everything that the configuration names answer?"""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.records.commissioning import CommissioningError, commissioning_obstacle, load_commissioning
+from config.schema import Configuration
+from config.schema.temperatures import LineConfig
+from daemon import registry
+from daemon.cnc.macro_block import MacroBlock
+from daemon.model_release.file_access import account_of_daemon
+from daemon.model_release.loading import load_released
+from daemon.spindle_speed.planning import open_planning
+from drivers.clock import Clock
+from drivers.contract import DriverError
+
+CYCLES_WAITED = 2.5
+"""A line must complete a cycle within so many periods."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was tried."""
+
+    subject: str
+    passed: bool
+    detail: str
+    pending: bool = False
+    """Not passed because nobody has set it up yet: the configuration does not name it."""
+
+    @property
+    def failed(self) -> bool:
+        """Something that is there, or should be, is not as it should be."""
+        return not self.passed and not self.pending
+
+    def as_json(self) -> dict[str, str | bool]:
+        """Return what stands in the JSON output."""
+        return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}
+
+
+async def probe(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
+    """Try everything; nothing is written to the CNC."""
+    yield model_finding(configuration)
+    yield _record(configuration)
+    if configuration.spindle_speed is not None:
+        yield _spindle_speed(configuration)
+    if not devices:
+        return
+    for line in configuration.temperatures.lines:
+        yield await _attempt(f"line {line.name}", lambda line=line: _line(configuration, line, clock))  # type: ignore[misc]
+    if configuration.displacements is not None:
+        yield await _attempt("displacement files", lambda: _displacements(configuration, clock))
+    yield await _attempt("cnc", lambda: _cnc(configuration, clock))
+
+
+def model_finding(configuration: Configuration) -> Finding:
+    """Return what the daemon's account will find of its model."""
+    found = load_released(configuration, account_of_daemon(configuration.history.path))
+    if found.model is None:
+        pending = configuration.compensation.model_file is None
+        return Finding(subject="thermal model", passed=False, detail=found.obstacle, pending=pending)
+    channels = ", ".join(found.model.channels)
+    return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
+
+
+def _spindle_speed(configuration: Configuration) -> Finding:
+    """Return whether spindles, bearings' model and cases of the tuned operations can be read and fit together."""
+    opened = open_planning(configuration, account_of_daemon(configuration.history.path))
+    if opened.obstacle or opened.model is None:
+        return Finding(subject="spindle speed", passed=False, detail=opened.obstacle)
+    detail = f"{opened.model.in_words()}; {len(opened.operations)} operation(s) can be tuned"
+    return Finding(subject="spindle speed", passed=True, detail=detail)
+
+
+def _record(configuration: Configuration) -> Finding:
+    path = configuration.compensation.commissioning_file
+    if path is None:
+        return Finding(
+            subject="commissioning",
+            passed=False,
+            pending=True,
+            detail="no record (compensation.commissioning_file), so nothing can be switched on: "
+            "run `toolpoint commission`",
+        )
+    try:
+        record = load_commissioning(path)
+    except CommissioningError as error:
+        return Finding(subject="commissioning", passed=False, detail=str(error))
+    axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
+    obstacle = commissioning_obstacle(
+        record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=axes
+    )
+    detail = obstacle or f"{record.cnc_identity} by {record.person} on {record.date}"
+    return Finding(subject="commissioning", passed=not obstacle, detail=detail)
+
+
+async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:
+    try:
+        return Finding(subject=subject, passed=True, detail=await work())
+    except DriverError as error:
+        return Finding(subject=subject, passed=False, detail=str(error))
+    except TimeoutError:
+        return Finding(subject=subject, passed=False, detail="nothing arrived in time")
+
+
+async def _line(configuration: Configuration, line: LineConfig, clock: Clock) -> str:
+    source = registry.open_temperature_source(configuration, line, clock)
+    try:
+        async with asyncio.timeout(CYCLES_WAITED * line.cycle_period_s / clock.speed):
+            async for cycle in source.cycles():
+                good = int(np.isfinite(cycle.degc).sum())
+                if not cycle.complete:
+                    raise DriverError(f"{good} of {len(cycle.degc)} sensors answered: {'; '.join(cycle.faults[:3])}")
+                return f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
+    finally:
+        await source.close()
+    raise DriverError("the line ended")
+
+
+async def _displacements(configuration: Configuration, clock: Clock) -> str:
+    assert configuration.displacements is not None
+    source = registry.open_displacement_source(configuration, clock, None)
+    period_s = configuration.displacements.file.poll_period_s
+    try:
+        async with asyncio.timeout(3 * period_s / clock.speed + 1.0):
+            async for sample in source.samples():
+                return f"{sample.source}: {np.array2string(sample.um, precision=1)} um"
+    finally:
+        await source.close()
+    raise DriverError("the file ended")
+
+
+async def _cnc(configuration: Configuration, clock: Clock) -> str:
+    cnc = registry.open_cnc(configuration, clock)
+    block = MacroBlock(configuration.cnc.macros, tuple(configuration.compensation.axes), {})
+    try:
+        await cnc.connect()
+        sample = await cnc.read(block.polled)
+    finally:
+        await cnc.close()
+    vacant = [n for n in block.polled if sample.macros.get(n) is None and n != configuration.cnc.macros.valid_until]
+    if vacant:
+        raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
+    if obstacle := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
+        raise DriverError(f"{cnc.identity}: {obstacle}")
+    security = "encrypted" if cnc.secure else "NOT secure"
+    return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
+
+
+def _other_control(configuration: Configuration, identity: str, guard_version: float | None) -> str:
+    """Return why the record is not that of this control and guard; '' without a record, which is told apart."""
+    path = configuration.compensation.commissioning_file
+    try:
+        record = None if path is None else load_commissioning(path)
+    except CommissioningError:
+        return ""
+    if record is None:
+        return ""
+    macros = configuration.cnc.macros
+    return commissioning_obstacle(record, cnc_identity=identity, macros=macros, axes=(), guard_version=guard_version)

@@ -1,0 +1,102 @@
+"""`toolpoint backup` and `toolpoint restore`."""
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+
+FAILED = 1
+"""Exit status when a back-up or restoration is refused or fails."""
+
+
+@click.command()
+@click.argument("destination", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    help="DESTINATION is a folder; afterwards remove all but its newest N back-ups.",
+)
+@config_option
+@json_option
+def backup(destination: Path | None, keep: int | None, config_path: Path, json_path: str | None) -> None:
+    """Write history, configuration, models, commissioning record and last block into one tar.
+
+    DESTINATION is a new file, or a folder, in which the back-up gets a name of its own; without it,
+    history.backup.directory. The daemon may run. Passwords and keys are not in it.
+    """
+    from daemon.backup.making import backup_name, make_backup, remove_old
+    from daemon.backup.manifest import BackupError
+
+    configuration = read_configuration(config_path)
+    folder_wanted = destination is None or keep is not None
+    if destination is None:
+        if configuration.history.backup is None:
+            refuse("name a DESTINATION, or set history.backup.directory in the configuration")
+        destination = configuration.history.backup.directory
+    try:
+        if folder_wanted:
+            destination.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        click.echo(f"{destination}: this folder for back-ups cannot be made ({error.strerror})", err=True)
+        sys.exit(FAILED)
+    into_folder = destination.is_dir()
+    name = backup_name(configuration.machine, datetime.now(UTC))
+    path = destination / name if into_folder else destination
+    try:
+        manifest = make_backup(configuration, config_path, path)
+        removed = remove_old(destination, configuration.machine, keep, spare=path) if keep is not None else []
+    except BackupError as error:
+        click.echo(str(error), err=True)
+        sys.exit(FAILED)
+    size_mib = path.stat().st_size / 2**20
+    click.echo(f"{path}: {len(manifest.files)} files, {size_mib:.1f} MiB; removed {len(removed)} older", err=True)
+    write_json(
+        json_path,
+        {
+            "path": str(path),
+            "size_mib": size_mib,
+            "removed": [str(old) for old in removed],
+            "manifest": manifest.model_dump(mode="json"),
+        },
+    )
+
+
+@click.command()
+@click.argument("archive", type=click.Path(path_type=Path))
+@click.option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
+@click.option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
+@config_option
+@json_option
+def restore(archive: Path, verify_only: bool, replace: bool, config_path: Path, json_path: str | None) -> None:
+    """Restore ARCHIVE while the daemon is stopped; nothing is overwritten or deleted.
+
+    The configuration goes to the place that --config names, everything else to where that
+    configuration says. The daemon then starts in FAULT and moves nothing until a person acknowledges.
+    """
+    from daemon.backup import restoring
+    from daemon.backup.manifest import BackupError
+    from daemon.model_release.releasing import person_now
+
+    try:
+        if verify_only:
+            manifest = restoring.read_manifest(archive)
+            click.echo(
+                f"{archive}: whole; {manifest.machine}, {manifest.created}, {len(manifest.files)} files", err=True
+            )
+            write_json(json_path, manifest.model_dump(mode="json"))
+            return
+        done = restoring.restore(archive, config_path, person=person_now(), replace=replace)
+    except BackupError as error:
+        click.echo(str(error), err=True)
+        sys.exit(FAILED)
+    for path in done.placed:
+        click.echo(f"restored {path}", err=True)
+    for path in done.kept:
+        click.echo(f"kept     {path}", err=True)
+    click.echo(
+        "put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`", err=True
+    )
+    write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})

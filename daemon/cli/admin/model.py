@@ -1,0 +1,182 @@
+"""`toolpoint model`: release thermal models and bearing models, list them, go back to an earlier one."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+
+if TYPE_CHECKING:
+    from config.records.release_record import ReleaseRecord
+    from daemon.model_release.releasing import Kind
+
+REFUSED = 1
+"""Exit status when a model is refused."""
+note_option = click.option("--note", default="", help="Why, for the record.")
+bearings_option = click.option(
+    "--bearings", is_flag=True, help="The bearing model of the spindle speed, not the thermal model."
+)
+
+
+def _kind(bearings: bool) -> "Kind":
+    from daemon.model_release.bearings import BEARINGS
+    from daemon.model_release.releasing import THERMAL
+
+    return BEARINGS if bearings else THERMAL
+
+
+@click.group()
+def model() -> None:
+    """Released models: who released which, and the way back.
+
+    Thermal models, or with --bearings the model of the bearings that the spindle speed follows. Run these as an
+    account that may write the folder of compensation.model_file or spindle_speed.thermomechanical_model. The
+    daemon's may not. The daemon takes a newly released thermal model up when it is started or reloaded, and a
+    bearing model when it is started.
+    """
+
+
+@model.command("release")
+@click.argument("proposal", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
+@bearings_option
+@note_option
+@config_option
+@json_option
+def release_command(
+    proposal: Path | None, by_policy: bool, bearings: bool, note: str, config_path: Path, json_path: str | None
+) -> None:
+    """Check PROPOSAL (a model's file, or its name among the proposals) and make it the active model.
+
+    Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands; of a bearing
+    model checksum, signals, and whether the spindles and cases of the configured operations fit it.
+    """
+    from daemon.model_release.releasing import person_now, proposal_named, release, release_by_policy
+    from daemon.model_release.repository import ReleaseError
+
+    if (proposal is None) != by_policy:
+        raise click.UsageError("name one PROPOSAL, or let --by-policy choose one")
+    if by_policy and bearings:
+        raise click.UsageError("the policy knows thermal models alone; a person releases a bearing model")
+    configuration = read_configuration(config_path)
+    try:
+        if proposal is None:
+            record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
+        else:
+            path = proposal_named(configuration, proposal)
+            record = release(configuration, path, person=person_now(), note=note, kind=_kind(bearings))
+    except (ReleaseError, OSError) as error:
+        click.echo(str(error), err=True)
+        sys.exit(REFUSED)
+    if record is None:
+        click.echo("no proposal that the policy lets through; `toolpoint model list` shows what waits", err=True)
+        write_json(json_path, None)
+        return
+    _done(record, bearings, json_path)
+
+
+@model.command()
+@click.option("--to", "number", type=click.IntRange(min=1), help="The release to go back to (else the one before).")
+@bearings_option
+@note_option
+@config_option
+@json_option
+def rollback(number: int | None, bearings: bool, note: str, config_path: Path, json_path: str | None) -> None:
+    """Make an earlier release the active model again, under a new number."""
+    from daemon.model_release import releasing
+    from daemon.model_release.repository import ReleaseError
+
+    configuration = read_configuration(config_path)
+    try:
+        kind, person = _kind(bearings), releasing.person_now()
+        record = releasing.rollback(configuration, person=person, to=number, note=note, kind=kind)
+    except (ReleaseError, OSError) as error:
+        click.echo(str(error), err=True)
+        sys.exit(REFUSED)
+    _done(record, bearings, json_path)
+
+
+def _done(record: "ReleaseRecord", bearings: bool, json_path: str | None) -> None:
+    taken_up = "at its next start" if bearings else "with `systemctl reload toolpoint`, or at its next start"
+    click.echo(
+        f"release {record.number}: {record.model_id}, sha256 {record.sha256[:12]}, by {record.person}; the daemon "
+        f"takes it up {taken_up}",
+        err=True,
+    )
+    write_json(json_path, record.model_dump(mode="json"))
+
+
+@model.command("list")
+@bearings_option
+@config_option
+@json_option
+def list_command(bearings: bool, config_path: Path, json_path: str | None) -> None:
+    """Show every release, which one is active, and the proposals that wait (there are none of bearing models)."""
+    from daemon.model_release.releasing import proposals, why_proposals_are_hidden
+    from daemon.model_release.repository import ReleaseError
+
+    configuration = read_configuration(config_path)
+    try:
+        shelf = _kind(bearings).shelf(configuration)
+        active = shelf.active()
+    except (ReleaseError, OSError) as error:
+        refuse(str(error))
+    records, waiting = shelf.records(), () if bearings else proposals(configuration)
+    number = active.number if active is not None else None
+    write_json(
+        json_path,
+        {
+            "active": number,
+            "releases": [record.model_dump(mode="json") for record in records],
+            "proposals": [
+                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "obstacle": p.obstacle}
+                for p in waiting
+            ],
+        },
+    )
+    if json_path is not None:
+        return
+    for record in records:
+        mark = "*" if record.number == number else " "
+        click.echo(
+            f"{mark} {record.number:4d}  {record.released}  {record.action:8}  {record.model_id}  "
+            f"{record.sha256[:12]}  {record.person}  {record.note}".rstrip()
+        )
+    if not records:
+        click.echo("no model has been released")
+    if not bearings and (hidden := why_proposals_are_hidden(configuration)):
+        click.echo(hidden, err=True)
+    for proposal in waiting:
+        click.echo(
+            f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.obstacle}".rstrip()
+        )
+
+
+@model.command()
+@config_option
+@json_option
+def propose(config_path: Path, json_path: str | None) -> None:
+    """Train a model on the daemon's own history and put it among the proposals.
+
+    Displacements count without what the NC applied. compensation.retraining says how far back, and
+    which family; with that section the daemon does this by itself now and then.
+    """
+    from config.records.commissioning import CommissioningError
+    from config.schema.compensation import RetrainingConfig
+    from daemon.history import HistoryError
+    from daemon.model_release.retraining import propose_from_history
+    from models.recordings.dataset import DatasetError
+
+    configuration = read_configuration(config_path)
+    try:
+        made = propose_from_history(configuration, configuration.compensation.retraining or RetrainingConfig())
+    except (CommissioningError, HistoryError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{configuration.history.path.parent}: the proposal cannot be written ({error.strerror})")
+    click.echo(f"{made['path']}: {made['model_id']}, {made['hours']:g} h in {made['recordings']} stretches", err=True)
+    if made["refused"]:
+        click.echo(f"its training refuses it: {made['refused']}", err=True)
+    write_json(json_path, made)

@@ -1,0 +1,110 @@
+"""`toolpoint dynamics bearings`: bearing properties from temperatures."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daemon.cli.common import Command, FiniteFloat, json_option, refuse, write_json
+
+if TYPE_CHECKING:
+    from models.thermomechanics.regression import AxisRegression
+
+DEGC = FiniteFloat(min=-40.0, max=150.0)
+KELVIN = FiniteFloat(min=-100.0, max=100.0)
+SIGNALS = {"ir": "IR", "a": "A", "f": "F", "room": "Room"}
+"""Ending of the options -> label of the sensors."""
+PLACES = {"ir": "spindle nose, infrared", "a": "housing, rear", "f": "front cover", "room": "ambient"}
+
+
+def _temperature_options(command: Command) -> Command:
+    """Add four temperatures, their changes, and the changes over 4 minutes."""
+    options: list[Callable[[Command], Command]] = [
+        click.option(f"--t-{name}", type=DEGC, required=True, help=f"T_{label} [degC] ({PLACES[name]}).")
+        for name, label in SIGNALS.items()
+    ]
+    for name, label in SIGNALS.items():
+        sentence = f"Change of T_{label} over each property's own interval (10 min; X: kt_34, kt_5 4 min) [K]."
+        options.append(
+            click.option(f"--d-{name}", f"--d-t-{name}", f"d_{name}", type=KELVIN, default=0.0, help=sentence)
+        )
+    for name, label in SIGNALS.items():
+        sentence = f"Change of T_{label} over 4 min, where it differs from --d-{name} [K]."
+        options.append(click.option(f"--d4-{name}", type=KELVIN, default=None, help=sentence))
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis: Table D-1 (x) or D-2 (y).")
+@_temperature_options
+@click.option(
+    "--model",
+    "model_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Model of a campaign (JSON) in place of the published tables; its signals must be IR, A, F and Room.",
+)
+@click.option(
+    "--bounds",
+    "bounds_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Physical bounds (YAML) for the published tables, in place of the shipped ones.",
+)
+@json_option
+def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_path: str | None, **given: Any) -> None:
+    """Bearing properties from four temperatures and their changes (5-1).
+
+    The regressions are the published ones, or those of a model. `raw` is what the regression says, `value` the same
+    within the physical bounds, `flagged` is true where they differ: a flagged value is a bound, not an estimate.
+    """
+    import numpy as np
+
+    regression = _regression(axis, model_path, bounds_path)
+    degc = np.array([given[f"t_{name}"] for name in SIGNALS])
+    change = np.array([given[f"d_{name}"] for name in SIGNALS])
+    over_4_min = np.array([given[f"d_{n}"] if given[f"d4_{n}"] is None else given[f"d4_{n}"] for n in SIGNALS])
+    order = [list(SIGNALS.values()).index(signal) for signal in regression.signals]
+    changes = {minutes: over_4_min if minutes == 4.0 else change for minutes in regression.intervals_min}
+    found = regression.estimate(degc[order], {minutes: each[order] for minutes, each in changes.items()})
+    for each in found:
+        beside = ""
+        if each.flagged:
+            beside = (
+                f"   outside the physical range {each.bounds.lowest:g} to {each.bounds.highest:g}: raw {each.raw:.4g}"
+            )
+        click.echo(f"{each.name:6} {each.value:12.4e}{beside}", err=True)
+    write_json(
+        json_path, {each.name: {"raw": each.raw, "value": each.value, "flagged": each.flagged} for each in found}
+    )
+
+
+def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) -> "AxisRegression":
+    """Return the regressions that are asked for, or end with a sentence."""
+    from config.machine.published_bearings import load_bounds, published_model
+    from config.problems import ConfigurationError
+    from models.thermal.model import ModelError
+    from models.thermomechanics.artifact import model_from_json
+
+    try:
+        if model_path is None:
+            return published_model(load_bounds(bounds_path)).axes[axis]
+        model = model_from_json(model_path.read_text(encoding="utf-8"), str(model_path))
+    except OSError as error:
+        refuse(f"{model_path}: cannot be opened ({error.strerror})")
+    except UnicodeDecodeError:
+        refuse(f"{model_path}: is not text; a model is JSON")
+    except (ConfigurationError, ModelError) as error:
+        refuse(str(error))
+    if bounds_path is not None:
+        refuse("a model carries its own bounds; give --bounds when it is fitted")
+    if axis not in model.axes:
+        refuse(f"{model_path}: holds no regressions for axis {axis}, only for {', '.join(model.axes)}")
+    regression = model.axes[axis]
+    if not set(regression.signals) <= set(SIGNALS.values()):
+        signals = ", ".join(regression.signals)
+        refuse(f"{model_path}: regresses on {signals}; here are {', '.join(SIGNALS.values())} (campaign --signals)")
+    return regression

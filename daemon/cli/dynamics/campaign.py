@@ -1,0 +1,265 @@
+"""`toolpoint dynamics campaign`, `simulate-campaign` and `track`: bearings and tool point over temperature."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from daemon.cli.common import (
+    POSITIVE,
+    FiniteFloat,
+    json_option,
+    refuse,
+    rotary_option,
+    show_warnings,
+    trust_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from config.machine.spindle import Rotary
+
+FILE = click.Path(path_type=Path)
+
+
+def _writable(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    if value is not None and not value.parent.is_dir():
+        raise click.BadParameter(f"{value}: there is no folder {value.parent}")
+    return value
+
+
+def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse a report that cannot be written before the work is done."""
+    if value is not None and value.suffix.lower() != ".html":
+        raise click.BadParameter(f"{value}: a report ends in .html")
+    if value is not None and find_spec("plotly") is None:
+        raise click.BadParameter("a report needs plotly: install toolpoint[plots]")
+    return _writable(ctx, param, value)
+
+
+@click.command()
+@click.argument("folders", metavar="FRFS...", nargs=-1, required=True, type=FILE)
+@click.option(
+    "--temperatures",
+    "recordings",
+    metavar="RECORDING",
+    multiple=True,
+    required=True,
+    type=FILE,
+    help="Recording of the temperatures (CSV), one for each folder.",
+)
+@click.option(
+    "--spindle",
+    "spindle_path",
+    metavar="SPINDLE.yaml",
+    type=FILE,
+    help="Spindle that was hit: a file or a shipped name. Without: spindle.yaml in the first folder.",
+)
+@rotary_option
+@click.option(
+    "--config",
+    "-c",
+    "config_path",
+    type=FILE,
+    help="Configuration whose labels name the sensors T1, T2 ...; without: the columns themselves are the signals.",
+)
+@click.option("--signals", metavar="A,B,...", help="Signals to regress on. Without: chosen by correlation.")
+@click.option("--from-hz", type=POSITIVE, help="Lowest frequency used [Hz].")
+@click.option("--to-hz", type=POSITIVE, help="Highest frequency used [Hz]; up to where the beam model holds.")
+@trust_option
+@click.option("--bounds", "bounds_path", metavar="FILE", type=FILE, help="Physical bounds (YAML).")
+@click.option("--least-squares", is_flag=True, help="No penalty and all thirteen variables, as the source.")
+@click.option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
+@click.option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
+@click.option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")
+@json_option
+def campaign(
+    folders: tuple[Path, ...],
+    recordings: tuple[Path, ...],
+    spindle_path: Path | None,
+    rotary: "Rotary | None",
+    config_path: Path | None,
+    signals: str | None,
+    from_hz: float | None,
+    to_hz: float | None,
+    trust_units: bool,
+    bounds_path: Path | None,
+    least_squares: bool,
+    only_five: bool,
+    model_path: Path | None,
+    report_path: Path | None,
+    json_path: str | None,
+) -> None:
+    """Fit bearing properties on temperatures from impact tests at the nose.
+
+    Each folder FRFS holds responses (CSV or universal files) and impacts.csv with the header `file,axis,time`: times
+    as in the recording. Every response is identified, the series are interpolated to one minute, sensors and
+    intervals are chosen, and the regressions are fitted.
+    """
+    from config.loader import load_configuration
+    from config.machine.published_bearings import load_bounds
+    from config.machine.spindle_files import found_file, read_spindle
+    from config.problems import ConfigurationError
+    from daemon.cli.common import ProgressBar
+    from daemon.workbench.dynamics.campaign import campaign_summary, read_run, run_campaign
+    from daemon.workbench.dynamics.identifying import Band
+    from drivers.contract import FatalDriverError
+    from models.dynamics.errors import IdentificationError
+    from models.dynamics.measurement import MeasurementError
+    from models.thermomechanics.artifact import model_to_json
+
+    if len(folders) != len(recordings):
+        refuse(f"{len(folders)} folders need as many recordings, there are {len(recordings)}: repeat --temperatures")
+    told = spindle_path or folders[0] / "spindle.yaml"
+    try:
+        configuration = None if config_path is None else load_configuration(config_path)
+        spindle, bounds = read_spindle(told, rotary), load_bounds(bounds_path)
+        band = Band(from_hz=from_hz, to_hz=to_hz, trust_units=trust_units)
+        runs = [read_run(*pair, configuration, band) for pair in zip(folders, recordings, strict=True)]
+        with ProgressBar() as progress:
+            result = run_campaign(
+                runs,
+                spindle,
+                found_file(told),
+                bounds,
+                signals=[each.strip() for each in signals.split(",")] if signals else None,
+                parameter_sets=(5,) if only_five else (5, 7, 12),
+                least_squares=least_squares,
+                progress=progress.show,
+                trust_units=trust_units,
+            )
+    except (ConfigurationError, FatalDriverError, MeasurementError, IdentificationError) as error:
+        refuse(str(error))
+    found = campaign_summary(result)
+    show_warnings(found)
+    click.echo(f"signals: {', '.join(result.model.signals)}", err=True)
+    for axis, each in found["axes"].items():
+        click.echo(f"axis {axis}: {each['responses']} responses, {each['minutes']} minutes", err=True)
+        for name, fit in each["properties"].items():
+            click.echo(
+                f"  {name:6} interval {fit['interval_min']:4.0f} min   adjusted R^2 {fit['adjusted_r2']:.4f}   "
+                f"error on left-out stretches {fit['left_out_error']:.3f}",
+                err=True,
+            )
+    if model_path is not None:
+        model_path.write_text(model_to_json(result.model), encoding="utf-8")
+    if report_path is not None:
+        from daemon.workbench.dynamics.campaign_report import write_report
+
+        write_report(report_path, result, spindle)
+    write_json(json_path, found)
+
+
+@click.command("simulate-campaign")
+@click.argument("folder", metavar="FOLDER", type=FILE)
+@click.option(
+    "--day", type=click.IntRange(0, 2**32 - 1), default=3, show_default=True, help="Seed of the simulated day."
+)
+@click.option(
+    "--df",
+    "step_hz",
+    type=FiniteFloat(min=0.1, max=50.0),
+    default=3.125,
+    show_default=True,
+    help="Step between frequencies [Hz].",
+)
+def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
+    """Write an impact campaign on the simulated machine into FOLDER: responses, recording, spindle file."""
+    from daemon.simulation.impact_campaign import write_campaign
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        refuse(f"{folder} exists and is not an empty folder; name a new one")
+    count, minutes = write_campaign(folder, day, step_hz)
+    click.echo(f"{folder}: {count} responses within {minutes:.0f} simulated minutes", err=True)
+
+
+@click.command()
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--model", "model_path", metavar="FILE", type=FILE, help="Model of a campaign. Without: the published.")
+@click.option("--spindle", "spindle_path", metavar="SPINDLE.yaml", type=FILE, required=True, help="Spindle with tool.")
+@click.option(
+    "--spindle-y", "spindle_y_path", metavar="SPINDLE.yaml", type=FILE, help="Spindle along Y where it differs."
+)
+@rotary_option
+@click.option("--axis", type=click.Choice(["x", "y", "both"]), default="both", show_default=True, help="Machine axes.")
+@click.option(
+    "--at", type=click.Choice(["nose", "holder", "tool"]), default="tool", show_default=True, help="Where to look."
+)
+@click.option("--config", "-c", "config_path", type=FILE, help="Configuration whose labels name T1, T2 ...")
+@click.option("--near-hz", type=POSITIVE, help="Follow the resonance nearest to this [Hz]. Without: the highest.")
+@click.option(
+    "--every-min", type=FiniteFloat(min=0.0, min_open=True), default=1.0, show_default=True, help="Results apart [min]."
+)
+@click.option(
+    "--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write the curves over time (HTML)."
+)
+@json_option
+def track(
+    recording: Path,
+    model_path: Path | None,
+    spindle_path: Path,
+    spindle_y_path: Path | None,
+    rotary: "Rotary | None",
+    axis: str,
+    at: str,
+    config_path: Path | None,
+    near_hz: float | None,
+    every_min: float,
+    report_path: Path | None,
+    json_path: str | None,
+) -> None:
+    """Follow the resonance of the tool point through a RECORDING of temperatures, as the daemon would."""
+    from config.loader import load_configuration
+    from config.machine.published_bearings import published_model
+    from config.machine.spindle_files import read_spindle
+    from config.problems import ConfigurationError
+    from daemon.cli.common import ProgressBar
+    from daemon.workbench.dynamics.campaign import read_temperatures
+    from daemon.workbench.dynamics.responses import ResponseError, parts_at
+    from daemon.workbench.dynamics.tracking import (
+        TrackingError,
+        track_recording,
+        tracking_summary,
+        write_tracking_page,
+    )
+    from drivers.contract import FatalDriverError
+    from models.dynamics.errors import IdentificationError
+    from models.thermal.model import ModelError
+    from models.thermomechanics.artifact import model_from_json
+
+    files = {"x": spindle_path, "y": spindle_y_path or spindle_path}
+    try:
+        configuration = None if config_path is None else load_configuration(config_path)
+        model = published_model()
+        if model_path is not None:
+            model = model_from_json(model_path.read_text(encoding="utf-8"), str(model_path))
+        wanted = [each for each in files if axis in (each, "both") and (axis != "both" or each in model.axes)]
+        spindles = {each: read_spindle(files[each], rotary) for each in wanted}
+        for each, spindle in spindles.items():
+            parts_at(spindle, at)
+            if not spindle.shaft.supports:
+                refuse(f"{files[each]}: describes no bearings")
+        temperatures = read_temperatures(recording, configuration)
+        with ProgressBar() as progress:
+            day = track_recording(temperatures, model, spindles, at, near_hz, every_min, progress.show)
+    except OSError as error:
+        refuse(f"{error.filename}: cannot be opened ({error.strerror})")
+    except UnicodeDecodeError:
+        refuse(f"{model_path}: is not text; a model is JSON")
+    except ResponseError as error:
+        refuse(f"{spindle_path}: {error}")
+    except (ConfigurationError, FatalDriverError, IdentificationError, ModelError, TrackingError) as error:
+        refuse(str(error))
+    found = tracking_summary(day)
+    show_warnings(found)
+    for name, told in found["axes"].items():
+        hz = told["resonance_hz"]
+        click.echo(
+            f"axis {name}: {hz[0]:.1f} Hz at first, {min(hz):.1f} to {max(hz):.1f} Hz, {hz[-1]:.1f} Hz at last; "
+            f"{sum(not each for each in told['continuous'])} of {len(hz)} lost",
+            err=True,
+        )
+    if report_path is not None:
+        write_tracking_page(report_path, day)
+    write_json(json_path, found)

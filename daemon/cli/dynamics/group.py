@@ -1,0 +1,120 @@
+"""`toolpoint dynamics`: modes and frequency responses of a spindle, and what is identified from measured ones."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from daemon.cli.common import (
+    POSITIVE,
+    csv_option,
+    json_option,
+    picture_option,
+    refuse,
+    rotary_option,
+    show_warnings,
+    spindle_argument,
+    write_json,
+)
+from daemon.cli.dynamics.bearings import bearings
+from daemon.cli.dynamics.campaign import campaign, simulate_campaign, track
+from daemon.cli.dynamics.identify import contact, identify
+from daemon.cli.dynamics.studies import compare, sensitivity
+
+if TYPE_CHECKING:
+    from config.machine.spindle import Rotary
+
+
+@click.group()
+def dynamics() -> None:
+    """Spindle dynamics: modes, frequency responses, bearing properties, design studies."""
+
+
+@dynamics.command()
+@spindle_argument
+@rotary_option
+@click.option("--count", type=click.IntRange(1, 100), default=6, show_default=True, help="How many modes.")
+@picture_option
+@json_option
+def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path | None, json_path: str | None) -> None:
+    """Undamped natural frequencies and mode shapes of SPINDLE, free or on its bearings as the file says.
+
+    SPINDLE is a file or the name of one that ships. Positions count from the nose backwards.
+    """
+    from config.machine.spindle_files import read_spindle
+    from config.problems import ConfigurationError
+    from daemon.workbench.dynamics.responses import modes_summary
+
+    try:
+        spindle = read_spindle(spindle_path, rotary)
+        found = modes_summary(spindle, count)
+    except ConfigurationError as error:
+        refuse(str(error))
+    show_warnings(found)
+    click.echo(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long", err=True)
+    for number, mode in enumerate(found["modes"], start=1):
+        click.echo(f"mode {number:2}: {mode['frequency_hz']:10.2f} Hz", err=True)
+    if picture is not None:
+        from daemon.workbench.dynamics.pictures import modes_picture
+
+        modes_picture(picture, spindle, found)
+    write_json(json_path, found)
+
+
+@dynamics.command()
+@spindle_argument
+@rotary_option
+@click.option(
+    "--at",
+    type=click.Choice(["nose", "holder", "tool"]),
+    default="nose",
+    show_default=True,
+    help="nose: of the spindle alone; holder: its front, without tool; tool: the tip.",
+)
+@click.option("--from-hz", type=POSITIVE, default=300.0, show_default=True, help="First frequency [Hz].")
+@click.option("--to-hz", type=POSITIVE, default=2500.0, show_default=True, help="Last frequency [Hz].")
+@click.option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
+@click.option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
+@csv_option
+@picture_option
+@json_option
+def frf(
+    spindle_path: Path,
+    rotary: "Rotary | None",
+    at: str,
+    from_hz: float,
+    to_hz: float,
+    points: int | None,
+    step_hz: float | None,
+    csv_path: Path | None,
+    picture: Path | None,
+    json_path: str | None,
+) -> None:
+    """Receptance of SPINDLE where it is hit: displacement per force [m/N] over frequency."""
+    from config.machine.spindle_files import read_spindle
+    from config.problems import ConfigurationError
+    from daemon.workbench.dynamics.responses import ResponseError, frequencies, response_summary
+
+    try:
+        spindle = read_spindle(spindle_path, rotary)
+        found = response_summary(spindle, at, frequencies(from_hz, to_hz, points, step_hz))
+    except ConfigurationError as error:
+        refuse(str(error))
+    except ResponseError as error:
+        refuse(f"{spindle_path}: {error}")
+    show_warnings(found)
+    for peak in found["peaks"]:
+        click.echo(f"peak {peak['frequency_hz']:10.2f} Hz {peak['magnitude_m_per_n']:10.3e} m/N", err=True)
+    if csv_path is not None:
+        rows = zip(found["frequency_hz"], found["receptance_re"], found["receptance_im"], strict=True)
+        lines = ["frequency_hz,receptance_re,receptance_im", *(f"{f!r},{re!r},{im!r}" for f, re, im in rows)]
+        csv_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if picture is not None:
+        from daemon.workbench.dynamics.pictures import response_picture
+
+        response_picture(picture, spindle, found)
+    write_json(json_path, found)
+
+
+for command in (identify, contact, sensitivity, compare, bearings, campaign, simulate_campaign, track):
+    dynamics.add_command(command)

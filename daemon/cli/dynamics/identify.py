@@ -1,0 +1,176 @@
+"""`toolpoint dynamics identify` and `contact`: properties from measured frequency responses."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from daemon.cli.common import (
+    POSITIVE,
+    FiniteFloat,
+    json_option,
+    picture_option,
+    refuse,
+    rotary_option,
+    show_warnings,
+    spindle_argument,
+    trust_option,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from config.machine.spindle import Rotary
+    from models.dynamics.identification import Method
+
+measured_argument = click.argument(
+    "measured", metavar="MEASURED...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+method_option = click.option(
+    "--method",
+    type=click.Choice(["lm", "nelder-mead"]),
+    default="lm",
+    show_default=True,
+    help="lm: least squares of the logarithm; nelder-mead: the simplex on the source's cost (4-36).",
+)
+from_option = click.option("--from-hz", type=POSITIVE, help="Use no lower frequencies [Hz].")
+to_option = click.option("--to-hz", type=POSITIVE, help="Use no higher frequencies [Hz].")
+coherence_option = click.option(
+    "--least-coherence", type=FiniteFloat(min=0.0, max=1.0), help="Use only frequencies with at least this coherence."
+)
+
+
+@click.command()
+@spindle_argument
+@measured_argument
+@rotary_option
+@click.option(
+    "--parameters",
+    type=click.Choice(["5", "7", "12"]),
+    default="5",
+    show_default=True,
+    help="How many bearing parameters are varied; the others are kept.",
+)
+@method_option
+@click.option(
+    "--fixed",
+    type=click.Choice(["auto", "source", "file"]),
+    default="auto",
+    show_default=True,
+    help="Where kept parameters come from: section 5.2.3, the file, or auto: 5.2.3 unless only the file's fit.",
+)
+@from_option
+@to_option
+@coherence_option
+@trust_option
+@picture_option
+@json_option
+def identify(
+    spindle_path: Path,
+    measured: tuple[Path, ...],
+    rotary: "Rotary | None",
+    parameters: str,
+    method: "Method",
+    fixed: Literal["auto", "source", "file"],
+    from_hz: float | None,
+    to_hz: float | None,
+    least_coherence: float | None,
+    trust_units: bool,
+    picture: Path | None,
+    json_path: str | None,
+) -> None:
+    """Bearing properties of SPINDLE from responses MEASURED at its nose (CSV or universal file).
+
+    Several responses are averaged. Which parameters the data see is said for each.
+    """
+    from config.machine.spindle_files import read_spindle
+    from config.problems import ConfigurationError
+    from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response
+    from daemon.workbench.dynamics.responses import ResponseError
+    from drivers.files.frf_measurement import MeasurementFileError
+    from models.dynamics.errors import IdentificationError
+    from models.dynamics.measurement import MeasurementError
+
+    try:
+        spindle = read_spindle(spindle_path, rotary)
+        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
+        response = measured_response(measured, band, int(parameters))
+        found = bearings_summary(spindle, response, int(parameters), method, fixed, trust_units=trust_units)
+    except (ConfigurationError, MeasurementFileError) as error:
+        refuse(str(error))
+    except MeasurementError as error:
+        refuse(f"{', '.join(map(str, measured))}: {error}")
+    except (ResponseError, IdentificationError) as error:
+        refuse(f"{spindle_path}: {error}")
+    show_identified(found)
+    if picture is not None:
+        from daemon.workbench.dynamics.pictures import identified_picture
+
+        identified_picture(picture, spindle, response, found)
+    write_json(json_path, found)
+
+
+@click.command()
+@spindle_argument
+@measured_argument
+@rotary_option
+@click.option(
+    "--joint",
+    type=click.Choice(["spindle-holder", "holder-tool", "shaft"]),
+    required=True,
+    help="Measured at the holder's front, at the tool's tip, or at the nose of the shaft.",
+)
+@click.option("--after-segment", type=click.IntRange(1), help="Segment in front of a joint in the shaft, from 1.")
+@method_option
+@from_option
+@to_option
+@coherence_option
+@trust_option
+@json_option
+def contact(
+    spindle_path: Path,
+    measured: tuple[Path, ...],
+    rotary: "Rotary | None",
+    joint: str,
+    after_segment: int | None,
+    method: "Method",
+    from_hz: float | None,
+    to_hz: float | None,
+    least_coherence: float | None,
+    trust_units: bool,
+    json_path: str | None,
+) -> None:
+    """Stiffness and damping of a joint of SPINDLE from responses MEASURED in front of it (CSV or universal file)."""
+    from config.machine.spindle_files import read_spindle
+    from config.problems import ConfigurationError
+    from daemon.workbench.dynamics.identifying import Band, contact_summary, measured_response
+    from daemon.workbench.dynamics.responses import ResponseError
+    from drivers.files.frf_measurement import MeasurementFileError
+    from models.dynamics.errors import IdentificationError
+    from models.dynamics.measurement import MeasurementError
+
+    try:
+        spindle = read_spindle(spindle_path, rotary)
+        band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
+        response = measured_response(measured, band, 4)
+        found = contact_summary(spindle, response, joint, after_segment, method, trust_units=trust_units)
+    except (ConfigurationError, MeasurementFileError) as error:
+        refuse(str(error))
+    except MeasurementError as error:
+        refuse(f"{', '.join(map(str, measured))}: {error}")
+    except (ResponseError, IdentificationError) as error:
+        refuse(f"{spindle_path}: {error}")
+    show_identified(found)
+    write_json(json_path, found)
+
+
+def show_identified(found: dict[str, Any]) -> None:
+    """Write what was identified on standard error."""
+    show_warnings(found)
+    for name, value in found["values"].items():
+        seen = "" if found["identifiable"][name] else "   not determined by the data"
+        click.echo(f"{name:6} {value:12.4e}{seen}", err=True)
+    click.echo(
+        f"cost {found['cost']:.3e} m/N, mean |log(H/H_meas)| {found['log_error']:.2e}, "
+        f"{found['evaluations']} evaluations",
+        err=True,
+    )

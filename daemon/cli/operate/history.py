@@ -1,0 +1,229 @@
+"""`toolpoint history` and `toolpoint export`: look into the store, also while the daemon writes it."""
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, sensor_list, view
+from daemon.history import HistoryError, HistoryReader
+from daemon.history.columns.kinds import TEMPERATURES
+from daemon.history.reader import TABLES
+from daemon.history.tables import Table
+from models.records import ProbeSample
+
+KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
+KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
+store_option = click.option(
+    "--store",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="The store's file (else the configuration's history.path).",
+)
+
+
+@contextmanager
+def open_history(store: Path | None, config_path: Path) -> Iterator[HistoryReader]:
+    """Open the store, or end with a sentence and the status for bad usage."""
+    path = store or read_configuration(config_path).history.path
+    try:
+        with HistoryReader(path) as reader:
+            yield reader
+    except HistoryError as error:
+        refuse(str(error))
+
+
+@click.command()
+@click.argument("what", type=click.Choice(KINDS_SHOWN), default="summary")
+@config_option
+@store_option
+@click.option("--last", "last_s", callback=duration, default="1h", show_default=True, help="How far back to look.")
+@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows shown, newest kept.")
+@json_option
+def history(what: str, config_path: Path, store: Path | None, last_s: float, limit: int, json_path: str | None) -> None:
+    """Show what the daemon recorded: WHAT is summary, writes, events, probes, estimates or cnc."""
+    with open_history(store, config_path) as reader:
+        if what == "summary":
+            content = summary(reader)
+            write_json(json_path, content)
+            if json_path is None:
+                _print_summary(content)
+            return
+        from_utc_s = time.time() - last_s
+        if json_path is None:
+            _print_view(reader, what, from_utc_s, limit)
+        else:
+            write_json(json_path, rows_of(reader, what, from_utc_s))
+
+
+def summary(reader: HistoryReader) -> dict[str, Any]:
+    """Return what the store holds."""
+    kinds = {}
+    for kind in TABLES:
+        extent = reader.extent(kind)
+        kinds[kind] = {
+            "rows": reader.row_count(kind),
+            "first_utc": iso(extent[0]) if extent else None,
+            "last_utc": iso(extent[1]) if extent else None,
+        }
+    return {
+        "store": str(reader.path),
+        "size_bytes": sum(f.stat().st_size for f in (reader.path, Path(f"{reader.path}-wal")) if f.is_file()),
+        "sensors": len(reader.sensor_ids()),
+        "kinds": kinds,
+        "acknowledged_cycle": reader.acknowledged(),
+        "writes_without_outcome": [record.write_id for record in reader.unsettled_writes()],
+    }
+
+
+def rows_of(reader: HistoryReader, what: str, from_utc_s: float) -> list[dict[str, Any]]:
+    """Return records since a time as rows of names and plain values, oldest first."""
+    if what == "events":
+        events = reader.events(from_utc_s, FAR_FUTURE_S)
+        return [{"time_utc": iso(e.time_s), "kind": e.kind, "text": e.text, "person": e.person} for e in events]
+    if what == "probes":
+        return [_probe_row(probe) for probe in reader.probes(from_utc_s, FAR_FUTURE_S)]
+    table = Table(reader, what, from_utc_s, FAR_FUTURE_S)
+    names = [column.name for column in table.columns]
+    rows: list[dict[str, Any]] = []
+    for window in table.windows():
+        columns = [[_plain(value) for value in values] for values in window]
+        rows += [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+    return rows
+
+
+def _probe_row(probe: ProbeSample) -> dict[str, Any]:
+    numbers = {
+        "deviation_um": probe.deviation_um,
+        "applied_um": probe.applied_um,
+        "thermal_error_um": probe.thermal_error_um,
+    }
+    return {
+        "time_utc": iso(probe.time.utc_s),
+        "axis": probe.axis,
+        **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        "reference_id": probe.reference_id,
+        "accepted": probe.accepted,
+        "reason": probe.reason,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return a cell as JSON has it; None where there is no value."""
+    if value is None or isinstance(value, str):
+        return value
+    if value.dtype.kind == "M":
+        text = str(value)
+        return None if text == "NaT" else f"{text}Z"
+    plain = value.item()
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return None if math.isnan(plain) else str(plain)
+    return plain
+
+
+def _print_summary(content: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    table = RichTable(title=f"{content['store']}: {content['size_bytes'] / 2**20:.1f} MiB")
+    table.add_column("records")
+    table.add_column("rows", justify="right")
+    table.add_column("first")
+    table.add_column("last")
+    for kind, found in content["kinds"].items():
+        table.add_row(kind, f"{found['rows']:,}", found["first_utc"] or "-", found["last_utc"] or "-")
+    console = Console()
+    console.print(table)
+    console.print(f"sensors: {content['sensors']}; last cycle committed per line: {content['acknowledged_cycle']}")
+    if open_writes := content["writes_without_outcome"]:
+        console.print(f"writes without a known outcome: {open_writes}", style="yellow")
+
+
+def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    headings, rows = view(reader, what, from_utc_s)
+    if not rows:
+        extent = reader.extent(what)
+        newest = f"the newest is of {iso(extent[1])}" if extent else "the store has none at all"
+        click.echo(f"No {what} in this time; {newest}.")
+        return
+    shown = rows[-limit:]
+    title = f"{what}: {len(shown)} of {len(rows)} rows" if len(shown) < len(rows) else f"{what}: {len(rows)} rows"
+    table = RichTable(*headings, title=title)
+    for row in shown:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else Text(*cell) for cell in row))
+    Console().print(table)
+
+
+@click.command()
+@config_option
+@store_option
+@click.option("--what", type=click.Choice(KINDS_EXPORTED), required=True, help="Which records.")
+@click.option(
+    "--from", "from_utc_s", callback=moment, required=True, help="Start: ISO 8601 (UTC without offset) or -24h."
+)
+@click.option("--to", "to_utc_s", callback=moment, default="now", show_default=True, help="End, not included.")
+@click.option("--sensors", callback=sensor_list, default=None, help="Sensor IDs, such as 1-5,7 (temperatures only).")
+@click.option("--quality", is_flag=True, help="Add quality and reason of every temperature.")
+@click.option("--format", "format_", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, allow_dash=True), required=True, help="File; '-': CSV to stdout."
+)
+def export(
+    config_path: Path,
+    store: Path | None,
+    what: str,
+    from_utc_s: float,
+    to_utc_s: float,
+    sensors: tuple[int, ...] | None,
+    quality: bool,
+    format_: str,
+    output: Path,
+) -> None:
+    """Export records as CSV or Parquet, units in the column names. Reads a running daemon's store too."""
+    if what != TEMPERATURES and (sensors or quality):
+        refuse(f"--sensors and --quality go with --what temperatures, not with {what}")
+    if format_ == "parquet" and str(output) == "-":
+        refuse("a Parquet file cannot go to standard output; give a file with -o")
+    if to_utc_s <= from_utc_s:
+        refuse(f"--to ({iso(to_utc_s)}) must be later than --from ({iso(from_utc_s)})")
+    with open_history(store, config_path) as reader:
+        if unknown := sorted(set(sensors or ()) - set(reader.sensor_ids())):
+            refuse(f"{reader.path}: the store knows no sensors {unknown}")
+        table = Table(reader, what, from_utc_s, to_utc_s, sensor_ids=sensors, quality=quality)
+        if table.window_count == 0:
+            extent = reader.extent(what)
+            held = f"it has them from {iso(extent[0])} to {iso(extent[1])}" if extent else "it has none at all"
+            refuse(f"{reader.path}: no {what} from {iso(from_utc_s)} to {iso(to_utc_s)}; {held}")
+        rows = _write(table, output, format_)
+        click.echo(f"{rows} rows of {what} written to {output}", err=True)
+
+
+def _write(table: Table, output: Path, format_: str) -> int:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from daemon.history.export import complete_file, write_csv, write_parquet
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(f"exporting {table.what}", total=table.window_count)
+
+        def advance() -> None:
+            progress.advance(task)
+
+        if str(output) == "-":
+            return write_csv(table, sys.stdout, advance)
+        with complete_file(output) as partial:
+            if format_ == "parquet":
+                return write_parquet(table, partial, advance)
+            with partial.open("w", encoding="utf-8", newline="") as stream:
+                return write_csv(table, stream, advance)

@@ -1,0 +1,147 @@
+"""Commands to a running daemon: status, monitor, reference, enable, disable, acknowledge."""
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, write_json
+from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
+
+NOT_DONE = 1
+"""Exit status when the daemon refused or could not be reached."""
+
+socket_option = click.option(
+    "--socket",
+    "socket_path",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Socket of the daemon (else the configuration's).",
+)
+
+
+speed_option = click.option(
+    "--spindle-speed", is_flag=True, help="Not the compensation: the tuning of the spindle speed, and nothing else."
+)
+
+
+@contextmanager
+def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlClient]:
+    """Connect to the daemon; end with a sentence when it refuses or does not answer."""
+    path = socket_path or read_configuration(config_path).service.socket
+    try:
+        client = ControlClient(path)
+        try:
+            yield client
+        finally:
+            client.close()
+    except (DaemonUnreachableError, RequestError) as error:
+        click.echo(str(error), err=True)
+        sys.exit(NOT_DONE)
+
+
+def _tell(outcome: Mapping[str, Any]) -> None:
+    """Print what became of a request."""
+    if not outcome.get("decided"):
+        click.echo("taken, but not decided yet: `toolpoint status` shows what becomes of it")
+        return
+    click.echo(f"{outcome['state']}: {outcome['reason']}")
+    if outcome["alarm"]:
+        click.echo(outcome["alarm"], err=True)
+
+
+@click.command()
+@config_option
+@socket_option
+@json_option
+def status(config_path: Path, socket_path: Path | None, json_path: str | None) -> None:
+    """Say whether compensation is on, what it does, and why not."""
+    with daemon_at(config_path, socket_path) as client:
+        picture = client.ask("status")
+    if json_path is not None:
+        write_json(json_path, picture)
+        return
+    from rich.console import Console
+
+    from daemon.monitor.view import status_view
+
+    Console().print(status_view(picture))
+
+
+@click.command()
+@config_option
+@socket_option
+def monitor(config_path: Path, socket_path: Path | None) -> None:
+    """Watch the daemon live in the terminal, until Ctrl-C."""
+    import time
+
+    from rich.live import Live
+
+    from daemon.monitor.view import status_view
+
+    with daemon_at(config_path, socket_path) as client, Live(status_view(client.ask("status")), screen=True) as live:
+        try:
+            while True:
+                time.sleep(0.5)
+                live.update(status_view(client.ask("status")))
+        except KeyboardInterrupt:
+            return
+
+
+@click.command()
+@config_option
+@socket_option
+def reference(config_path: Path, socket_path: Path | None) -> None:
+    """Set the reference by hand: the thermal error is zero now, by definition. The output does not move."""
+    with daemon_at(config_path, socket_path) as client:
+        outcome = client.ask("reference")
+    _tell(outcome)
+
+
+@click.command()
+@config_option
+@socket_option
+@speed_option
+@click.argument("axes", nargs=-1)
+def enable(config_path: Path, socket_path: Path | None, spindle_speed: bool, axes: tuple[str, ...]) -> None:
+    """Switch compensation on, for AXES or for every axis that has a model; or the tuning of the spindle speed."""
+    if spindle_speed and axes:
+        raise click.UsageError("--spindle-speed switches the tuning of the speed alone; name no axes with it")
+    with daemon_at(config_path, socket_path) as client:
+        outcome = client.ask("enable", axes=list(axes) or None, spindle_speed=spindle_speed)
+    _tell(outcome)
+
+
+@click.command()
+@config_option
+@socket_option
+@click.option("--zero", is_flag=True, help="Disable every axis and retreat to zero, not to the reference's baseline.")
+@speed_option
+@click.argument("axes", nargs=-1)
+def disable(
+    config_path: Path, socket_path: Path | None, zero: bool, spindle_speed: bool, axes: tuple[str, ...]
+) -> None:
+    """Switch compensation off, for AXES or for all; what is applied retreats at the slew rate.
+
+    With --spindle-speed the tuning of the spindle speed instead: the next call of its NC program runs as programmed.
+    """
+    if spindle_speed and (axes or zero):
+        raise click.UsageError("--spindle-speed switches the tuning of the speed alone; name neither axes nor --zero")
+    if zero and axes:
+        raise click.UsageError("--zero retreats every axis; name no axes with it")
+    with daemon_at(config_path, socket_path) as client:
+        outcome = client.ask("disable", axes=list(axes) or None, zero=zero, spindle_speed=spindle_speed)
+    _tell(outcome)
+
+
+@click.command()
+@config_option
+@socket_option
+def acknowledge(config_path: Path, socket_path: Path | None) -> None:
+    """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies."""
+    with daemon_at(config_path, socket_path) as client:
+        outcome = client.ask("acknowledge")
+    _tell(outcome)

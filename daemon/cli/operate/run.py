@@ -1,0 +1,46 @@
+"""`toolpoint run`: the daemon in the foreground, as systemd starts it."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import click
+
+from daemon.app import Daemon
+from daemon.cli.common import config_option, read_configuration, refuse
+from daemon.history.database import HistoryError
+from daemon.telemetry.logs import configure_logging
+from drivers.clock import Clock, ScaledClock, SystemClock
+
+THREAD_TURN_S = 0.0005
+"""A thread that computes (store, serial lines) gives way to the loop after this; Python's own 5 ms are a whole
+feedback [s]."""
+
+
+def parse_simulated_clock(text: str) -> ScaledClock:
+    """Return the clock that 'EPOCH_REAL:EPOCH_UTC:SPEED' describes."""
+    try:
+        epoch_real_s, epoch_utc_s, speed = (float(part) for part in text.split(":"))
+        return ScaledClock(epoch_real_s=epoch_real_s, epoch_utc_s=epoch_utc_s, speed=speed)
+    except ValueError as error:
+        raise click.BadParameter(f"expected EPOCH_REAL:EPOCH_UTC:SPEED, got {text!r} ({error})") from error
+
+
+@click.command()
+@config_option
+@click.option(
+    "--simulated-clock",
+    metavar="REAL:UTC:SPEED",
+    default=None,
+    help="Run on a scaled clock beside a simulated machine; any other CNC is then refused.",
+)
+def run(config_path: Path, simulated_clock: str | None) -> None:
+    """Run the daemon until SIGTERM or Ctrl-C."""
+    configuration = read_configuration(config_path)
+    configure_logging(configuration.service.log_level)
+    clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
+    sys.setswitchinterval(THREAD_TURN_S)
+    try:
+        asyncio.run(Daemon(configuration, clock, config_path=config_path).run())
+    except HistoryError as error:
+        refuse(str(error))

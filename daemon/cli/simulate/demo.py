@@ -1,0 +1,170 @@
+"""`toolpoint demo`: the simulated machine, the daemon, and a live view of both."""
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.monitor.control_socket import DaemonUnreachableError
+from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
+from daemon.simulation.processes import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
+
+LIVE_PERIOD_S = 0.25
+
+
+@click.command()
+@click.option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
+@click.option(
+    "--minutes", type=FiniteFloat(min=0, min_open=True), default=None, help="Simulated minutes (headless: 60)."
+)
+@click.option(
+    "--speed",
+    type=FiniteFloat(min=0, min_open=True, max=600),
+    default=60.0,
+    show_default=True,
+    help="Simulated seconds per second.",
+)
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Where wires, logs and store go, and stay (default: a folder that is removed).",
+)
+@click.option(
+    "--faults",
+    "faults_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Fault script (YAML) for the simulated machine.",
+)
+@click.option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
+@json_option
+def demo(
+    headless: bool,
+    minutes: float | None,
+    speed: float,
+    directory: Path | None,
+    faults_path: Path | None,
+    secure: bool,
+    json_path: str | None,
+) -> None:
+    """Watch a simulated machine tool warm up while the daemon compensates it.
+
+    Exit status 0 when the run met its own checks, 1 when it did not, 2 for bad usage.
+    """
+    duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
+    if faults_path is not None:
+        _check_faults(faults_path)
+    with simulation_folder(directory) as folder:
+        path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
+        arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
+        if faults_path is not None:
+            arguments += ["--faults", str(faults_path.resolve())]
+        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+            switch_on(running)
+            if headless:
+                watch(running, duration_s, lambda status: None, 1.0)
+            else:
+                _show(running, duration_s)
+                if math.isinf(duration_s):
+                    return
+            final, status = settle(running)
+    numbers, failures = result(final, status)
+    write_json(json_path, numbers)
+    for failure in failures:
+        click.echo(failure, err=True)
+    sys.exit(1 if failures else 0)
+
+
+def demo_machine() -> dict[str, Any]:
+    """Return the published machine's description with the simulated machine's model and commissioning record."""
+    from config.machines import shipped_file
+
+    content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    content["machine"] = "simulated CFRP machine tool"
+    content["compensation"]["reference"] = {"sequence_numbers": [100]}
+    content["compensation"].setdefault("output", {})["safe_sequence_numbers"] = [900]
+    content["compensation"]["model_file"] = str(shipped_file("simulated_machine_model.json"))
+    content["compensation"]["commissioning_file"] = str(shipped_file("simulated_machine_commissioning.json"))
+    return content
+
+
+def _check_faults(path: Path) -> None:
+    """Refuse a fault script that the demo's machine cannot play, before anything starts."""
+    from config.loader import load_configuration
+    from config.machines import shipped_file
+    from daemon.simulation.simulation import SimulationError, read_faults
+
+    try:
+        read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
+    except SimulationError as error:
+        refuse(str(error))
+
+
+def _show(running: Rehearsal, until_s: float) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    from daemon.monitor.view import status_view, truth_panel
+
+    trail = Trail()
+    port = running.configuration.service.http_port
+    with Live(console=Console(), screen=True, auto_refresh=False) as live:
+
+        def look(status: dict[str, Any]) -> None:
+            report = trail.take(running.reports)
+            beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
+            live.update(
+                status_view(status, beside, footer=f"metrics: http://127.0.0.1:{port}/metrics · Ctrl-C ends"),
+                refresh=True,
+            )
+
+        with contextlib.suppress(KeyboardInterrupt):
+            watch(running, until_s, look, LIVE_PERIOD_S)
+
+
+BROKEN_OFF = 1
+"""Exit status when the run could not be brought to its end."""
+
+
+LOGS = ("daemon.log", "simulator.log")
+
+
+LAST_LINES = 5
+"""Of each log this many lines are shown when its folder is removed."""
+
+
+@contextmanager
+def simulation_folder(directory: Path | None) -> Iterator[Path]:
+    """Yield the folder of a run; end with sentences when it cannot be used or the run breaks off."""
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(folder_for(directory))
+        except RehearsalError as error:
+            refuse(str(error))
+        try:
+            yield folder
+        except (RehearsalError, DaemonUnreachableError) as error:
+            if directory is None:
+                click.echo("\n".join([str(error), *last_lines(folder)]), err=True)
+            else:
+                click.echo(f"{error}; logs are in {folder}", err=True)
+            sys.exit(BROKEN_OFF)
+
+
+def last_lines(folder: Path) -> Iterator[str]:
+    """Yield the end of each log in the folder, under its name."""
+    for name in LOGS:
+        path = folder / name
+        if path.exists() and (lines := path.read_text(encoding="utf-8", errors="replace").splitlines()):
+            yield f"the end of {name}:"
+            yield from (f"  {line}" for line in lines[-LAST_LINES:])

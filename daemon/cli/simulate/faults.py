@@ -1,0 +1,56 @@
+"""`toolpoint faults`: days of the simulated machine under faults, in minutes."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import FiniteFloat, json_option, write_json
+from daemon.cli.simulate.demo import simulation_folder
+
+
+@click.command()
+@click.option(
+    "--days",
+    type=FiniteFloat(min=0.01, max=366),
+    default=1.0,
+    show_default=True,
+    help="Simulated days, about two minutes each. Every kind of fault has come once after the first.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0, max=2**31 - 1),
+    default=1,
+    show_default=True,
+    help="Day, faults and their times; the same seed gives the same.",
+)
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Where configuration, log and store go, and stay (default: a folder that is removed).",
+)
+@json_option
+def faults(days: float, seed: int, directory: Path | None, json_path: str | None) -> None:
+    """Run the daemon beside a simulated machine on which everything goes wrong, and check what must hold.
+
+    A simulated day takes about two minutes on an idle computer of two cores, several times as long on a busy one.
+    Ctrl-C ends the campaign early and reports the days so far. Time passes as fast as the computer can. Progress
+    is on standard error. Exit status 0 when everything held, 1 when something did not or the run broke off, 2 for
+    bad usage.
+    """
+    from daemon.cli.simulate.demo import demo_machine
+    from daemon.simulation.faults.result import failures, numbers, summary
+    from daemon.simulation.faults.run import run_campaign
+
+    with simulation_folder(directory) as folder:
+        result = run_campaign(
+            demo_machine(), folder, days=days, seed=seed, progress=lambda text: click.echo(text, err=True)
+        )
+    write_json(json_path, numbers(result))
+    if json_path != "-":
+        click.echo(summary(result))
+    found = failures(result)
+    for failure in found:
+        click.echo(failure, err=True)
+    sys.exit(1 if found else 0)

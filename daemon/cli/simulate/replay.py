@@ -1,0 +1,123 @@
+"""`toolpoint replay`: play a recording over real wires while the whole daemon runs."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from config.loader import ConfigurationError
+from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.simulate.demo import simulation_folder
+from daemon.simulation.demonstration import settle, switch_on, watch
+from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.simulation.replaying import check_model, map_of, replay_machine
+from drivers.contract import DriverError
+from drivers.files.recording_csv import read_recording
+from drivers.sim.machine.recorded import LEAD_IN_S
+
+FASTEST = 600.0
+"""Faster than this the wires cannot keep the machine's time [simulated s per s]."""
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option(
+    "--map",
+    "map_path",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    default=None,
+    help="Which columns are what (YAML; default: the usual names).",
+)
+@click.option(
+    "--model",
+    "model_path",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    required=True,
+    help="Thermal model (JSON) from `toolpoint thermal train`.",
+)
+@click.option(
+    "--speed",
+    type=FiniteFloat(min=0, min_open=True),
+    default=FASTEST,
+    show_default=True,
+    help="Simulated seconds per second; more than 600 is taken as 600.",
+)
+@click.option("--from-hours", type=FiniteFloat(min=0), default=None, help="Begin here [h].")
+@click.option("--to-hours", type=FiniteFloat(min=0), default=None, help="End here [h].")
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Where wires, logs and store go, and stay.",
+)
+@json_option
+def replay(
+    recording: Path,
+    map_path: Path | None,
+    model_path: Path,
+    speed: float,
+    from_hours: float | None,
+    to_hours: float | None,
+    directory: Path | None,
+    json_path: str | None,
+) -> None:
+    """Play RECORDING: temperatures as LATSIS frames, displacements as a growing CSV, speed from the CNC.
+
+    The reference is the mean of the first block played. Reports the error per channel without and with compensation.
+    """
+    if speed > FASTEST:
+        click.echo(f"--speed {speed:g} is taken as {FASTEST:g}: the wires keep no more", err=True)
+        speed = FASTEST
+    try:
+        recording_map = map_of(recording, map_path)
+        table = read_recording(recording, recording_map)
+        last_h = float(table.time_s[-1] - table.time_s[0]) / 3600.0
+        hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
+        part = table.between_hours(*hours)
+        check_model(model_path, part)
+    except (ConfigurationError, DriverError, ValueError) as error:
+        refuse(str(error))
+    with simulation_folder(directory) as folder:
+        try:
+            machine = replay_machine(part, model_path, folder / "commissioning.json")
+            path, _ = write_rehearsal_configuration(machine, folder, speed=speed, http=False)
+        except (ConfigurationError, ValueError) as error:
+            refuse(str(error))
+        until_s = LEAD_IN_S + float(part.time_s[-1] - part.time_s[0])
+        arguments = ["--recording", str(recording.resolve()), "--hours", f"{hours[0]!r}-{hours[1]!r}"]
+        arguments += ["--until-s", repr(until_s), "--report-s", "60"]
+        if map_path is not None:
+            arguments += ["--map", str(map_path.resolve())]
+        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+            switch_on(running)
+            _follow(running, until_s)
+            final, status = settle(running)
+    report(recording, final, status, json_path)
+
+
+def report(recording: Path, final: dict[str, Any], status: dict[str, Any], json_path: str | None) -> None:
+    """Print the table or write the JSON; whatever it shows is reported as it is."""
+    cycles = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
+    write_json(json_path, {"cycles": cycles, "writes": status["writes"], "channels": final["channels"]})
+    if json_path is not None:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{recording.name}: error since the first block [um]")
+    for column in ("channel", "RMSE without", "RMSE with", "max without", "max with"):
+        table.add_column(column, justify="right")
+    for name, channel in final["channels"].items():
+        numbers = [channel[case][key] for key in ("rmse_um", "max_um") for case in ("without", "with")]
+        table.add_row(name, *(f"{number:.2f}" for number in numbers))
+    Console().print(table)
+
+
+def _follow(running: Rehearsal, until_s: float) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("playing", total=until_s)
+        watch(running, until_s, lambda _: progress.update(task, completed=max(running.time_s, 0.0)), 0.5)

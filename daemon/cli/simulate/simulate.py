@@ -1,0 +1,128 @@
+"""`toolpoint simulate`: the simulated machine alone, on real wires."""
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from config.loader import ConfigurationError
+from daemon.cli.common import FiniteFloat, config_option, read_configuration, refuse
+from daemon.cli.operate.run import parse_simulated_clock
+from daemon.simulation.replaying import map_of, parse_hours
+from daemon.simulation.simulation import SimulationError, packed_simulation, recorded_simulation, simulated_day
+from daemon.telemetry.logs import configure_logging
+from drivers.contract import DriverError
+
+
+@click.command()
+@config_option
+@click.option(
+    "--directory",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    required=True,
+    help="Where the serial lines (NAME.tty) and the displacement file go.",
+)
+@click.option(
+    "--simulated-clock",
+    metavar="REAL:UTC:SPEED",
+    required=True,
+    help="Monotonic and calendar second at which simulated time is 0, and its speed.",
+)
+@click.option("--day", type=int, default=None, help="Seed of the simulated day (default: the demo's).")
+@click.option(
+    "--standing", is_flag=True, help="Stand at a safe point, spindle off, and call the guard again and again."
+)
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Play this recording instead of the simulated machine (prepared by `toolpoint replay`).",
+)
+@click.option(
+    "--map",
+    "map_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Map of the recording's columns (YAML).",
+)
+@click.option(
+    "--packs",
+    "packs_path",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Script (YAML) of a sensor that is moved between two packs (prepared by `toolpoint latency`).",
+)
+@click.option("--hours", default=None, metavar="A-B", help="Play these hours of the recording only.")
+@click.option(
+    "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
+)
+@click.option(
+    "--until-s", type=FiniteFloat(min=0), default=None, help="Send no cycle that would begin after this time [s]."
+)
+@click.option(
+    "--report-s",
+    type=FiniteFloat(min=0, min_open=True),
+    default=10.0,
+    show_default=True,
+    help="Time between reports [s].",
+)
+@click.option(
+    "--server-key",
+    type=click.Path(path_type=Path, exists=True),
+    default=None,
+    help="Private key of the simulated CNC; it then demands what cnc.opcua.security says.",
+)
+def simulate(
+    config_path: Path,
+    directory: Path,
+    simulated_clock: str,
+    day: int | None,
+    standing: bool,
+    recording: Path | None,
+    map_path: Path | None,
+    packs_path: Path | None,
+    hours: str | None,
+    faults_path: Path | None,
+    until_s: float | None,
+    report_s: float,
+    server_key: Path | None,
+) -> None:
+    """Run the simulated machine: serial lines, displacement file, OPC UA server; reports as JSON lines."""
+    configuration = read_configuration(config_path)
+    configure_logging(configuration.service.log_level)
+    clock = parse_simulated_clock(simulated_clock)
+
+    def report(content: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+    try:
+        if packs_path is not None:
+            work = packed_simulation(configuration, clock, packs_path, report)
+        elif recording is not None:
+            work = recorded_simulation(
+                configuration,
+                clock,
+                recording,
+                recording_map=map_of(recording, map_path),
+                hours=parse_hours(hours) if hours else None,
+            )
+        else:
+            work = simulated_day(configuration, clock, day, standing=standing)
+        asyncio.run(
+            work.run(
+                directory,
+                faults_path=faults_path,
+                until_s=until_s,
+                report_s=report_s,
+                report=report,
+                server_key=server_key,
+            )
+        )
+    except (SimulationError, ConfigurationError, DriverError, ValueError) as error:
+        refuse(str(error))
+    except KeyboardInterrupt:
+        return

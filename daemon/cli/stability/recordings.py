@@ -1,0 +1,111 @@
+"""`toolpoint stability chatter` and `roughness`: what recordings of a cut say."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+
+if TYPE_CHECKING:
+    from daemon.workbench.stability.recordings import Passage
+
+POSITIVE = FiniteFloat(min=0.0, min_open=True)
+SCALE = FiniteFloat(min=1e-6, max=1e6)
+
+
+def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> "tuple[Passage, ...]":
+    from daemon.workbench.stability.recordings import Passage
+
+    found = []
+    for text in value:
+        try:
+            from_s, to_s, depth_mm = (float(number) for number in text.split(":"))
+        except ValueError:
+            raise click.BadParameter(f"{text!r} is no passage such as 1.5:4:6 (from s, to s, depth in mm)") from None
+        if not (all(map(math.isfinite, (from_s, to_s, depth_mm))) and from_s < to_s and depth_mm > 0.0):
+            raise click.BadParameter(f"{text!r}: the passage must end after it begins, at a depth above 0 mm")
+        found.append(Passage(from_s=from_s, to_s=to_s, depth_mm=depth_mm))
+    return tuple(found)
+
+
+@click.command()
+@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option("--speed-rpm", type=POSITIVE, required=True, help="Spindle speed [1/min], to within 0.5 %.")
+@click.option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
+@click.option(
+    "--passage",
+    "passages",
+    metavar="FROM_S:TO_S:DEPTH_MM",
+    multiple=True,
+    callback=_passages,
+    help="A part of the recording cut at one depth (may be repeated); without, the whole is judged.",
+)
+@click.option("--full-scale-m-s2", type=SCALE, help="What full scale of a WAV file means [m/s^2].")
+@picture_option
+@json_option
+def chatter(
+    recording_path: Path,
+    speed_rpm: float,
+    teeth: int,
+    passages: "tuple[Passage, ...]",
+    full_scale_m_s2: float | None,
+    picture: Path | None,
+    json_path: str | None,
+) -> None:
+    """Look for chatter in the accelerometer RECORDING (WAV, or CSV with time_s,acceleration_m_s2)."""
+    from daemon.workbench.stability.recordings import judge_recording
+    from drivers.files.accelerometer_recording import AccelerometerFileError, read_acceleration
+    from models.stability.errors import StabilityError
+
+    try:
+        recording = read_acceleration(recording_path, full_scale_m_s2)
+        content = judge_recording(recording, speed_rpm, teeth, passages)
+    except AccelerometerFileError as error:
+        refuse(str(error))
+    except StabilityError as error:
+        refuse(f"{recording_path}: {error}")
+    for part in content.get("depths", [content]):
+        _show(part)
+    if picture is not None:
+        from daemon.workbench.stability.pictures import spectrogram_picture
+        from models.stability.chatter import short_time_spectra
+
+        spectrogram_picture(
+            picture,
+            short_time_spectra(recording.acceleration_m_s2, recording.sample_rate_hz),
+            offset_s=recording.start_s,
+            tooth_passing_hz=content["tooth_passing_hz"],
+            chatter_hz=content["frequency_hz"],
+            title=recording_path.name,
+        )
+    write_json(json_path, content)
+
+
+def _show(part: dict[str, Any]) -> None:
+    place = f"{part['depth_mm']:g} mm: " if "depth_mm" in part else ""
+    if part["chatter"]:
+        words = f"chatter at {part['frequency_hz']:.1f} Hz from {part['onset_s']:.2f} s on"
+    else:
+        words = "no chatter"
+    click.echo(f"{place}{words} (teeth pass at {part['tooth_passing_hz']:.1f} Hz)", err=True)
+
+
+@click.command()
+@click.argument("profile_path", metavar="PROFILE.csv", type=click.Path(path_type=Path))
+@click.option("--cutoff-mm", type=POSITIVE, help="Cut-off of the Gaussian filter [mm]; without, the mean line only.")
+@json_option
+def roughness(profile_path: Path, cutoff_mm: float | None, json_path: str | None) -> None:
+    """Roughness per depth of cut from a surface PROFILE (CSV with position_mm,height_um and, if any, depth_mm)."""
+    from daemon.workbench.stability.recordings import judge_profile
+    from models.stability.errors import StabilityError
+
+    try:
+        found = judge_profile(profile_path, cutoff_mm)
+    except StabilityError as error:
+        refuse(str(error))
+    for entry in found:
+        place = "" if entry["depth_mm"] is None else f"{entry['depth_mm']:g} mm: "
+        click.echo(f"{place}Ra {entry['ra_um']:.3g} um, Rz {entry['rz_um']:.3g} um", err=True)
+    write_json(json_path, {"depths": found})

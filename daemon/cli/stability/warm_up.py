@@ -1,0 +1,128 @@
+"""`toolpoint stability warm-up`."""
+
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+
+POSITIVE = FiniteFloat(min=0.0, min_open=True)
+PERCENT = FiniteFloat(min=0.0, max=40.0)
+
+
+@click.command("warm-up")
+@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
+@click.option("--programmed-rpm", type=POSITIVE, required=True, help="Programmed spindle speed [1/min].")
+@click.option("--depth-mm", type=POSITIVE, required=True, help="Programmed axial depth of cut [mm].")
+@click.option("--minutes", type=click.IntRange(5, 600), default=60, show_default=True, help="Time of milling [min].")
+@click.option(
+    "--feed-per-tooth-mm", type=POSITIVE, default=0.05, show_default=True, help="Programmed feed per tooth [mm]."
+)
+@click.option(
+    "--min-rpm", type=POSITIVE, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min]."
+)
+@click.option(
+    "--max-rpm",
+    type=FiniteFloat(min=0.0, min_open=True, max=12000.0),
+    default=12000.0,
+    show_default=True,
+    help="Highest speed; the simulated machine's own is 12000 [1/min].",
+)
+@click.option(
+    "--within-percent", type=POSITIVE, default=20.0, show_default=True, help="Greatest change of the speed [%]."
+)
+@click.option("--margin-percent", type=PERCENT, default=20.0, show_default=True, help="As for choose [%].")
+@click.option("--tolerance-percent", type=PERCENT, default=2.0, show_default=True, help="As for choose [%].")
+@click.option(
+    "--offset-hz", type=FiniteFloat(), default=20.0, show_default=True, help="Signed offset f_o of the rule [Hz]."
+)
+@click.option(
+    "--rule-axis", type=click.Choice(["x", "y"]), help="Axis that the rule follows. Without: the softer at resonance."
+)
+@click.option(
+    "--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="Lobes of our choice."
+)
+@click.option(
+    "--second-look/--no-second-look",
+    default=True,
+    show_default=True,
+    help="Look at a chosen speed by semi-discretisation too.",
+)
+@click.option(
+    "--dynamics",
+    type=click.Choice(["spindle", "case"]),
+    default="spindle",
+    show_default=True,
+    help="spindle: finite elements of the simulated machine with its end mill of 10 or 16 mm; case: the CASE's modes.",
+)
+@click.option("--machine", "machine_seed", type=click.IntRange(0), default=1, show_default=True, help="Which machine.")
+@click.option("--day", "day_seed", type=click.IntRange(0), default=1, show_default=True, help="Which day.")
+@picture_option
+@json_option
+def warm_up(
+    case_path: Path,
+    programmed_rpm: float,
+    depth_mm: float,
+    minutes: int,
+    feed_per_tooth_mm: float,
+    min_rpm: float,
+    max_rpm: float,
+    within_percent: float,
+    margin_percent: float,
+    tolerance_percent: float,
+    offset_hz: float,
+    rule_axis: str | None,
+    method: str,
+    second_look: bool,
+    dynamics: str,
+    machine_seed: int,
+    day_seed: int,
+    picture: Path | None,
+    json_path: str | None,
+) -> None:
+    """Let the simulated machine mill the CASE while it warms: untuned, by the source's rule, and tuned.
+
+    The CASE gives tool, engagement and material. The tool point is that of the simulated machine's finite elements,
+    whose bearings change with temperature, or with --dynamics case one with the CASE's modes when cold. What the tuning
+    knows was fitted on impact tests of other days.
+    """
+    from config.machine.stability_case import load_stability_case
+    from config.problems import ConfigurationError
+    from daemon.simulation.warm_up.report import in_words, warm_up_content, warm_up_picture
+    from daemon.simulation.warm_up.run import WarmUpRequest
+    from daemon.simulation.warm_up.run import warm_up as milled
+    from drivers.files.frf_measurement import MeasurementFileError
+    from models.spindle_speed.choice import SpeedDemand, SpeedLimits
+    from models.stability.errors import StabilityError
+
+    request = WarmUpRequest(
+        demand=SpeedDemand(
+            programmed_rpm=programmed_rpm,
+            depth_mm=depth_mm,
+            margin_fraction=margin_percent / 100.0,
+            tolerance_fraction=tolerance_percent / 100.0,
+        ),
+        limits=SpeedLimits(
+            machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=within_percent / 100.0
+        ),
+        minutes=minutes,
+        feed_per_tooth_mm=feed_per_tooth_mm,
+        method=method,
+        second_look=second_look,
+        dynamics=dynamics,
+        rule_axis=rule_axis,
+        offset_hz=offset_hz,
+        machine_seed=machine_seed,
+        day_seed=day_seed,
+    )
+    try:
+        runs = milled(load_stability_case(case_path), request)
+    except (ConfigurationError, MeasurementFileError) as error:
+        refuse(str(error))
+    except StabilityError as error:
+        refuse(f"{case_path}: {error}")
+    for run in runs:
+        click.echo(in_words(run), err=True)
+    if picture is not None:
+        warm_up_picture(picture, runs, request)
+    write_json(json_path, warm_up_content(runs, request))

@@ -1,0 +1,171 @@
+"""`toolpoint thermal evaluate`: how good a family of models is on what it has not seen."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import click
+
+from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, refuse, write_json
+
+if TYPE_CHECKING:
+    from models.thermal.training.trial import Fault
+
+MODELS = ("default", "increments", "increments-b0", "ridge", "pls", "lasso")
+FaultKind = Literal["stuck", "step", "open", "drift"]
+AMOUNT = {"step": "degC", "drift": "degC/h"}
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+FORMS = "stuck:S@36h, step:S:5degC@36h, open:S@36h or drift:S:1degC/h@36h"
+
+
+def _faults(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> "tuple[Fault, ...]":
+    return tuple(parse_fault(text) for text in value)
+
+
+def parse_fault(text: str) -> "Fault":
+    """Return the fault that a text such as `step:t3:5degC@36h` means; raises click.BadParameter."""
+    from models.thermal.training.trial import Fault
+
+    kind, _, rest = text.partition(":")
+    what, _, when = rest.rpartition("@")
+    hours = re.fullmatch(rf"({NUMBER})h", when)
+    if kind not in get_args(FaultKind) or not what or hours is None:
+        raise click.BadParameter(f"{text!r} is no fault; write {FORMS} (S may be each)")
+    sensor, amount = what, 0.0
+    if unit := AMOUNT.get(kind):
+        sensor, _, number = what.rpartition(":")
+        found = re.fullmatch(rf"({NUMBER}){unit}", number)
+        if not sensor or found is None:
+            raise click.BadParameter(f"{text!r}: a {kind} needs an amount such as 1{unit}; write {FORMS}")
+        amount = float(found[1])
+    return Fault(kind=kind, sensor=sensor, at_hours=float(hours[1]), amount=amount)  # type: ignore[arg-type]
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
+@click.option("--model", type=click.Choice(MODELS), default="default", show_default=True, help="Family of models.")
+@hours_option("--train-hours", help="Train on these hours of each recording.")
+@hours_option("--test-hours", help="Test these hours of each recording, as one run with one reference at its start.")
+@click.option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")
+@click.option("--leave-out-runs", is_flag=True, help="Test each recording on a model of the others.")
+@click.option(
+    "--probe-minutes", type=FiniteFloat(min=0.0, min_open=True), help="A probe resets the offset so often [min]."
+)
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    callback=_faults,
+    metavar="KIND:S[:AMOUNT]@Hh",
+    help=f"A sensor fails during the test: {FORMS}; S each: every sensor in turn.",
+)
+@json_option
+def evaluate(
+    recordings: tuple[Path, ...],
+    map_path: Path | None,
+    model: str,
+    train_hours: tuple[float, float] | None,
+    test_hours: tuple[float, float] | None,
+    leave_out_cycles: bool,
+    leave_out_runs: bool,
+    probe_minutes: float | None,
+    faults: "tuple[Fault, ...]",
+    json_path: str | None,
+) -> None:
+    """Fit a family of models on part of RECORDINGS and test it on the rest.
+
+    Every choice (penalties, limits, bands) is made on the training part by leaving whole cycles,
+    runs or blocks out.
+    """
+    from config.problems import ConfigurationError
+    from config.recordings.recording_map import load_recording_map
+    from daemon.workbench.thermal.evaluation import Protocol, read_recordings
+    from daemon.workbench.thermal.evaluation import evaluate as evaluated
+    from drivers.files.recording_csv import RecordingFileError
+    from models.recordings.dataset import DatasetError
+
+    leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
+    try:
+        recording_map = None if map_path is None else load_recording_map(map_path)
+        protocol = Protocol(
+            train_hours=train_hours,
+            test_hours=test_hours,
+            leave_out=leave_out,
+            probe_min=probe_minutes,
+            faults=faults,
+        )
+        with ProgressBar() as bar:
+            read, warnings = read_recordings(recordings, recording_map, bar.show)
+            sample_s = 60.0 if recording_map is None else recording_map.sample_s
+            found = evaluated(read, sample_s, model, protocol, bar.show)
+    except (ConfigurationError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    found["warnings"] = list(warnings)
+    _show(found)
+    write_json(json_path, found)
+
+
+def _protocol(
+    train_hours: tuple[float, float] | None,
+    test_hours: tuple[float, float] | None,
+    leave_out_cycles: bool,
+    leave_out_runs: bool,
+) -> str | None:
+    if leave_out_cycles and leave_out_runs:
+        raise click.UsageError("choose --leave-out-cycles or --leave-out-runs, not both")
+    if leave_out_cycles or leave_out_runs:
+        if test_hours is not None:
+            raise click.UsageError("--test-hours does not go with leaving out in turn; what is left out is the test")
+        return "cycles" if leave_out_cycles else "runs"
+    if train_hours is None or test_hours is None:
+        raise click.UsageError("say --train-hours and --test-hours, or --leave-out-cycles, or --leave-out-runs")
+    return None
+
+
+def _show(found: dict[str, Any]) -> None:
+    """Write the figures for people, on standard error."""
+    for warning in found["warnings"][:10]:
+        click.echo(f"warning: {warning}", err=True)
+    for test in found["tests"]:
+        for name, why in test["temperatures_left_out"].items():
+            click.echo(f"{test['name']}: temperature {name} is left out of the model: {why}", err=True)
+    click.echo(f"model {found['model']}: {compact_text(found['hyper_parameters'])}", err=True)
+    click.echo(
+        f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers", err=True
+    )
+    for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
+        click.echo(
+            f"{name:10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
+            f"{_text(figures['reduction_rmse'], '10.1%')} {_text(figures['reduction_max'], '7.1%')} "
+            f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}",
+            err=True,
+        )
+    for fault in found["faults"]:
+        after = fault["found_after_min"]
+        click.echo(
+            f"{fault['kind']} {fault['sensor']}: {'not found' if after is None else f'found after {after:.0f} min'}, "
+            f"largest residual {_text(fault['max_ratio'], '.2f')} times fault-free",
+            err=True,
+        )
+    alarms = ", ".join(found["false_alarm_sensors"]) or "none"
+    click.echo(f"false alarms: {alarms}", err=True)
+    if found["refused"] is not None:
+        click.echo(f"refused: {found['refused']}", err=True)
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def compact_text(values: dict[str, Any]) -> str:
+    """Return hyper-parameters on one line."""
+
+    def one(value: Any) -> str:
+        if isinstance(value, list):
+            return "[" + ", ".join(map(one, value)) + "]"
+        if isinstance(value, dict):
+            return "{" + compact_text(value) + "}"
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+    return ", ".join(f"{key} {one(value)}" for key, value in values.items())

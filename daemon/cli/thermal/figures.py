@@ -1,0 +1,53 @@
+"""`toolpoint thermal figures`: every figure of the source's chapter on thermal errors, from a campaign."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import ProgressBar, json_option, refuse, write_json
+
+
+@click.command()
+@click.argument("folder", metavar="CAMPAIGN", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for report and pictures.")
+@click.option("--b0/--no-b0", "intercept", default=True, show_default=True, help="Fit a drift with time (eq. 3-1).")
+@click.option(
+    "--repeats",
+    type=click.IntRange(1, 100),
+    default=5,
+    show_default=True,
+    help="Random orders in which sensors are removed.",
+)
+@json_option
+def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path: str | None) -> None:
+    """Draw every figure of the source's chapter on thermal errors from the recordings of a CAMPAIGN.
+
+    Writes report.html, which needs nothing else to be looked at, and one PNG for each figure.
+    """
+    if lacking := [name for name in ("matplotlib", "plotly") if find_spec(name) is None]:
+        refuse(f"{' and '.join(lacking)} cannot be found; install toolpoint with its extra 'plots'")
+    from config.recordings.campaign_index import CampaignIndexError
+    from daemon.workbench.thermal.figures.report import write_figures
+    from drivers.files.recording_csv import RecordingFileError
+    from models.recordings.dataset import DatasetError
+
+    if output.exists() and not output.is_dir():
+        refuse(f"{output}: is a file; name a folder for the pictures")
+    try:
+        with ProgressBar() as bar:
+            found = write_figures(folder, output, intercept=intercept, repeats=repeats, progress=bar.show)
+    except (CampaignIndexError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{output}: the figures cannot be written ({error.strerror})")
+    for group, test in found["tests"].items():
+        for model, shown in test["models"].items():
+            largest = shown["by_training_sets"]["max_um"]
+            click.echo(
+                f"{group}: {model}: largest residual {largest[0]:.1f} um after one training set, "
+                f"{largest[-1]:.1f} um after {len(largest)}",
+                err=True,
+            )
+    click.echo(f"{found['report']}: {len(found['figures'])} figures of {found['machine']} recordings", err=True)
+    write_json(json_path, found)

@@ -1,0 +1,189 @@
+"""`toolpoint thermal`: thermal models from recordings."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, refuse, write_json
+from daemon.cli.thermal.campaign import campaign
+from daemon.cli.thermal.evaluate import MODELS, compact_text, evaluate
+from daemon.cli.thermal.figures import figures
+from daemon.cli.thermal.report import report
+from daemon.cli.thermal.sensors import sensors
+
+if TYPE_CHECKING:
+    from daemon.workbench.thermal.training import Selection
+
+MOST_WARNINGS = 10
+AUTO = "auto"
+
+
+def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
+    if value is None or value == AUTO:
+        return value
+    try:
+        penalty = float(value)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is neither a number nor {AUTO}") from None
+    if not 0.0 < penalty < float("inf"):
+        raise click.BadParameter(f"{value!r}: a penalty is positive; leave --ridge out for ordinary least squares")
+    return penalty
+
+
+@click.group()
+def thermal() -> None:
+    """Thermal models: train them from recordings, evaluate them, and compare sensors."""
+
+
+thermal.add_command(campaign)
+thermal.add_command(evaluate)
+thermal.add_command(figures)
+thermal.add_command(report)
+thermal.add_command(sensors)
+
+
+@thermal.command()
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
+@click.option(
+    "--model",
+    "family",
+    type=click.Choice(MODELS),
+    help="Family of models. Without: increments, as the options below say.",
+)
+@hours_option("--hours", help="Train on these hours of each recording only.")
+@click.option(
+    "--interval-min",
+    type=FiniteFloat(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Interval of the increments [min].",
+)
+@click.option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
+@click.option("--b0/--no-b0", "intercept", default=False, show_default=True, help="Fit a drift with time.")
+@click.option("--channels", help="Displacement channels, separated by commas. Without: all.")
+@click.option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The model's file.")
+@json_option
+def train(
+    recordings: tuple[Path, ...],
+    map_path: Path | None,
+    family: str | None,
+    hours: tuple[float, float] | None,
+    interval_min: float,
+    ridge: float | str | None,
+    intercept: bool,
+    channels: str | None,
+    split_at_speed: bool,
+    output: Path,
+    json_path: str | None,
+) -> None:
+    """Train a thermal model on RECORDINGS, each a run of its own.
+
+    What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one.
+    """
+    from config.problems import ConfigurationError
+    from config.recordings.recording_map import load_recording_map
+    from daemon.workbench.thermal.training import Selection, summary, train_from_files, write_model
+    from drivers.files.recording_csv import RecordingFileError
+    from models.recordings.dataset import DatasetError
+    from models.thermal.training.train import TrainingChoices
+
+    if not output.parent.is_dir():
+        refuse(f"{output}: there is no folder {output.parent}")
+    if family is not None:
+        if ridge is not None or intercept or split_at_speed or interval_min != 1.0:
+            raise click.UsageError(
+                "--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed"
+            )
+        found = _train_family(recordings, map_path, family, Selection(hours=hours, channels=_names(channels)), output)
+        write_json(json_path, found)
+        return
+    try:
+        recording_map = None if map_path is None else load_recording_map(map_path)
+        choices = TrainingChoices(
+            kind="increments" if ridge is None else "ridge",
+            interval_min=interval_min,
+            intercept=intercept,
+            ridge_k2=ridge if isinstance(ridge, float) else None,
+            sample_s=60.0 if recording_map is None else recording_map.sample_s,
+            split_at_speed_changes=split_at_speed,
+        )
+        selection = Selection(hours=hours, channels=_names(channels))
+        with ProgressBar() as bar:
+            result = train_from_files(recordings, recording_map, selection, choices, bar.show)
+        write_model(result, output)
+    except (ConfigurationError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{output}: the model cannot be written ({error.strerror})")
+    found = summary(result, output)
+    _show(found)
+    write_json(json_path, found)
+
+
+def _train_family(
+    recordings: tuple[Path, ...], map_path: Path | None, family: str, selection: "Selection", output: Path
+) -> dict[str, Any]:
+    """Train a family of models, write its file and return what came of it."""
+    from config.problems import ConfigurationError
+    from config.recordings.recording_map import load_recording_map
+    from daemon.workbench.thermal.training import family_summary, train_family_from_files, write_model_file
+    from drivers.files.recording_csv import RecordingFileError
+    from models.recordings.dataset import DatasetError
+
+    try:
+        recording_map = None if map_path is None else load_recording_map(map_path)
+        with ProgressBar() as bar:
+            result = train_family_from_files(recordings, recording_map, selection, family, bar.show)
+        write_model_file(result.model, output)
+    except (ConfigurationError, RecordingFileError, DatasetError) as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{output}: the model cannot be written ({error.strerror})")
+    found = family_summary(result, output)
+    for warning in found["warnings"][:MOST_WARNINGS]:
+        click.echo(f"warning: {warning}", err=True)
+    for name, why in found["temperatures_left_out"].items():
+        click.echo(f"temperature {name} is left out of the model: {why}", err=True)
+    click.echo(f"{output}: {result.model.model_id}, {compact_text(found['hyper_parameters'])}", err=True)
+    if (remains := found["held_out"]["relative_rmse"]) is not None:
+        click.echo(f"{remains:.0%} of the error remains where one {result.folds} at a time was left out", err=True)
+    if found["refused"] is not None:
+        click.echo(f"refused: {found['refused']}; do not use it", err=True)
+    return found
+
+
+def _names(channels: str | None) -> tuple[str, ...] | None:
+    if channels is None:
+        return None
+    return tuple(name.strip() for name in channels.split(",") if name.strip())
+
+
+def _show(found: dict[str, Any]) -> None:
+    """Write the outcome for people, on standard error."""
+    for warning in found["warnings"][:MOST_WARNINGS]:
+        click.echo(f"warning: {warning}", err=True)
+    if len(found["warnings"]) > MOST_WARNINGS:
+        click.echo(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind", err=True)
+    model, held_out = found["model"], found["held_out"]
+    used = f"{found['increments']['used']} increments over {model['interval_min']:g} min"
+    click.echo(
+        f"{model['file']}: {model['model_id']}, {model['sensors']} sensors, {used}, ridge {model['ridge_k2']:.4g} K^2",
+        err=True,
+    )
+    if not held_out["channels"]:
+        click.echo("nothing could be left out, so nobody knows how good this model is: record longer", err=True)
+        return
+    click.echo(f"left out in turn: {', '.join(held_out['folds'])}", err=True)
+    click.echo(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]", err=True)
+    for channel, reached in held_out["channels"].items():
+        without, remaining = reached["without"], reached["with"]
+        click.echo(
+            f"{channel:10} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
+            f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}",
+            err=True,
+        )
+    if held_out["relative_rmse"] >= 1.0:
+        click.echo("warning: on what it had not seen this model is no better than none; do not use it", err=True)

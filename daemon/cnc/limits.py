@@ -1,0 +1,97 @@
+"""From the configuration's words to the vectors and records that the mathematics takes."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from config.records.commissioning import CommissioningRecord
+from config.schema import Configuration
+from daemon.cnc.macro_block import ECHO_SLACK_UM
+from models.control.axis_map import AxisSource, ToolTerm
+from models.control.state import OutputLimits
+from models.units import um_from_mm
+
+GUARD_PROGRAMS = 5
+"""Guard, initialise, request, safe point begins, safe point ends."""
+ROUNDING = 0.51
+"""Half an increment, and a little for the arithmetic."""
+
+
+class CommissionedFactors(dict[str, float]):
+    """Movement per macro value by axis: sign times scale, as the record takes them to be."""
+
+    def __init__(self, record: CommissioningRecord, axes: Sequence[str]) -> None:
+        proved = {axis: record.axes[axis] for axis in axes if axis in record.axes}
+        super().__init__({axis: found.sign * found.scale for axis, found in proved.items()})
+        self.excess = {
+            axis: max(1.0, abs(found.measured_um / found.written_um) / found.scale) for axis, found in proved.items()
+        }
+        """Measured movement over the movement that sign and scale make of the value, where it was more."""
+
+
+def output_limits(configuration: Configuration, factors: Mapping[str, float] | None = None) -> OutputLimits:
+    """Return the limits of the output, one row per axis.
+
+    `factors` is the movement per macro value. The guard bounds the macro value, so where less moves
+    than is written, bound and step of the movement shrink with it. Where the axis was measured to move
+    further than sign and scale say, bound, step and slew rate shrink by as much, so that what moves
+    stays within the configured limits.
+    """
+    axes = configuration.compensation.axes
+    excess = factors.excess if isinstance(factors, CommissionedFactors) else {}
+    certain = np.array([1.0 / excess.get(axis, 1.0) for axis in axes])
+    share = np.minimum(certain, [abs((factors or {}).get(axis, 1.0)) for axis in axes])
+    output = configuration.compensation.output
+    return OutputLimits(
+        axes=tuple(axes),
+        absolute_bound_um=share * [axis.absolute_bound_um for axis in axes.values()],
+        slew_um_per_min=certain * [axis.slew_um_per_min for axis in axes.values()],
+        step_um=share * [axis.step_um for axis in axes.values()],
+        deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
+        stale_after_s=output.stale_after_s,
+        hold_limit_s=output.hold_limit_s,
+        min_confidence=output.min_confidence,
+        full_confidence=output.full_confidence,
+        probe_bound_um=configuration.compensation.reference.probe_bound_um,
+    )
+
+
+def axis_sources(configuration: Configuration) -> tuple[AxisSource, ...]:
+    """Return which estimate feeds which axis."""
+    sources = []
+    for name, axis in configuration.compensation.axes.items():
+        term = axis.tool_term
+        sources.append(
+            AxisSource(
+                axis=name,
+                channel=axis.estimate,
+                tool_term=None
+                if term is None
+                else ToolTerm(
+                    length_mm=term.length_mm,
+                    expansion_um_per_m_k=term.expansion_um_per_m_k,
+                    label_weights=term.temperatures,
+                    direction=term.direction,
+                ),
+            )
+        )
+    return tuple(sources)
+
+
+def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]) -> dict[str, float]:
+    """Return movement per macro value for each commissioned axis: its sign times its scale."""
+    if record is None:
+        return {}
+    return CommissionedFactors(record, axes)
+
+
+def echo_slack_um(configuration: Configuration) -> float:
+    """Return what may lie between a written value and its echo [um]: the control rounds to its least increment."""
+    return max(ECHO_SLACK_UM, um_from_mm(ROUNDING * configuration.cnc.guard.increment_mm))
+
+
+def guard_programs(configuration: Configuration) -> frozenset[int]:
+    """Return the O numbers of the NC programs that part programs call for us: the guard's, and the speed program."""
+    first = configuration.cnc.guard.program
+    speed = configuration.spindle_speed
+    return frozenset(range(first, first + GUARD_PROGRAMS)) | ({speed.program} if speed is not None else set())

@@ -1,0 +1,171 @@
+"""The block of macro variables: encoding a command, decoding the echo, telling ours from foreign."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema.cnc import MacroMapConfig
+from config.schema.guard import GuardConfig
+from models.control.state import OutputLimits
+from models.records import CompensationCommand, FloatArray
+
+ECHO_SLACK_UM = 0.05
+"""Allowed between the echo and what explains it [um]."""
+LAST_SEQUENCE = 999_999
+"""Sequence numbers run from 1 to here and start again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Echo:
+    """What the guard says it did."""
+
+    applied_um: FloatArray
+    """Per axis [um], NaN where vacant."""
+    time_s: float | None
+    status: int | None
+    guard_version: float | None
+
+
+class MacroBlock:
+    """Layout of the block for one machine."""
+
+    def __init__(
+        self,
+        macros: MacroMapConfig,
+        axes: Sequence[str],
+        factors: Mapping[str, float],
+        slack_um: float = ECHO_SLACK_UM,
+        guard: GuardConfig | None = None,
+    ) -> None:
+        """`guard` says what an expired block does; without it an expired block keeps what is applied."""
+        self.slack_um = slack_um
+        """Allowed between the echo and what explains it [um]; the control rounds to its least increment."""
+        self._map = macros
+        self._guard = guard
+        self._axes = tuple(axes)
+        self._um_per_unit = np.array([macros.unit_um * factors.get(axis, 1.0) for axis in axes])
+        self.ours = (
+            macros.sequence_a,
+            *(macros.values[axis] for axis in axes),
+            macros.valid_until,
+            macros.enable,
+            macros.sequence_b,
+        )
+        self.polled = macros.block
+        self.read_back = (
+            *self.ours,
+            *(macros.echo_applied[axis] for axis in axes),
+            macros.echo_time,
+            macros.echo_status,
+            macros.echo_guard_version,
+        )
+
+    def encode(
+        self, command: CompensationCommand, *, sequence: int, valid_until_s: float
+    ) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
+        units = command.compensation_um / self._um_per_unit
+        bits = sum(1 << index for index, on in enumerate(command.enable) if on)
+        content = [
+            (self._map.values[axis], round(float(unit), 7)) for axis, unit in zip(self._axes, units, strict=True)
+        ]
+        content += [(self._map.valid_until, round(valid_until_s, 3)), (self._map.enable, float(bits))]
+        return (
+            ((self._map.sequence_a, float(sequence)),),
+            tuple(content),
+            ((self._map.sequence_b, float(sequence)),),
+        )
+
+    def echo(self, macros: Mapping[int, float | None]) -> Echo:
+        """Decode the guard's echo from macro values."""
+        values = [macros.get(self._map.echo_applied[axis]) for axis in self._axes]
+        units = np.array([np.nan if value is None else value for value in values])
+        status = macros.get(self._map.echo_status)
+        return Echo(
+            applied_um=units * self._um_per_unit,
+            time_s=macros.get(self._map.echo_time),
+            status=None if status is None else round(status),
+            guard_version=macros.get(self._map.echo_guard_version),
+        )
+
+    def differences(self, acceptable: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None]) -> list[str]:
+        """Return what is vacant or foreign among our macros, in words."""
+        problems = self.vacant({number: found.get(number) for number in acceptable})
+        for number, allowed in acceptable.items():
+            value = found.get(number)
+            if value is None:
+                continue
+            if not any(self._close(value, expected) for expected in allowed):
+                expected = " or ".join(f"{v:g}" for v in allowed) or "nothing"
+                problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
+        return problems
+
+    def vacant(self, ours: Mapping[int, float | None]) -> list[str]:
+        """Return which of our macros are vacant, in words; power-off clears valid_until, so that one may be."""
+        return [
+            f"macro #{number} is vacant; commissioning initialises it"
+            for number, value in ours.items()
+            if value is None and number != self._map.valid_until
+        ]
+
+    @property
+    def expires_to_zero(self) -> bool:
+        """The guard takes the offset out, step by step, when the block has expired."""
+        return self._guard is not None and self._guard.on_expiry == "zero"
+
+    def expired(self, macros: Mapping[int, float | None], clock_s: float) -> bool:
+        """Whether the guard would call this block expired at this reading of the CNC's clock [s]."""
+        valid_until_s = macros.get(self._map.valid_until)
+        ahead_s = np.inf if self._guard is None else self._guard.look_ahead_s
+        return valid_until_s is None or not clock_s < valid_until_s <= clock_s + ahead_s
+
+    def implausible_echo(
+        self, macros: Mapping[int, float | None], limits: OutputLimits, *, after_expiry: bool = False
+    ) -> list[str]:
+        """Return what the guard cannot have applied: more than the bound, or more than a step from what is written.
+
+        `after_expiry`: the guard may have taken an expired block's offset out, so anything between zero and what is
+        written is plausible as well.
+        """
+        echo = self.echo(macros)
+        written = self.values_um(macros).tolist()
+        written_um = [0.0 if math.isnan(um) else um for um in written]
+        problems = []
+        for i, (axis, applied_um) in enumerate(zip(self._axes, echo.applied_um.tolist(), strict=True)):
+            if abs(applied_um) > limits.absolute_bound_um[i] + self.slack_um:
+                problems.append(
+                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "
+                    f"the bound is {limits.absolute_bound_um[i]:g} um"
+                )
+            elif after_expiry and _between_zero_and(written_um[i], applied_um, self.slack_um):
+                continue
+            elif abs(applied_um - written_um[i]) > limits.step_um[i] + self.slack_um:
+                problems.append(
+                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
+                    f"{written_um[i]:.3f} um, and the guard's step is {limits.step_um[i]:g} um"
+                )
+        return problems
+
+    def values_um(self, macros: Mapping[int, float | None]) -> FloatArray:
+        """Return the compensation that the block holds per axis [um], NaN where it is vacant."""
+        values = [macros.get(self._map.values[axis]) for axis in self._axes]
+        units: FloatArray = np.array([np.nan if value is None else value for value in values]) * self._um_per_unit
+        return units
+
+    def enabled(self, macros: Mapping[int, float | None]) -> bool:
+        """Whether any enable bit is set."""
+        return bool(macros.get(self._map.enable))
+
+    def sequence(self, macros: Mapping[int, float | None]) -> int:
+        """Return the sequence number in the CNC, 0 when vacant."""
+        return round(macros.get(self._map.sequence_b) or 0.0)
+
+    def _close(self, value: float, expected: float) -> bool:
+        return abs(value - expected) <= max(self._map.tolerance, 1e-9 * abs(expected))
+
+
+def _between_zero_and(written_um: float, applied_um: float, slack_um: float) -> bool:
+    """Whether the way from the written value to zero leads over what is applied."""
+    return bool(min(written_um, 0.0) - slack_um <= applied_um <= max(written_um, 0.0) + slack_um)

@@ -1,0 +1,71 @@
+"""What a person at the machine must be told about the output."""
+
+from collections.abc import Iterator
+
+from config.schema.compensation import OutputConfig
+from daemon.cnc.macro_block import Echo
+from models.control.state import OutputMemory
+from models.records import CncRun, CncSample, OutputState
+
+REFUSALS = 2
+"""A single torn read is no alarm: the block was being written."""
+
+
+ASKS_THE_GUARD = (OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
+"""States in which the guard has an offset to bring, to keep or to take out."""
+
+
+class GuardWatch:
+    """Counts the time in which the program runs and the time in the guard's echo stands still."""
+
+    def __init__(self) -> None:
+        self._echo_time_s: float | None = None
+        self._previous_s: float | None = None
+        self.silent_s = 0.0
+        """Time of running program since the guard's last run [s]."""
+        self.refusals = 0
+        """Runs of the guard, one after the other, that took nothing over."""
+
+    def follow(self, echo: Echo, sample: CncSample) -> None:
+        """Take one poll."""
+        now_s = sample.time.monotonic_s
+        if echo.time_s != self._echo_time_s:
+            self.silent_s = 0.0
+            self.refusals = 0 if echo.status in GUARD_CONTENT else self.refusals + 1
+        elif sample.run is CncRun.START and self._previous_s is not None:
+            self.silent_s += now_s - self._previous_s
+        self._echo_time_s, self._previous_s = echo.time_s, now_s
+
+
+def alarm_of(
+    memory: OutputMemory,
+    echo: Echo | None,
+    *,
+    now_s: float,
+    guard: GuardWatch,
+    config: OutputConfig,
+    obstacle: str,
+) -> str:
+    """Return the alarm that the output's state calls for, '' when there is none."""
+    if memory.state is OutputState.FAULT:
+        return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
+    return "; ".join(_alarms(memory, echo, now_s, guard, config, obstacle))
+
+
+def _alarms(
+    memory: OutputMemory, echo: Echo | None, now_s: float, guard: GuardWatch, config: OutputConfig, obstacle: str
+) -> Iterator[str]:
+    """Yield what is wrong at the guard, and what has been held for too long."""
+    if memory.state in ASKS_THE_GUARD and guard.refusals >= REFUSALS and echo is not None:
+        yield f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
+    elif memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
+        yield (
+            f"the guard has not run for {config.guard_alarm_after_s / 60:g} min while the program ran, so nothing that "
+            "is written reaches the tool: check that the program calls it at its safe points"
+        )
+    if memory.state is OutputState.HOLD and now_s - memory.since_s > config.alarm_after_s:
+        yield f"held for longer than {config.alarm_after_s:g} s: {obstacle or memory.reason}"
+
+
+GUARD_CONTENT = (None, 0, 1)
+"""Echo status while the guard has nothing against the block: never run, applied, or nothing enabled."""

@@ -1,0 +1,135 @@
+"""What is known of the sensors since the reference; the store keeps it, so that a restart forgets none of it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import structlog
+
+from daemon.estimation.online_model import OnLineModel
+from daemon.history.writer import HistoryWriter
+from models.records import FloatArray, Reference
+from models.thermal.rebase import MeanIncrement, first_mean_increment, renewed_mean_increment
+
+log = structlog.get_logger(__name__)
+
+KEY = "since_reference"
+"""Under this key the store keeps it; it belongs to the reference whose identity it holds."""
+
+Places = npt.NDArray[np.intp]
+
+
+class SinceReference:
+    """Who is away, who is excluded, and what every label's mean counts from; owned by the thermal task."""
+
+    def __init__(self, history: HistoryWriter, sensor_ids: Sequence[int], labels: Mapping[str, Places]) -> None:
+        self._history = history
+        self._sensor_ids = tuple(sensor_ids)
+        self._labels = labels
+        self._reference_id = ""
+        self._kept: dict[str, Any] | None = None
+        self._means: dict[str, MeanIncrement] = {}
+        self._states: dict[str, tuple[tuple[npt.NDArray[Any], ...], dict[str, Any]]] = {}
+        self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
+        """Which sensors have been imputed until now, in the machine's order."""
+        self.excluded: dict[int, str] = {}
+        """Which sensors must not count until the next reference, and by which sign each was found."""
+        self.of_model: dict[str, Any] | None = None
+        """What the model keeps of sensors that returned."""
+
+    def begin(self, reference: Reference) -> None:
+        """Count from a new reference: nobody has been away since, and nobody is excluded."""
+        self._reference_id = reference.reference_id
+        self._kept = None
+        self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
+        self.excluded = {}
+        self.of_model = None
+        self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
+
+    def take_up(self, reference: Reference) -> None:
+        """Go on from a reference of before, with what was kept of it; reads the store."""
+        self.begin(reference)
+        kept = self._history.get_state(KEY)
+        if kept is None or kept["reference_id"] != reference.reference_id:
+            return
+        self._kept = kept
+        self.absent = np.isin(self._sensor_ids, kept["absent"])
+        self.excluded = {int(sensor_id): sign for sensor_id, sign in kept["excluded"].items()}
+        self.of_model = kept.get("of_model")
+        for label, places in self._labels.items():
+            found = kept["labels"].get(label)
+            if found is not None and found["sensor_ids"] == self._ids(places):
+                self._means[label] = _mean_from_state(found)
+        log.info("sensors.restored", absent=len(kept["absent"]), excluded=sorted(self.excluded))
+
+    def label_increments(self, degc: FloatArray) -> dict[str, float]:
+        """Renew the mean increment of each label since the reference [degC]; labels without a sensor are left out."""
+        self._means = {
+            label: renewed_mean_increment(mean, degc[self._labels[label]]) for label, mean in self._means.items()
+        }
+        means_k = {label: mean.mean_k for label, mean in self._means.items()}
+        return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
+
+    def keep(self, degc: FloatArray, online: OnLineModel) -> None:
+        """Remember who was away in an estimate, and who is excluded; hand it to the store when it has changed.
+
+        A sensor that the model does not know counts as away until a model sets it anew.
+        """
+        away = self.absent.copy()
+        away[online.rebased] = False
+        self.absent = away | ~np.isfinite(degc)
+        of_others = {i: sign for i, sign in self.excluded.items() if i not in online.model.sensor_ids}
+        self.excluded = of_others | online.excluded
+        self.of_model = online.kept
+        state = self._to_state()
+        if state != self._kept:
+            self._kept = state
+            self._history.put_state(KEY, state)
+
+    def _ids(self, places: Places) -> list[int]:
+        return [self._sensor_ids[place] for place in places]
+
+    def _to_state(self) -> dict[str, Any]:
+        return {
+            "reference_id": self._reference_id,
+            "absent": self._ids(np.flatnonzero(self.absent)),
+            "excluded": {str(sensor_id): self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
+            "of_model": self.of_model,
+            "labels": {label: self._label_state(label, mean) for label, mean in self._means.items()},
+        }
+
+    def _label_state(self, label: str, mean: MeanIncrement) -> dict[str, Any]:
+        """Return what a label's mean counts from; nothing of it changes while nobody comes or goes."""
+        counts_from = (mean.reference_degc, mean.counted, mean.offset_k)
+        known = self._states.get(label)
+        if known is not None and all(now is then for now, then in zip(counts_from, known[0], strict=True)):
+            return known[1]
+        state = {
+            "sensor_ids": self._ids(self._labels[label]),
+            "reference_degc": _plain(mean.reference_degc),
+            "counted": mean.counted.tolist(),
+            "offset_k": _plain(mean.offset_k),
+        }
+        self._states[label] = (counts_from, state)
+        return state
+
+
+def _plain(values: FloatArray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _numbers(values: Sequence[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _mean_from_state(state: Mapping[str, Any]) -> MeanIncrement:
+    """Return a mean as it was kept; where those that counted are now is told by their next temperatures."""
+    counted, offset_k = np.array(state["counted"], dtype=np.bool_), _numbers(state["offset_k"])
+    return MeanIncrement(
+        reference_degc=_numbers(state["reference_degc"]),
+        counted=counted,
+        offset_k=offset_k,
+        increment_k=np.full(len(counted), np.nan) if counted.any() else offset_k,
+    )

@@ -1,0 +1,103 @@
+"""Joining what was read from rows and chunks, in order of time."""
+
+from typing import Any
+
+import numpy as np
+
+from daemon.history.columns.codec import FloatArray, IntArray
+from daemon.history.columns.frames import Frame, select_rows
+from daemon.history.columns.temperature_chunks import CycleBlock
+from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
+from models.records import Instant, ProbeSample, Reference
+from models.units import degc_from_int16
+
+
+def ms_from_s(utc_s: float) -> int:
+    """Return seconds as whole milliseconds."""
+    return round(utc_s * 1e3)
+
+
+def time_s_of(frame: Frame) -> FloatArray:
+    """Return the times of a frame's rows [s]."""
+    return frame.integers("utc_ms") / 1e3
+
+
+def texts_of(frame: Frame, name: str) -> tuple[str, ...]:
+    """Return a text column that has no NULL."""
+    return tuple(text or "" for text in frame.texts(name))
+
+
+def increments_of(frame: Frame) -> dict[str, FloatArray]:
+    """Return each label's change since the reference [K]."""
+    now, at_reference = frame.mapping("label_degc").values, frame.mapping("label_reference_degc").values
+    return {label: np.round(now[label] - before, 3) for label, before in at_reference.items()}
+
+
+def in_order(frame: Frame, from_ms: int, to_ms: int) -> Frame:
+    """Return the rows from <= time < to, in order of time."""
+    times_ms = frame.integers("utc_ms")
+    order: IntArray = np.argsort(times_ms, kind="stable")
+    inside = order[(times_ms[order] >= from_ms) & (times_ms[order] < to_ms)]
+    if inside.size == frame.rows and np.array_equal(inside, np.arange(frame.rows)):
+        return frame
+    return select_rows(frame, inside)
+
+
+def merge_cycles(
+    sensor_ids: tuple[int, ...], parts: list[tuple[str, list[int], CycleBlock]], from_ms: int, to_ms: int
+) -> TemperatureHistory:
+    """Return the cycles of several lines as rows of one table, in order of time."""
+    rows = sum(content.cycles.rows for _, _, content in parts)
+    times_ms, number = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
+    degc = np.full((rows, len(sensor_ids)), np.nan)
+    quality = np.full(degc.shape, NOT_IN_CYCLE, dtype=np.uint8)
+    reason = np.full(degc.shape, NOT_IN_CYCLE, dtype=np.uint8)
+    lines: list[str] = []
+    at = 0
+    for line, columns, content in parts:
+        here = slice(at, at + content.cycles.rows)
+        times_ms[here], number[here] = content.cycles.integers("utc_ms"), content.cycles.integers("number")
+        degc[here, columns] = degc_from_int16(content.counts)
+        quality[here, columns], reason[here, columns] = content.quality, content.reason
+        lines += [line] * content.cycles.rows
+        at = here.stop
+    order = np.argsort(times_ms, kind="stable")
+    order = order[(times_ms[order] >= from_ms) & (times_ms[order] < to_ms)]
+    return TemperatureHistory(
+        sensor_ids=sensor_ids,
+        time_s=times_ms[order] / 1e3,
+        line=tuple(lines[i] for i in order.tolist()),
+        number=number[order],
+        degc=degc[order],
+        quality=quality[order],
+        reason=reason[order],
+    )
+
+
+def reference_from_row(row: tuple[Any, ...]) -> Reference:
+    """Return a row of reference_points as a record."""
+    reference_id, monotonic_s, utc_s, real_s, source, degc, program, work_offset, power_on_count = row
+    return Reference(
+        reference_id=reference_id,
+        time=Instant(monotonic_s=monotonic_s, utc_s=utc_s, real_s=real_s),
+        source=source,
+        degc=np.frombuffer(degc, dtype="<f8").astype(np.float64),
+        program=program,
+        work_offset=work_offset,
+        power_on_count=power_on_count,
+    )
+
+
+def probe_from_row(row: tuple[Any, ...]) -> ProbeSample:
+    """Return a row of probes as a record."""
+    utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, reason = row
+    return ProbeSample(
+        time=Instant(monotonic_s=monotonic_ms / 1e3, utc_s=utc_ms / 1e3, real_s=monotonic_ms / 1e3),
+        axis=axis,
+        deviation_um=deviation_um,
+        applied_um=np.nan if applied_um is None else applied_um,
+        thermal_error_um=np.nan if thermal_error_um is None else thermal_error_um,
+        reference_id=reference_id,
+        accepted=bool(accepted),
+        reason=reason,
+    )

@@ -1,0 +1,130 @@
+"""Packing whole hours of rows into chunks. Reads only; `retention.store_hour` swaps rows for the chunk."""
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daemon.history.columns.frames import Kind, encode_frame, frame_from_rows
+from daemon.history.columns.kinds import CYCLES, KINDS, TEMPERATURES, WRITES
+from daemon.history.columns.temperature_chunks import CycleBlock, encode_temperatures
+from daemon.history.database import HOUR_MS
+from daemon.history.rows import FLAG
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PackedHour:
+    """One chunk, and which rows it stands for."""
+
+    kind: str
+    layout_id: int
+    hour_ms: int
+    start_ms: int
+    end_ms: int
+    row_count: int
+    last_id: int
+    data: bytes
+
+
+def table_of(kind: str) -> tuple[str, str]:
+    """Return a kind's table and its id column."""
+    if kind == TEMPERATURES:
+        return CYCLES.table, "id"
+    return KINDS[kind].table, id_column(KINDS[kind])
+
+
+def id_column(kind: Kind) -> str:
+    """Return the name of a kind's primary key."""
+    return "write_id" if kind is WRITES else "id"
+
+
+def rows_of_hour(kind: str) -> str:
+    """Return the condition for an hour's rows that may be packed: named parameters hour_ms, layout_id, last_id.
+
+    An intent without an outcome stays a row until it is settled.
+    """
+    condition = f"utc_ms >= :hour_ms AND utc_ms < :hour_ms + {HOUR_MS} AND {table_of(kind)[1]} <= :last_id"
+    if kind == TEMPERATURES:
+        condition += " AND layout_id = :layout_id"
+    if kind == WRITES.name:
+        condition += " AND outcome != 0"
+    return condition
+
+
+def packing_cutoff_ms(now_utc_s: float, pack_after_s: float) -> int:
+    """Return the end of the last whole hour that is old enough."""
+    return int((now_utc_s - pack_after_s) * 1e3) // HOUR_MS * HOUR_MS
+
+
+def pack_hours(connection: sqlite3.Connection, before_ms: int) -> Iterator[PackedHour]:
+    """Yield the chunks of all whole hours before the given time, oldest first within a kind."""
+    for name in (TEMPERATURES, *KINDS):
+        table = table_of(name)[0]
+        layout = "layout_id" if name == TEMPERATURES else "0"
+        hours = connection.execute(
+            f"SELECT DISTINCT utc_ms / {HOUR_MS}, {layout} FROM {table} WHERE utc_ms < ? ORDER BY 1, 2", (before_ms,)
+        ).fetchall()
+        for hour, layout_id in hours:
+            pack = _pack_cycles if name == TEMPERATURES else _pack_rows
+            if (packed := pack(connection, name, hour * HOUR_MS, layout_id)) is not None:
+                yield packed
+
+
+def _select(
+    connection: sqlite3.Connection, kind: str, columns: Sequence[str], hour_ms: int, layout_id: int
+) -> list[tuple[Any, ...]]:
+    table, key = table_of(kind)
+    parameters = {"hour_ms": hour_ms, "layout_id": layout_id, "last_id": 2**62}
+    return connection.execute(
+        f"SELECT {key}, {', '.join(columns)} FROM {table} WHERE {rows_of_hour(kind)} ORDER BY {key}", parameters
+    ).fetchall()
+
+
+def _packed(
+    kind: str, hour_ms: int, layout_id: int, rows: list[tuple[Any, ...]], times_ms: Sequence[int], data: bytes
+) -> PackedHour:
+    return PackedHour(
+        kind=kind,
+        layout_id=layout_id,
+        hour_ms=hour_ms,
+        start_ms=min(times_ms),
+        end_ms=max(times_ms),
+        row_count=len(rows),
+        last_id=rows[-1][0],
+        data=data,
+    )
+
+
+def _pack_rows(connection: sqlite3.Connection, kind: str, hour_ms: int, layout_id: int) -> PackedHour | None:
+    names = KINDS[kind].names
+    rows = _select(connection, kind, names, hour_ms, layout_id)
+    if not rows:
+        return None
+    frame = frame_from_rows(KINDS[kind], names, [row[1:] for row in rows])
+    times_ms = frame.integers("utc_ms").tolist()
+    return _packed(kind, hour_ms, layout_id, rows, times_ms, encode_frame(KINDS[kind], frame))
+
+
+def _pack_cycles(connection: sqlite3.Connection, kind: str, hour_ms: int, layout_id: int) -> PackedHour | None:
+    rows = _select(connection, kind, (*CYCLES.names, "counts", "flags"), hour_ms, layout_id)
+    if not rows:
+        return None
+    content = cycle_block(CYCLES.names, [row[1:] for row in rows])
+    times_ms = content.cycles.integers("utc_ms").tolist()
+    return _packed(kind, hour_ms, layout_id, rows, times_ms, encode_temperatures(content))
+
+
+def cycle_block(names: Sequence[str], rows: list[tuple[Any, ...]]) -> CycleBlock:
+    """Return rows of temperature cycles (the named columns, counts, flags) of one layout. At least one is needed."""
+    counts = np.frombuffer(b"".join(row[-2] for row in rows), dtype="<i2").reshape(len(rows), -1)
+    quality = np.zeros(counts.shape, dtype=np.uint8)
+    reason = np.zeros(counts.shape, dtype=np.uint8)
+    for index, row in enumerate(rows):
+        if row[-1] is not None:
+            flags = np.frombuffer(row[-1], dtype=FLAG)
+            quality[index, flags["position"]] = flags["quality"]
+            reason[index, flags["position"]] = flags["reason"]
+    cycles = frame_from_rows(CYCLES, names, [row[:-2] for row in rows])
+    return CycleBlock(cycles=cycles, counts=counts.astype(np.int16), quality=quality, reason=reason)

@@ -1,0 +1,46 @@
+"""Release of the bearing model that the tuning of the spindle speed follows, by the rules of thermal models."""
+
+from config.problems import ConfigurationError
+from config.schema import Configuration
+from daemon.model_release.loading import bearings_from_text
+from daemon.model_release.releasing import Kind
+from daemon.model_release.repository import ReleaseError, ReleaseRepository
+from daemon.spindle_speed.planning import planned_with
+from models.stability.errors import StabilityError
+from models.thermomechanics.regression import ThermomechanicalModel
+
+
+def bearing_shelf(configuration: Configuration) -> ReleaseRepository:
+    """Return the releases of the bearing model; raises ReleaseError without a configured place."""
+    tuning = configuration.spindle_speed
+    if tuning is None:
+        raise ReleaseError("there is no section spindle_speed, so there is no place for a released bearing model")
+    path = tuning.thermomechanical_model
+    if path == configuration.compensation.model_file:
+        raise ReleaseError(
+            f"{path}: compensation.model_file and spindle_speed.thermomechanical_model name the same file; two models "
+            "need two names"
+        )
+    return ReleaseRepository(path, releases=f"{path.stem}-releases")
+
+
+def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermomechanicalModel, list[str]]:
+    """Return the model and what was found good; raises ReleaseError."""
+    model, obstacle = bearings_from_text(content, source)
+    if model is None:
+        raise ReleaseError(obstacle)
+    try:
+        planning = planned_with(configuration, model)
+    except (ConfigurationError, StabilityError) as error:
+        raise ReleaseError(f"{source}: {error}") from error
+    regressed = sorted({each.name for axis in model.axes.values() for each in axis.properties})
+    return model, [
+        "the checksum fits the content",
+        f"its signals are labels of this machine: {', '.join(model.signals)}",
+        f"spindles and cases of {len(planning)} operation(s) fit it, and each has a resonance to follow",
+        f"axes {', '.join(model.axes)}, properties {', '.join(regressed)}",
+    ]
+
+
+BEARINGS = Kind(shelf=bearing_shelf, checked=_checked)
+"""The bearing model of the spindle speed."""

@@ -1,0 +1,69 @@
+"""What a thermal model must fulfil before it is released."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from config.schema import Configuration
+from models.thermal.family import AnyThermalModel
+from models.thermal.lagged_model import LaggedModel
+
+
+def channels_in_use(configuration: Configuration) -> dict[str, float]:
+    """Return the channels that axes follow, each with the widest band that its model may have [um]."""
+    widest: dict[str, float] = {}
+    for axis in configuration.compensation.axes.values():
+        if axis.estimate is not None:
+            limit_um = configuration.compensation.release.largest_band_um or axis.absolute_bound_um
+            widest[axis.estimate] = min(limit_um, widest.get(axis.estimate, limit_um))
+    return widest
+
+
+def training_obstacle(model: AnyThermalModel) -> str:
+    """Return why a model's own training refused it, '' when it did not, or could not tell."""
+    if isinstance(model, LaggedModel) and model.refused is not None:
+        return f"its training refused it: {model.refused}"
+    return ""
+
+
+def gate_obstacle(model: AnyThermalModel, configuration: Configuration) -> str:
+    """Return why nobody may release a model, '' when its own figures speak for it."""
+    return next(_objections(model, configuration), "")
+
+
+def _objections(model: AnyThermalModel, configuration: Configuration) -> Iterator[str]:
+    if refused := training_obstacle(model):
+        yield refused
+    for channel, widest_um in channels_in_use(configuration).items():
+        band_um = float(model.band_um[model.channels.index(channel)])
+        if np.isnan(band_um):
+            yield (
+                f"channel {channel}: nothing was held out when the model was trained, so nobody knows how good it is; "
+                "train it on more recordings"
+            )
+        elif band_um > widest_um:
+            yield (
+                f"channel {channel}: its prediction band of {band_um:.3g} um is wider than {widest_um:g} um; train it "
+                "on better recordings, or widen compensation.release.largest_band_um"
+            )
+
+
+def policy_obstacle(model: AnyThermalModel, active: AnyThermalModel | None, configuration: Configuration) -> str:
+    """Return why a model may not be released without a person, '' when the policy lets it."""
+    if not configuration.compensation.release.automatic:
+        return (
+            "compensation.release.automatic is false, so only a person releases a model: `toolpoint model release FILE`"
+        )
+    if active is None:
+        return "no model is active; the first one is released by a person"
+    for channel in channels_in_use(configuration):
+        if channel not in active.channels:
+            return f"the active model has no channel {channel} to compare with; a person must release this one"
+        new_um = float(model.band_um[model.channels.index(channel)])
+        old_um = float(active.band_um[active.channels.index(channel)])
+        if not new_um <= old_um:
+            return (
+                f"channel {channel}: its prediction band of {new_um:.3g} um is wider than the active model's "
+                f"{old_um:.3g} um; a person must release it"
+            )
+    return ""

@@ -1,0 +1,203 @@
+"""The daemon's own look at its models: out of its reach, released, unchanged, and fit for this machine."""
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from config.records.release_record import ReleaseRecord
+from config.schema import Configuration
+from daemon.model_release.file_access import Account, how_it_could_change
+from daemon.model_release.gate import training_obstacle
+from daemon.model_release.repository import released, sha256_of
+from models.thermal.artifact import model_to_json
+from models.thermal.family import AnyThermalModel
+from models.thermal.lagged_artifact import any_model_from_json, lagged_model_to_json
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.model import ModelError
+from models.thermomechanics.artifact import model_from_json
+from models.thermomechanics.regression import ThermomechanicalModel
+
+
+class Named(Protocol):
+    """A model, of whatever kind."""
+
+    @property
+    def model_id(self) -> str:
+        """Its name in audit and records."""
+        ...
+
+
+AnyModel = TypeVar("AnyModel", bound=Named)
+
+
+Read = Callable[[bytes, str], tuple[AnyModel | None, str, str]]
+"""A file's bytes and name -> the model, why it does not serve, and what its own training holds against it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedModel(Generic[AnyModel]):
+    """The model, or why there is none, and who released it."""
+
+    model: AnyModel | None
+    obstacle: str
+    record: ReleaseRecord | None = None
+    sha256: str = ""
+    warning: str = ""
+    """What `compensation.allow_writable_model_directory` lets pass."""
+
+    def in_words(self) -> str:
+        """Return one sentence for audit and log."""
+        if self.model is None:
+            return f"refused: {self.obstacle}"
+        words = f"{self.model.model_id}, sha256 {self.sha256}, "
+        if self.record is None:
+            words += "released by nobody"
+        else:
+            words += f"release {self.record.number} by {self.record.person} on {self.record.released}"
+        return f"{words}; WARNING: {self.warning}" if self.warning else words
+
+    def picture(self) -> dict[str, Any]:
+        """Return the same for status, as JSON."""
+        record = self.record
+        return {
+            "model_id": self.model.model_id if self.model is not None else None,
+            "sha256": self.sha256 or None,
+            "release": record.number if record is not None else None,
+            "released_by": record.person if record is not None else None,
+            "released": record.released if record is not None else None,
+            "problem": self.obstacle,
+            "warning": self.warning,
+        }
+
+
+def load_released(configuration: Configuration, account: Account) -> LoadedModel[AnyThermalModel]:
+    """Return the configured thermal model as this account may use it; deny by default."""
+    path = configuration.compensation.model_file
+    if path is None:
+        return LoadedModel(model=None, obstacle="no thermal model is configured (compensation.model_file)")
+    wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
+
+    def read(content: bytes, source: str) -> tuple[AnyThermalModel | None, str, str]:
+        """Return the thermal model, and what stands against it."""
+        model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
+        return model, obstacle, "" if model is None else training_obstacle(model)
+
+    return _load(_Wanted(kind="thermal model", option=""), path, configuration, account, read)
+
+
+def load_released_bearings(configuration: Configuration, account: Account) -> LoadedModel[ThermomechanicalModel]:
+    """Return the bearing model of the spindle-speed tuning as this account may use it; deny by default."""
+    tuning = configuration.spindle_speed
+    if tuning is None:
+        return LoadedModel(model=None, obstacle="no bearing model is configured (there is no section spindle_speed)")
+    wanted = _Wanted(kind="bearing model", option="--bearings ")
+    return _load(wanted, tuning.thermomechanical_model, configuration, account, _read_bearings)
+
+
+def bearings_from_text(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str]:
+    """Return the bearing model that a file's bytes hold, or why they hold none."""
+    try:
+        return model_from_json(content.decode("utf-8"), source), ""
+    except UnicodeDecodeError as error:
+        return None, f"{source}: this is no bearing model: byte {error.start} is not UTF-8 text"
+    except ModelError as error:
+        return None, str(error)
+
+
+def _read_bearings(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str, str]:
+    return (*bearings_from_text(content, source), "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    """How sentences name the kind of model."""
+
+    kind: str
+    option: str
+    """Of `toolpoint model release`."""
+
+
+def _load(
+    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+) -> LoadedModel[AnyModel]:
+    try:
+        return _loaded(wanted, path, configuration, account, read)
+    except OSError as error:
+        return LoadedModel(model=None, obstacle=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
+
+
+def _loaded(
+    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+) -> LoadedModel[AnyModel]:
+    lenient = configuration.compensation.allow_writable_model_directory
+    real = Path(os.path.realpath(path))
+    if not real.exists():
+        return LoadedModel(
+            model=None,
+            obstacle=f"{path}: there is no {wanted.kind}; release one: `toolpoint model release {wanted.option}FILE`",
+        )
+    record, mismatch = released(path)
+    doubt = _doubt(wanted, path, account, record)
+    if mismatch or (doubt and not lenient):
+        return LoadedModel(model=None, obstacle=mismatch or doubt, record=record)
+    content = real.read_bytes()
+    model, obstacle, refused = read(content, str(real))
+    if model is None:
+        return LoadedModel(model=None, obstacle=obstacle, record=record)
+    if refused:
+        doubt = f"{doubt}; {refused}" if doubt else f"{path}: {refused}"
+        if not lenient:
+            return LoadedModel(model=None, obstacle=doubt, record=record)
+    warning = f"allow_writable_model_directory lets it pass: {doubt}" if doubt else ""
+    return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(content), warning=warning)
+
+
+def _doubt(wanted: _Wanted, path: Path, account: Account, record: ReleaseRecord | None) -> str:
+    """Return what stands against a model whose release is not in order, '' when nothing does."""
+    if how := how_it_could_change(path, account):
+        return (
+            f"{path}: the daemon could change this model: {how}; let root or the account of the releases own file and "
+            "folder (docs/how-to/release-a-model.md)"
+        )
+    if record is None:
+        return f"{path}: nobody has released this model; release it: `toolpoint model release {wanted.option}FILE`"
+    return ""
+
+
+def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -> tuple[AnyThermalModel | None, str]:
+    """Return the model, or why it cannot serve a machine with these sensors that needs these channels."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        return None, f"{path}: the thermal model cannot be read ({error.strerror})"
+    return model_from_text(content, str(path), sensor_ids, channels)
+
+
+def model_from_text(
+    content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str]
+) -> tuple[AnyThermalModel | None, str]:
+    """Return the model that a file's bytes hold, or why it cannot serve such a machine."""
+    try:
+        model = any_model_from_json(content.decode("utf-8"), source=source)
+    except UnicodeDecodeError as error:
+        return None, f"{source}: this is no thermal model: byte {error.start} is not UTF-8 text"
+    except ModelError as error:
+        return None, str(error)
+    if model.axis_positions:
+        names = ", ".join(model.axis_positions[:8])
+        return None, (
+            f"{source}: the model needs axis positions ({names}), which are not read while the machine runs; "
+            "take axis_positions out of the map and train it again"
+        )
+    if foreign := sorted(set(model.sensor_ids) - set(sensor_ids)):
+        return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
+    if lacking := sorted(set(channels) - set(model.channels)):
+        return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
+    return model, ""
+
+
+def model_text(model: AnyThermalModel) -> str:
+    """Return the content of a model's file."""
+    return lagged_model_to_json(model) if isinstance(model, LaggedModel) else model_to_json(model)

@@ -1,0 +1,180 @@
+"""Recordings for training from the daemon's own history: one-minute means, displacements without what was applied.
+
+Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the
+guard's echo, minute by minute). Where compensation may have been on and the echo is unknown, the minute has
+no displacement.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema import Configuration
+from daemon.history.reader import HistoryReader
+from daemon.history.series import CncHistory
+from models.recordings.dataset import DatasetError, Recording
+from models.records import FloatArray
+
+MINUTE_S = 60.0
+WINDOW_S = 6 * 3600.0
+"""The history is read in pieces of this length, so that months of hundreds of sensors need little memory."""
+LEAD_S = 600.0
+"""Read before each piece, so that held temperatures have their last good value."""
+LEAST_MIN = 120
+"""Shorter stretches are left out [min]: models with lags take the machine as settled at the beginning of each."""
+LONGEST_GAP_MIN = 10.0
+"""After a longer stretch without displacements a new recording begins."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Minutes:
+    """One-minute means of a piece of the history; NaN where nothing was measured."""
+
+    minute: FloatArray
+    """Number of the minute since 1970, shape (n,)."""
+    speed_rpm: FloatArray
+    degc: FloatArray
+    own_um: FloatArray
+    """Displacements minus what was applied [um], shape (n, n_channels)."""
+    file: tuple[str, ...]
+    """The logger's file of each minute: another file may have another zero."""
+
+
+def used_channels(configuration: Configuration) -> dict[str, str]:
+    """Return the measured displacement channels that axes follow: axis by channel."""
+    displacements = configuration.displacements
+    measured = {channel.name for channel in displacements.channels} if displacements is not None else set()
+    return {
+        axis.estimate: name
+        for name, axis in configuration.compensation.axes.items()
+        if axis.estimate is not None and axis.estimate in measured
+    }
+
+
+def recordings_from_history(
+    configuration: Configuration,
+    reader: HistoryReader,
+    um_per_unit: Mapping[str, float] | None,
+    *,
+    from_utc_s: float,
+    to_utc_s: float,
+) -> list[Recording]:
+    """Return the stretches with displacements that are long enough to train on.
+
+    `um_per_unit` is what one unit of an axis' echo macro means [um]; None on a machine that was never
+    commissioned, where nothing can have been applied. Raises DatasetError without a measured channel that
+    an axis follows, and when no stretch is long enough.
+    """
+    channels = used_channels(configuration)
+    if not channels:
+        raise DatasetError(
+            "no axis follows a displacement channel that is measured, so there is nothing to train on: configure "
+            "displacements, or train from recordings with `toolpoint thermal train`"
+        )
+    sensor_ids = configuration.temperatures.sensor_ids
+    pieces = list(_pieces(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
+    found = [run for run in _runs(pieces, sensor_ids, tuple(channels)) if run.rows >= LEAST_MIN]
+    if not found:
+        raise DatasetError(
+            f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}; "
+            "leave the sensors in place for longer"
+        )
+    return found
+
+
+def _pieces(
+    configuration: Configuration,
+    reader: HistoryReader,
+    channels: Mapping[str, str],
+    um_per_unit: Mapping[str, float] | None,
+    from_utc_s: float,
+    to_utc_s: float,
+) -> Iterator[_Minutes]:
+    extent = reader.extent("displacements")
+    if extent is None:
+        return
+    start_s = max(from_utc_s, extent[0]) // MINUTE_S * MINUTE_S
+    end_s = min(to_utc_s, extent[1] + MINUTE_S)
+    while start_s < end_s:
+        stop_s = min(start_s + WINDOW_S, end_s)
+        piece = _piece(configuration, reader, channels, um_per_unit, start_s, stop_s)
+        if piece is not None:
+            yield piece
+        start_s += WINDOW_S
+
+
+def _piece(
+    configuration: Configuration,
+    reader: HistoryReader,
+    channels: Mapping[str, str],
+    um_per_unit: Mapping[str, float] | None,
+    start_s: float,
+    stop_s: float,
+) -> _Minutes | None:
+    displacements = reader.displacements(start_s, stop_s)
+    if not len(displacements.time_s):
+        return None
+    first = round(start_s / MINUTE_S)
+    count = max(int(np.ceil((stop_s - start_s) / MINUTE_S)), 1)
+    raw = np.column_stack([displacements.um.get(name, np.full(len(displacements.time_s), np.nan)) for name in channels])
+    um = _means(displacements.time_s, raw, first, count)
+    cnc = reader.cnc(start_s, stop_s)
+    applied_um = np.zeros((count, len(channels)))
+    if um_per_unit is not None:
+        echo = [_echo_um(configuration, cnc, axis, um_per_unit[axis]) for axis in channels.values()]
+        applied_um = _means(cnc.time_s, np.column_stack(echo), first, count)
+    temperatures = reader.temperatures(configuration.temperatures.sensor_ids, start_s - LEAD_S, stop_s)
+    degc = _means(temperatures.time_s, temperatures.cleansed(), first, count)
+    named = zip(displacements.time_s.tolist(), displacements.source, strict=True)
+    files = {int(time_s // MINUTE_S): source.rpartition(":")[0] for time_s, source in named}
+    minute = first + np.arange(count)
+    return _Minutes(
+        minute=minute.astype(np.float64),
+        speed_rpm=_means(cnc.time_s, cnc.spindle_speed_rpm[:, None], first, count)[:, 0],
+        degc=degc,
+        own_um=um - applied_um,
+        file=tuple(files.get(int(number), "") for number in minute),
+    )
+
+
+def _echo_um(configuration: Configuration, cnc: CncHistory, axis: str, um_per_unit: float) -> FloatArray:
+    number = configuration.cnc.macros.echo_applied[axis]
+    values = cnc.macros.get(number)
+    return np.full(len(cnc.time_s), np.nan) if values is None else values * um_per_unit
+
+
+def _means(time_s: FloatArray, values: FloatArray, first: int, count: int) -> FloatArray:
+    """Return the mean of the known values in each minute, NaN where there is none, shape (count, columns)."""
+    place = np.floor(time_s / MINUTE_S).astype(np.intp) - first
+    inside = (place >= 0) & (place < count)
+    place, values = place[inside], values[inside]
+    known = np.isfinite(values)
+    total, number = np.zeros((count, values.shape[1])), np.zeros((count, values.shape[1]))
+    np.add.at(total, place, np.where(known, values, 0.0))
+    np.add.at(number, place, known)
+    return np.where(number > 0, total / np.maximum(number, 1.0), np.nan)
+
+
+def _runs(pieces: list[_Minutes], sensor_ids: tuple[int, ...], channels: tuple[str, ...]) -> Iterator[Recording]:
+    if not pieces:
+        return
+    minute = np.concatenate([piece.minute for piece in pieces])
+    own_um = np.concatenate([piece.own_um for piece in pieces])
+    file = np.array([name for piece in pieces for name in piece.file], dtype=object)
+    measured = np.flatnonzero(np.isfinite(own_um).all(axis=1))
+    if not len(measured):
+        return
+    breaks = (np.diff(minute[measured]) > LONGEST_GAP_MIN) | (file[measured][1:] != file[measured][:-1])
+    speed = np.concatenate([piece.speed_rpm for piece in pieces])
+    degc = np.concatenate([piece.degc for piece in pieces])
+    for rows in np.split(measured, np.flatnonzero(breaks) + 1):
+        yield Recording(
+            name=f"history from minute {int(minute[rows[0]])}",
+            time_s=MINUTE_S * (minute[rows] - minute[rows[0]]),
+            speed_rpm=speed[rows] if np.isfinite(speed[rows]).any() else None,
+            temperature_names=tuple(f"T{sensor_id}" for sensor_id in sensor_ids),
+            temperatures_degc=degc[rows],
+            displacement_names=channels,
+            displacements_um=own_um[rows],
+        )

@@ -1,0 +1,306 @@
+"""Release a proposed model, go back to an earlier one, or let the policy decide."""
+
+import os
+import pwd
+import stat
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from config.records.release_record import PreviousRelease, ReleaseRecord
+from config.schema import Configuration
+from daemon.model_release.file_access import account_of_daemon, how_it_could_change
+from daemon.model_release.gate import channels_in_use, gate_obstacle, policy_obstacle
+from daemon.model_release.loading import Named, model_from_text
+from daemon.model_release.repository import ReleaseError, ReleaseRepository, sha256_of
+from models.thermal.family import AnyThermalModel
+
+LARGEST_MODEL = 64 * 2**20
+"""No model comes near this [byte]."""
+NO_LOGIN = 2**32 - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of model that is released: where, and what is checked before."""
+
+    shelf: Callable[[Configuration], ReleaseRepository]
+    """Raises ReleaseError without a configured place."""
+    checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
+    """Return the model that bytes hold, and what was found good; raises ReleaseError."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """A model that waits for its release."""
+
+    path: Path
+    model_id: str
+    sha256: str
+    obstacle: str
+    """Why it would be refused now, '' when it would not."""
+
+
+def person_now() -> str:
+    """Return who runs this program; behind sudo, who logged in."""
+    uid = os.getuid()
+    if uid != 0:
+        return _named(uid)
+    for behind in (_login_uid(), os.environ.get("SUDO_UID", "")):
+        if behind.isdigit() and int(behind) not in (0, NO_LOGIN):
+            return f"{_named(int(behind))} as root"
+    return _named(uid)
+
+
+def _login_uid() -> str:
+    try:
+        return Path("/proc/self/loginuid").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def _named(uid: int) -> str:
+    try:
+        return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
+    except KeyError:
+        return f"unknown (uid {uid})"
+
+
+def proposals_folder(configuration: Configuration) -> Path:
+    """Return where the daemon and its jobs put models that somebody may release."""
+    return configuration.history.path.parent / "proposals"
+
+
+def shelf_of(configuration: Configuration) -> ReleaseRepository:
+    """Return the machine's shelf of releases; raises ReleaseError without a configured place."""
+    if configuration.compensation.model_file is None:
+        raise ReleaseError("compensation.model_file is not set, so there is no place for a released model")
+    return ReleaseRepository(configuration.compensation.model_file)
+
+
+def release(
+    configuration: Configuration,
+    proposal: Path,
+    *,
+    person: str,
+    note: str = "",
+    by_policy: bool = False,
+    kind: Kind | None = None,
+) -> ReleaseRecord:
+    """Check a proposal and make it the active model of its kind (None: a thermal model).
+
+    Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
+    """
+    kind = kind or THERMAL
+    shelf = kind.shelf(configuration)
+    content = _content(proposal)
+    model, checks = kind.checked(configuration, content, str(proposal))
+    with shelf.locked():
+        active = shelf.active()
+        _refuse_the_daemons_reach(configuration, shelf)
+        if active is not None and active.sha256 == sha256_of(content):
+            raise ReleaseError(f"{proposal}: this model is active already, as release {active.number}")
+        if twin := [r for r in shelf.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
+            raise ReleaseError(
+                f"{proposal}: release {twin[0].number} is another model of the same name {model.model_id}; audit and "
+                "history could not tell them apart: train it again, or give it another model_id"
+            )
+        if by_policy:
+            proposed, _ = _checked(configuration, content, str(proposal))
+            before = _checked_release(configuration, shelf, active)
+            if obstacle := policy_obstacle(proposed, before, configuration):
+                raise ReleaseError(f"{proposal}: {obstacle}")
+            checks.append("its bands are not wider than the active model's")
+        record = _record(
+            shelf, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
+        )
+        shelf.add(record, content)
+    return record
+
+
+def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRecord | None:
+    """Release the newest proposal that the policy lets through; None when there is none."""
+    if not configuration.compensation.release.automatic:
+        raise ReleaseError(
+            "compensation.release.automatic is false: only a person releases a model, by `toolpoint model release FILE`"
+        )
+    known = {record.sha256 for record in shelf_of(configuration).records()}
+    for proposal in reversed(proposals(configuration)):
+        if proposal.obstacle or proposal.sha256 in known:
+            continue
+        try:
+            return release(configuration, proposal.path, person=person, note="by policy", by_policy=True)
+        except ReleaseError:
+            continue  # the next older one may pass; `toolpoint model list` says why this one did not
+    return None
+
+
+def rollback(
+    configuration: Configuration,
+    *,
+    person: str,
+    to: int | None = None,
+    note: str = "",
+    kind: Kind | None = None,
+) -> ReleaseRecord:
+    """Make an earlier release of a kind (None: thermal) active again, under a new number; raises ReleaseError."""
+    kind = kind or THERMAL
+    shelf = kind.shelf(configuration)
+    with shelf.locked():
+        active = shelf.active()
+        _refuse_the_daemons_reach(configuration, shelf)
+        number = to if to is not None else _before(active)
+        found, content = shelf.content(number)
+        if active is not None and found.sha256 == active.sha256:
+            raise ReleaseError(f"release {number} holds the model that is active now")
+        model, checks = kind.checked(configuration, content, f"release {number}")
+        record = _record(
+            shelf, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
+        )
+        shelf.add(record, content)
+    return record
+
+
+def proposal_named(configuration: Configuration, given: Path) -> Path:
+    """Return the file that a person means: a path, or a name among the proposals."""
+    waiting = proposals_folder(configuration) / given
+    try:
+        return waiting if not given.exists() and waiting.exists() else given
+    except OSError:
+        return given
+
+
+def why_proposals_are_hidden(configuration: Configuration) -> str:
+    """Return why this account cannot see the proposals, '' when it can or there are none."""
+    folder = proposals_folder(configuration)
+    try:
+        os.scandir(folder).close()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return f"{folder}: the proposals cannot be read ({error.strerror}); the state is for root alone: use sudo"
+    return ""
+
+
+def proposals(configuration: Configuration) -> Sequence[Proposal]:
+    """Return the proposals that wait, the oldest first, each with what stands against it."""
+    folder = proposals_folder(configuration)
+    found: list[tuple[float, Proposal]] = []
+    try:
+        paths = [path for path in folder.glob("*.json") if not path.is_symlink() and path.is_file()]
+    except OSError:
+        return []
+    for path in paths:
+        try:
+            content = _content(path)
+            changed_s = path.stat().st_mtime
+        except (ReleaseError, OSError):
+            continue  # gone, or not for us to read: nothing to propose
+        model, obstacle = model_from_text(
+            content, str(path), configuration.temperatures.sensor_ids, _wanted(configuration)
+        )
+        if model is not None:
+            obstacle = gate_obstacle(model, configuration)
+        name = model.model_id if model is not None else "unreadable"
+        found.append((changed_s, Proposal(path=path, model_id=name, sha256=sha256_of(content), obstacle=obstacle)))
+    return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
+
+
+def _wanted(configuration: Configuration) -> list[str]:
+    return list(channels_in_use(configuration))
+
+
+def _content(path: Path) -> bytes:
+    """Return a proposal's bytes, read once: its folder belongs to the daemon, who might change it meanwhile."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise ReleaseError(f"{path}: cannot be read ({error.strerror}); name the proposal's own file") from error
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_MODEL:
+            raise ReleaseError(f"{path}: is no file of a model")
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            return file.read(LARGEST_MODEL)
+    finally:
+        os.close(descriptor)
+
+
+def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[AnyThermalModel, list[str]]:
+    """Return the model and what was found good; raises ReleaseError."""
+    model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
+    if model is None:
+        raise ReleaseError(obstacle)
+    if obstacle := gate_obstacle(model, configuration):
+        raise ReleaseError(f"{source}: {obstacle}")
+    bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in _wanted(configuration))
+    return model, [
+        "the checksum fits the content",
+        f"{len(model.test_vectors)} test vectors are met",
+        f"sensors and channels are this machine's ({len(model.sensor_ids)} sensors)",
+        f"prediction bands are known and narrow enough: {', '.join(bands)}",
+    ]
+
+
+def _checked_release(
+    configuration: Configuration, shelf: ReleaseRepository, record: ReleaseRecord | None
+) -> AnyThermalModel | None:
+    if record is None:
+        return None
+    _, content = shelf.content(record.number)
+    return _checked(configuration, content, f"release {record.number}")[0]
+
+
+def _refuse_the_daemons_reach(configuration: Configuration, shelf: ReleaseRepository) -> None:
+    """Refuse a place that the daemon could write, and the daemon's own account."""
+    if configuration.compensation.allow_writable_model_directory:
+        return
+    account = account_of_daemon(configuration.history.path)
+    if account.is_this_process:
+        raise ReleaseError(
+            "this account runs the daemon, and the daemon may not release its own model; use another account"
+        )
+    if how := how_it_could_change(shelf.releases / "model.json", account):
+        raise ReleaseError(
+            f"{shelf.releases}: the daemon could change a model there ({how}); choose a folder that it cannot write"
+        )
+
+
+def _before(active: ReleaseRecord | None) -> int:
+    if active is None or active.previous is None:
+        raise ReleaseError("no earlier release is known to go back to; `toolpoint model list` shows what there is")
+    return active.previous.number
+
+
+def _record(
+    shelf: ReleaseRepository,
+    action: str,
+    model: Named,
+    content: bytes,
+    *,
+    person: str,
+    source: str,
+    note: str,
+    checks: list[str],
+) -> ReleaseRecord:
+    active = shelf.active()
+    previous = None
+    if active is not None:
+        previous = PreviousRelease(number=active.number, model_id=active.model_id, sha256=active.sha256)
+    return ReleaseRecord(
+        number=shelf.next_number(),
+        action="rollback" if action == "rollback" else "release",
+        model_id=model.model_id,
+        sha256=sha256_of(content),
+        person=person,
+        released=datetime.now(UTC).isoformat(timespec="seconds"),
+        source=source,
+        note=note,
+        checks=checks,
+        previous=previous,
+    )
+
+
+THERMAL = Kind(shelf=shelf_of, checked=_checked)
+"""The thermal model of the compensation."""

@@ -1,0 +1,170 @@
+"""Where released models stand: one folder per release, and a symbolic link that names the active one.
+
+    model.json -> releases/0003/model.json
+    releases/0001/model.json, release.json
+    ...
+
+A release folder is complete before it gets its name, and is never changed again. Activating is the
+renaming of one symbolic link, so that nobody ever reads half of a release. Another kind of model in the
+same place has a folder of releases of its own.
+"""
+
+import fcntl
+import hashlib
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record
+
+MODEL_NAME = "model.json"
+RECORD_NAME = "release.json"
+READABLE_FILE, READABLE_FOLDER = 0o644, 0o755
+"""The daemon is another user and only reads."""
+
+
+class ReleaseError(Exception):
+    """A release is refused or failed; the text says why and what to do."""
+
+
+def sha256_of(content: bytes) -> str:
+    """Return the digest that release records carry."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
+    """Return the record of the active release (None where there is none), and why it is not to be believed."""
+    real = Path(os.path.realpath(model_file))
+    beside = real.with_name(RECORD_NAME)
+    if not beside.exists():
+        return None, ""
+    try:
+        record = load_release_record(beside)
+        digest = sha256_of(real.read_bytes())
+    except ReleaseRecordError as error:
+        return None, str(error)
+    except OSError as error:
+        return None, f"{real}: the model cannot be read ({error.strerror})"
+    if digest != record.sha256:
+        return record, (
+            f"{real}: this is not the file that {record.person} released on {record.released} (sha256 {digest[:12]}, "
+            f"released was {record.sha256[:12]}); release it again, or go back with `toolpoint model rollback`"
+        )
+    return record, ""
+
+
+class ReleaseRepository:
+    """The folder of releases beside a configured model file."""
+
+    def __init__(self, model_file: Path, releases: str = "releases") -> None:
+        self.model_file = model_file
+        self.releases = model_file.parent / releases
+
+    def records(self) -> list[ReleaseRecord]:
+        """Return every release that can be read, the oldest first."""
+        found = []
+        for folder in sorted(self.releases.glob("[0-9]*")):
+            try:
+                found.append(load_release_record(folder / RECORD_NAME))
+            except ReleaseRecordError:
+                continue  # `content` says why when somebody wants this one
+        return found
+
+    def active(self) -> ReleaseRecord | None:
+        """Return the record that the link leads to; raises ReleaseError when it cannot be believed."""
+        if not self.model_file.is_symlink():
+            if self.model_file.exists():
+                raise ReleaseError(
+                    f"{self.model_file} is a file of its own, which nobody released; move it away, then release it"
+                )
+            return None
+        record, problem = released(self.model_file)
+        if record is None and problem:
+            raise ReleaseError(problem)
+        return record
+
+    def content(self, number: int) -> tuple[ReleaseRecord, bytes]:
+        """Return a release and its model's bytes, or raise ReleaseError when they do not belong together."""
+        folder = self.releases / f"{number:04d}"
+        try:
+            record = load_release_record(folder / RECORD_NAME)
+            content = (folder / MODEL_NAME).read_bytes()
+        except ReleaseRecordError as error:
+            raise ReleaseError(str(error)) from error
+        except OSError as error:
+            raise ReleaseError(f"{folder / MODEL_NAME}: cannot be read ({error.strerror})") from error
+        if sha256_of(content) != record.sha256:
+            raise ReleaseError(f"{folder / MODEL_NAME}: is not the file that {record.person} released; it stays unused")
+        return record, content
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep a second release away until this one is done."""
+        try:
+            if not self.releases.is_dir():
+                self.releases.mkdir(parents=True)
+                self.releases.chmod(stat.S_IMODE(self.releases.parent.stat().st_mode))
+            descriptor = os.open(self.releases, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        except BlockingIOError as error:
+            raise ReleaseError(f"{self.releases}: somebody else is releasing a model now; try again") from error
+        finally:
+            os.close(descriptor)
+
+    def next_number(self) -> int:
+        """Return the number of the next release."""
+        return max((int(folder.name) for folder in self.releases.glob("[0-9]*")), default=0) + 1
+
+    def add(self, record: ReleaseRecord, content: bytes) -> None:
+        """Put a release on the shelf and make it the active one."""
+        folder = self.releases / f"{record.number:04d}"
+        try:
+            made = Path(tempfile.mkdtemp(prefix=".new-", dir=self.releases))
+            try:
+                _write(made / MODEL_NAME, content)
+                _write(made / RECORD_NAME, record.model_dump_json(indent=2).encode() + b"\n")
+                made.chmod(READABLE_FOLDER)
+                made.rename(folder)
+            finally:
+                shutil.rmtree(made, ignore_errors=True)
+            _sync_folder(self.releases)
+            self._point_to(folder)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _point_to(self, folder: Path) -> None:
+        link = self.model_file.with_name(f".{self.model_file.name}.{os.getpid()}.link")
+        link.unlink(missing_ok=True)
+        link.symlink_to(Path(self.releases.name) / folder.name / MODEL_NAME)
+        link.replace(self.model_file)
+        _sync_folder(self.model_file.parent)
+
+    def _unwritable(self, error: OSError) -> ReleaseError:
+        return ReleaseError(
+            f"{self.releases}: cannot be written ({error.strerror}); a model is released by an account that may write "
+            "there, which the daemon's may not"
+        )
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    path.chmod(READABLE_FILE)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,88 @@
+"""Train a model on the daemon's own history and put it among the proposals; run in a process of its own."""
+
+import math
+import os
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from config.records.commissioning import load_commissioning
+from config.schema import Configuration
+from config.schema.compensation import RetrainingConfig
+from daemon.cnc.limits import commissioned_factors
+from daemon.history.reader import HistoryReader
+from daemon.model_release.loading import model_text
+from daemon.model_release.past_recordings import recordings_from_history
+from daemon.model_release.releasing import proposals_folder
+from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER
+from models.thermal.family import AnyThermalModel
+from models.thermal.training.train_family import train_family
+
+DAY_S = 86400.0
+
+
+def propose_from_history(configuration: Configuration, retraining: RetrainingConfig) -> dict[str, Any]:
+    """Train on the history, write a proposal, and return what came of it.
+
+    The release's own gate judges the proposal; nothing is activated here. Raises DatasetError when the
+    history cannot be trained on, HistoryError or CommissioningError when a file cannot be read, OSError when
+    nothing can be written.
+    """
+    axes = tuple(configuration.compensation.axes)
+    um_per_unit = None
+    record_path = configuration.compensation.commissioning_file
+    if record_path is not None and record_path.is_file():
+        factors = commissioned_factors(load_commissioning(record_path), axes)
+        um_per_unit = {axis: configuration.cnc.macros.unit_um * factors.get(axis, 1.0) for axis in axes}
+    now_s = time.time()
+    with HistoryReader(configuration.history.path) as reader:
+        recordings = recordings_from_history(
+            configuration, reader, um_per_unit, from_utc_s=now_s - DAY_S * retraining.days, to_utc_s=now_s
+        )
+    trained = train_family(
+        recordings, retraining.model, sample_s=60.0, created=datetime.now(UTC).isoformat(timespec="seconds")
+    )
+    path = propose(configuration, trained.model)
+    return {
+        "path": str(path),
+        "model_id": trained.model.model_id,
+        "recordings": len(recordings),
+        "hours": round(sum(float(recording.time_s[-1]) for recording in recordings) / 3600.0, 2),
+        "channels": list(trained.model.channels),
+        "held_out_relative_rmse": _number(trained.trust.held_out_relative_rmse),
+        "refused": trained.trust.refused,
+    }
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+MOST_PROPOSALS = 20
+"""Older proposals are removed."""
+
+
+def propose(configuration: Configuration, model: AnyThermalModel) -> Path:
+    """Write a proposal in one step and return its file, readable by the account that releases; raises OSError."""
+    folder = proposals_folder(configuration)
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.chmod(READABLE_FOLDER)
+    path = folder / f"{_file_name(model.model_id)}.json"
+    temporary = folder / f".{path.name}.{os.getpid()}.tmp"
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(model_text(model))
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(READABLE_FILE)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    for old in sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime)[:-MOST_PROPOSALS]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def _file_name(model_id: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in model_id).lstrip(".") or "model"

@@ -1,0 +1,131 @@
+"""What a person may ask of the running daemon over its local socket."""
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+from daemon.compensation.task import ControlTask
+from daemon.monitor.control_socket import RequestError
+from daemon.monitor.status import StatusBoard
+from models.control.state import OperatorRequest
+
+DECISION_S = 3.0
+"""A request is answered after this long at the latest [s]; the control task decides with its next tick."""
+KEYS = {"enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindle_speed"}}
+"""What a command takes beside its name; the others take nothing."""
+
+
+class CommandDesk:
+    """Turns requests from the socket into requests to the tasks."""
+
+    def __init__(self, board: StatusBoard, control: ControlTask, axes: Sequence[str]) -> None:
+        self._board = board
+        self._control = control
+        self._axes = tuple(axes)
+
+    async def handle(self, request: dict[str, Any], person: str) -> dict[str, Any]:
+        """Answer one request; raises RequestError with the reason for a refusal."""
+        _check_keys(request)
+        if _of_spindle_speed(request):
+            return await self._turn_spindle_speed(on=request["command"] == "enable", person=person)
+        match request.get("command"):
+            case "status":
+                return self._board.picture()
+            case "enable":
+                self._submit(OperatorRequest(enable=self._named(request)), person)
+            case "disable":
+                self._submit(OperatorRequest(disable=self._named(request), zero=_zero(request)), person)
+            case "acknowledge":
+                self._submit(OperatorRequest(acknowledge=True), person)
+            case "reference":
+                if refusal := self._control.request_reference(person):
+                    raise self._refusal("reference", refusal, person)
+                await self._reference_by_hand()
+            case other:
+                raise RequestError(f"there is no command {other!r}")
+        return await self._outcome()
+
+    async def _reference_by_hand(self) -> None:
+        """Wait until the reference is in force; raises RequestError with the reason when it is refused."""
+        try:
+            async with asyncio.timeout(DECISION_S):
+                while (refusal := self._control.reference_by_hand) is None:
+                    await self._control.requests.carried_out()
+        except TimeoutError:
+            return
+        if refusal:
+            raise RequestError(refusal)
+
+    async def _turn_spindle_speed(self, *, on: bool, person: str) -> dict[str, Any]:
+        """Switch the tuning of the spindle speed; what is switched off is waited for until the NC cannot take it."""
+        speed, what = self._control.side.speed, "enable" if on else "disable"
+        if refusal := speed.turn(on=on, person=person):
+            raise self._refusal(f"{what} the tuning of the spindle speed", refusal, person)
+        try:
+            async with asyncio.timeout(DECISION_S):
+                while not (on or speed.stands_off):
+                    await self._control.requests.carried_out()
+        except TimeoutError:
+            return {"decided": False}
+        picture = speed.picture() or {}
+        return {"decided": True, **{key: picture.get(key, "") for key in ("state", "reason", "alarm")}}
+
+    def _refusal(self, what: str, why: str, person: str) -> RequestError:
+        """Record a refusal of the desk itself; the control task records its own."""
+        self._control.journal.event("refused", f"{what}: {why}", person)
+        return RequestError(why)
+
+    async def _outcome(self) -> dict[str, Any]:
+        """Return where the output stands when the request has been decided on, or that it has not been yet."""
+        try:
+            async with asyncio.timeout(DECISION_S):
+                await self._control.requests.carried_out()
+        except TimeoutError:
+            return {"decided": False}
+        memory = self._control.memory
+        return {
+            "decided": True,
+            "state": memory.state.value if memory is not None else "OFF",
+            "reason": memory.reason if memory is not None else "the CNC has not been reached yet",
+            "alarm": self._control.journal.alarm,
+        }
+
+    def _submit(self, request: OperatorRequest, person: str) -> None:
+        if refusal := self._control.request(request, person):
+            raise RequestError(refusal)
+
+    def _named(self, request: dict[str, Any]) -> frozenset[str]:
+        axes = request.get("axes")
+        if axes is None:
+            return frozenset(self._control.modelled if request["command"] == "enable" else self._axes)
+        if not isinstance(axes, list) or not all(isinstance(axis, str) for axis in axes):
+            raise RequestError("axes must be a list of axis names")
+        if not axes:
+            raise RequestError("axes is an empty list; name axes, or leave it out to mean all of them")
+        return frozenset(axes)
+
+
+def _check_keys(request: dict[str, Any]) -> None:
+    command = request.get("command")
+    known = KEYS.get(command, set()) if isinstance(command, str) else set()
+    if unknown := sorted(set(request) - known - {"command"}):
+        takes = ", ".join(sorted(known)) or "nothing else"
+        raise RequestError(f"the command {command!r} does not know {', '.join(unknown)}; it takes {takes}")
+
+
+def _zero(request: dict[str, Any]) -> bool:
+    zero = request.get("zero", False)
+    if not isinstance(zero, bool):
+        raise RequestError(f"zero must be true or false, not {zero!r}")
+    if zero and request.get("axes") is not None:
+        raise RequestError("zero retreats every axis; name no axes with it")
+    return zero
+
+
+def _of_spindle_speed(request: dict[str, Any]) -> bool:
+    speed = request.get("spindle_speed", False)
+    if not isinstance(speed, bool):
+        raise RequestError(f"spindle_speed must be true or false, not {speed!r}")
+    if speed and (request.get("axes") is not None or request.get("zero", False)):
+        raise RequestError("spindle_speed switches the tuning of the speed alone; name neither axes nor zero with it")
+    return speed

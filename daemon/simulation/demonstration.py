@@ -1,0 +1,126 @@
+"""The demonstration: what it counts, what it demands of itself, and how it is watched."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from daemon.monitor.control_socket import RequestError
+from daemon.simulation.processes import Rehearsal, RehearsalError
+
+JUDGED_FROM_UM = 5.0
+"""An axis whose uncompensated error stays below this is not judged [um]."""
+DRAIN_S = 3.0
+"""Wall time that the daemon gets for the last cycles."""
+
+
+def switch_on(running: Rehearsal, patience_s: float = 20.0) -> None:
+    """Enable every axis that has a model, as an operator would."""
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            while running.client.ask("status")["output"]["since_s"] is None and time.monotonic() < deadline:
+                running.check_alive()
+                time.sleep(0.05)
+            running.client.ask("enable")
+            return
+        except RequestError as error:
+            running.check_alive()
+            if time.monotonic() > deadline:
+                raise RehearsalError(f"the daemon refused to enable: {error}") from error
+            time.sleep(0.1)
+
+
+def watch(running: Rehearsal, until_s: float, look: Callable[[dict[str, Any]], None], period_s: float) -> None:
+    """Look at the daemon's status every `period_s` [s of the wall clock] until the simulated time is over."""
+    while running.time_s < until_s:
+        running.check_alive()
+        look(running.client.ask("status"))
+        time.sleep(min(period_s, max(0.0, (until_s - running.time_s) / running.speed)))
+
+
+def settle(running: Rehearsal) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Wait until the simulator has sent its last cycle and the daemon has taken it; return both accounts."""
+    final = running.wait_for_report("final", DRAIN_S + 60.0 / running.speed + 10.0)
+    expected = sum(final["cycles_sent"].values())
+    deadline = time.monotonic() + DRAIN_S
+    status = running.client.ask("status")
+    while status["cycles"]["received"] < expected and time.monotonic() < deadline:
+        time.sleep(0.05)
+        status = running.client.ask("status")
+    return final, status
+
+
+def result(final: dict[str, Any], status: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return the demonstration's numbers and every check of its own that failed."""
+    errors = {}
+    untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
+    for axis in status["axes"]:
+        truth = final["truth"].get(axis, untouched)
+        modelled = status["axes"][axis]["estimate_from"] is not None
+        without, compensated = truth["uncompensated_max_um"], truth["compensated_max_um"]
+        if not modelled or without <= JUDGED_FROM_UM:
+            verdict = "not_judged"
+        else:
+            verdict = "passed" if compensated <= without / 2 else "failed"
+        errors[axis] = {"uncompensated_max": without, "compensated_max": compensated, "verdict": verdict}
+    numbers = {
+        "cycles": {
+            "expected": sum(final["cycles_sent"].values()),
+            "received": status["cycles"]["received"],
+            "incomplete": status["cycles"]["incomplete"],
+        },
+        "estimates": status["estimates"],
+        "writes": status["writes"],
+        "latency_s": {
+            part: {key: status["latency_s"][part][key] for key in ("mean", "p50", "p99", "max")}
+            for part in ("feedback", "total")
+        },
+        "error_um": errors,
+    }
+    return numbers, _failures(numbers, status, final)
+
+
+def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, Any]) -> list[str]:
+    failures = []
+    cycles, writes = numbers["cycles"], numbers["writes"]
+    if cycles["received"] != cycles["expected"]:
+        failures.append(f"{cycles['expected']} cycles were sent, {cycles['received']} arrived")
+    if cycles["incomplete"] and not sum(final["cycles_disturbed"].values()):
+        failures.append(f"{cycles['incomplete']} cycles are incomplete without a fault that explains them")
+    if writes["sent"] == 0:
+        failures.append("nothing was written")
+    if writes["verified"] != writes["sent"]:
+        failures.append(f"{writes['sent'] - writes['verified']} writes were not verified")
+    if status["output"]["state"] == "FAULT":
+        failures.append(f"the output ended in FAULT: {status['output']['reason']}")
+    for axis, state in status["axes"].items():
+        applied, bound = state["applied_um"], state["bound_um"]
+        if applied is None or abs(applied) > bound + 1e-6:
+            failures.append(f"axis {axis}: {applied} um applied, bound {bound} um")
+        if state["estimate_from"] is not None and not (state["wanted"] and axis in status["written_axes"]):
+            failures.append(f"axis {axis} was switched on, but is {'never written' if state['wanted'] else 'off now'}")
+    for axis, error in numbers["error_um"].items():
+        if error["verdict"] == "failed":
+            failures.append(
+                f"axis {axis}: {error['compensated_max']:.1f} um left of {error['uncompensated_max']:.1f} um"
+            )
+    return failures
+
+
+class Trail:
+    """The last minutes of the simulated truth per axis, for the live view."""
+
+    def __init__(self, kept: int = 720) -> None:
+        self._kept = kept
+        self._seen = 0
+        self.axes: dict[str, deque[tuple[float, float]]] = {}
+
+    def take(self, reports: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """Add what is new; return the newest report."""
+        for report in reports[self._seen :]:
+            for axis, truth in report.get("truth", {}).items():
+                series = self.axes.setdefault(axis, deque(maxlen=self._kept))
+                series.append((truth["uncompensated_um"], truth["compensated_um"]))
+        self._seen = len(reports)
+        return reports[-1] if reports else None

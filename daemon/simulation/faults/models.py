@@ -1,0 +1,127 @@
+"""The models of a fault campaign: the one that ships, and two that are trained for it on other simulated days."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from daemon.model_release.loading import model_text
+from daemon.simulation.faults.script import WATCHED_SENSORS, Happening, Incident
+from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
+from models.recordings.dataset import Recording
+from models.thermal.training.train import TrainingChoices, train
+from models.thermal.training.train_family import train_family
+
+CREATED = "2026-01-01T00:00:00+00:00"
+
+
+TRAINING_DAYS = 6
+
+
+HOURS = 10.0
+
+
+SAMPLE_S = 60.0
+
+
+INTERVAL_MIN = 10.0
+
+
+SHIPPED, SMALL, WATCHING = "shipped", "small", "watching"
+
+
+IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL)
+"""The watching model needs two thirds of a day of history before it may be followed."""
+
+
+OF_MODELS = (Incident.MODEL_RELOAD, Incident.DAMAGED_MODEL)
+
+
+class ModelShelf:
+    """The model's file, and what stands in it."""
+
+    def __init__(self, path: Path, script: Sequence[Happening]) -> None:
+        """Train the other models when the script needs them."""
+        self._path = path
+        self._turn = 0
+        self.current = SHIPPED
+        self.damaged = False
+        shipped = path.read_text("utf-8")
+        self._texts = {SHIPPED: shipped}
+        self._ids: dict[str, str] = {SHIPPED: str(json.loads(shipped)["model_id"])}
+        if any(happening.kind in OF_MODELS for happening in script):
+            self._train()
+
+    @classmethod
+    def beside(cls, source: Path, directory: Path, script: Sequence[Happening]) -> "ModelShelf":
+        """Make a copy of the shipped model in the campaign's folder."""
+        path = directory / "model.json"
+        shutil.copyfile(source, path)
+        return cls(path, script)
+
+    @property
+    def path(self) -> Path:
+        """The model's file."""
+        return self._path
+
+    @property
+    def model_id(self) -> str:
+        """Identity of the model that was put there last."""
+        return self._ids[self.current]
+
+    def is_watching(self, model_id: str | None) -> bool:
+        """Tell whether this is the model that watches its sensors."""
+        return model_id is not None and model_id == self._ids.get(WATCHING)
+
+    def exchange(self) -> None:
+        """Release the next model."""
+        self._turn = (self._turn + 1) % len(IN_TURN)
+        self.current, self.damaged = IN_TURN[self._turn], False
+        self._replace(self._texts[self.current])
+
+    def damage(self) -> None:
+        """Leave half of the file."""
+        text = self._texts[self.current]
+        self.damaged = True
+        self._replace(text[: len(text) // 2])
+
+    def ended(self, happening: Happening) -> None:
+        """Make a damaged file whole when that is over."""
+        if happening.kind is Incident.DAMAGED_MODEL:
+            self.repair()
+
+    def repair(self) -> None:
+        """Make the file whole again."""
+        if self.damaged:
+            self.damaged = False
+            self._replace(self._texts[self.current])
+
+    def _replace(self, text: str) -> None:
+        temporary = self._path.with_suffix(".new")
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(self._path)
+
+    def _train(self) -> None:
+        recordings = _recordings()
+        small = train(recordings, TrainingChoices(kind="ridge", interval_min=INTERVAL_MIN), created=CREATED).model
+        watching = train_family(recordings, "default", sample_s=SAMPLE_S, created=CREATED).model
+        for name, model in ((SMALL, small), (WATCHING, watching)):
+            self._texts[name], self._ids[name] = model_text(model), model.model_id
+
+
+def _recordings() -> list[Recording]:
+    sensors = [sensor for sensor in published_sensors() if sensor.id in WATCHED_SENSORS]
+    programmes = training_programmes()
+    return [
+        simulated_recording(seed, programmes[(seed - 1) % len(programmes)], sensors, hours=HOURS)
+        for seed in range(1, TRAINING_DAYS + 1)
+    ]
+
+
+def change_policy(path: Path, *, zero_first: bool) -> None:
+    """Write the configuration anew with this policy; the daemon reads it when it is started."""
+    content = yaml.safe_load(path.read_text("utf-8"))
+    content["compensation"]["reference"]["policy"] = "zero_first" if zero_first else "bumpless"
+    path.write_text(yaml.safe_dump(content, sort_keys=False, width=120), encoding="utf-8")

@@ -1,0 +1,202 @@
+"""Whether the output comes back to the state that its table gives, and how soon.
+
+After every incident the situation is worked out from what the machine's side knows to be true, and the
+specification's table of states (`state_oracle`, not the product's own) is followed from the state that the
+daemon then claimed. That is where it must be within some seconds of the first good input.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from daemon.simulation.faults.invariants import Claims, Ledger
+from daemon.simulation.faults.script import RESTARTS, Happening, Incident
+from daemon.simulation.faults.state_oracle import Situation, resting_state
+from drivers.latsis.numbering import RELEASED_AFTER_CYCLES
+from drivers.sim.faults import FaultKind
+
+WITHIN_S = 15.0
+"""The state must be right so soon after the first good input [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What the machine's side knows."""
+
+    reachable: bool
+    """The CNC answers and may be written to."""
+    temperatures: bool
+    """Temperatures arrive."""
+    distrust: bool
+    """The daemon has been shown something that it must not trust, and nobody has acknowledged since."""
+    echo_known: bool
+    at_zero: bool
+    """The NC applies nothing."""
+    zero_first: bool = False
+    """The NC program has passed its retreat block and not been positioned since, under that policy."""
+    reference_blind: bool = False
+    """Lines were disturbed when the reference was set, so that some labels may count from nothing."""
+    model_has_states: bool = False
+    """The model needs hours of history, which its doubt may be about."""
+    sensor_was_wrong: bool = False
+    """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
+
+
+def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
+    """Tell whether the output may follow the estimate."""
+    return (
+        truth.reachable
+        and truth.temperatures
+        and truth.echo_known
+        and claims.reference is not None
+        and claims.estimate_reference == claims.reference
+        and claims.confidence >= least_confidence
+        and claims.in_domain
+        and (claims.estimated or not truth.reference_blind)
+        and not (claims.doubtful and truth.model_has_states)
+        and not (claims.harmful and truth.sensor_was_wrong)
+    )
+
+
+def where_it_leads(state: str, truth: Truth, claims: Claims, least_confidence: float) -> str:
+    """Return where the table of states leads from a state; what only time brings about is left out."""
+    now = Situation(
+        asked_for=any(claims.wanted),
+        trusted=not truth.distrust,
+        zero_first=truth.zero_first,
+        connected=truth.reachable and truth.echo_known,
+        at_zero=truth.at_zero,
+        can_follow=ready(truth, claims, least_confidence),
+    )
+    return resting_state(state, now)
+
+
+class GoodInput:
+    """What must arrive after an incident before the output can be right again.
+
+    After one on a line a whole cycle of that line (the third, when its nodes were counted anew: before, the line is
+    not believed), after one on all lines a whole cycle of any, after a start of the daemon a cycle and a poll, and
+    else a poll that the CNC answers.
+    """
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self._lines = frozenset(lines)
+        self._cycles: dict[str, int] = {}
+        self._any_line = False
+        self._cnc = False
+
+    @property
+    def there(self) -> bool:
+        """All of it has arrived."""
+        return not (self._cycles or self._any_line or self._cnc)
+
+    def after(self, happening: Happening) -> None:
+        """An incident is over."""
+        kind = happening.kind
+        if happening.target in self._lines:
+            counted = kind is FaultKind.RENUMBERED or (kind is FaultKind.DEAD_LINE and happening.amount > 0)
+            line = str(happening.target)
+            self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1)
+            return
+        if kind in RESTARTS or kind is Incident.BLIND:
+            self._any_line = True
+        self._cnc |= kind is not Incident.BLIND
+
+    def cycle(self, line: str) -> None:
+        """A line was heard whole and undisturbed."""
+        self._any_line = False
+        if line in self._cycles:
+            self._cycles[line] -= 1
+            if self._cycles[line] <= 0:
+                del self._cycles[line]
+
+    def cnc(self) -> None:
+        """The CNC has answered a poll."""
+        self._cnc = False
+
+
+@dataclass(slots=True)
+class _Case:
+    """One incident, or several that met."""
+
+    kinds: set[str]
+    good_s: float | None = None
+    state_then: str = ""
+    wrong_since_s: float | None = None
+    took_s: float = 0.0
+
+
+@dataclass(slots=True)
+class RecoveryWatch:
+    """Judges one case after the other; a new incident before the judgement joins the case."""
+
+    ledger: Ledger
+    least_confidence: float
+    times_s: dict[str, list[float]] = field(default_factory=dict)
+    disturbed: int = 0
+    """Cases that a person or a new incident interrupted before they could be judged."""
+    _case: _Case | None = None
+
+    def begun(self, kind: str) -> None:
+        """Something happens: a case that is not judged yet is put off."""
+        if self._case is not None:
+            self.disturbed += 1
+        self._case = None
+
+    def over(self, kinds: set[str]) -> None:
+        """Everything that was going on has ended."""
+        self._case = _Case(kinds=kinds)
+
+    @property
+    def waiting(self) -> bool:
+        """The first good input of a case is awaited."""
+        return self._case is not None and self._case.good_s is None
+
+    @property
+    def open(self) -> bool:
+        """A case waits for its judgement."""
+        return self._case is not None and self._case.good_s is not None
+
+    def good_input(self, time_s: float, claims: Claims) -> None:
+        """The first good input after the case has arrived."""
+        if self._case is not None and self._case.good_s is None:
+            self._case.good_s = time_s
+            self._case.state_then = claims.state
+
+    def left_fault(self, time_s: float, *, acknowledged: bool) -> None:
+        """FAULT has been left: only a person may have done that; it leads to HOLD, and the way back begins anew."""
+        self.ledger.check("fault_is_latched", acknowledged, f"{time_s:.1f} s: FAULT was left, nobody acknowledged it")
+        if self._case is not None and self._case.good_s is not None:
+            self._case.state_then = "HOLD"
+            self._case.good_s, self._case.wrong_since_s = time_s, None
+
+    def look(self, time_s: float, truth: Truth, claims: Claims) -> None:
+        """Compare the claimed state with where the table leads; judge when the time to get there is over."""
+        case = self._case
+        if case is None or case.good_s is None:
+            return
+        from_then = where_it_leads(case.state_then, truth, claims, self.least_confidence)
+        from_now = where_it_leads(claims.state, truth, claims, self.least_confidence)
+        if _same(claims.state, from_now) and _same(from_now, from_then):
+            case.wrong_since_s = None
+            if time_s - case.good_s < WITHIN_S:
+                return
+            self._judge(case, True)
+            return
+        if case.wrong_since_s is None:
+            case.wrong_since_s = time_s
+        case.took_s = time_s - case.good_s
+        if time_s - case.wrong_since_s > WITHIN_S:
+            what = f"{time_s:.1f} s after {'+'.join(sorted(case.kinds))}: {claims.state} ({claims.reason}), "
+            self._judge(case, False, f"{what}the table leads from {case.state_then} to {from_then}; {truth}; {claims}")
+
+    def _judge(self, case: _Case, right: bool, what: str = "") -> None:
+        """Count a case that is over: right for as long as it was watched, or wrong for too long."""
+        self.ledger.check("state_after_fault", right, what)
+        for kind in case.kinds:
+            self.times_s.setdefault(kind, []).append(case.took_s)
+        self._case = None
+
+
+def _same(first: str, second: str) -> bool:
+    """Tell whether two states are one; a retreat takes the time that the slew rate and the safe points give it."""
+    return first == second or {first, second} == {"RETREAT", "OFF"}

@@ -1,0 +1,56 @@
+"""A fault campaign from a machine's description to its result."""
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from config.loader import load_configuration
+from config.machines import shipped_file
+from daemon.simulation.faults.campaign import Campaign
+from daemon.simulation.faults.models import ModelShelf
+from daemon.simulation.faults.result import Result
+from daemon.simulation.faults.script import Happening, campaign
+from daemon.simulation.processes import write_rehearsal_configuration
+from drivers.sim.nc.program import RETREAT
+
+EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
+"""Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
+POLL_S = 2.0
+"""The CNC is polled this often; a safe point lasts 5 s [s]."""
+TICK_S = 3.0
+"""The output is renewed this often without a new estimate, so that it is not always just after a poll [s]."""
+
+
+def run_campaign(
+    base: dict[str, Any],
+    directory: Path,
+    *,
+    days: float,
+    seed: int,
+    progress: Callable[[str], None],
+    script: Sequence[Happening] | None = None,
+) -> Result:
+    """Run a campaign on the machine that `base` describes; files go to `directory`."""
+    base["cnc"]["poll_period_s"] = POLL_S
+    base["compensation"].setdefault("output", {})["tick_s"] = TICK_S
+    output = base["compensation"]["output"]
+    output["safe_sequence_numbers"] = [*output.get("safe_sequence_numbers", []), RETREAT]
+    base["compensation"].setdefault("reference", {})["retreat_sequence_numbers"] = [RETREAT]
+    lines = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.lines
+    happenings = campaign(days, seed, lines) if script is None else script
+    shelf = ModelShelf.beside(Path(base["compensation"]["model_file"]), directory, happenings)
+    base["compensation"]["model_file"] = str(shelf.path)
+    path, configuration = write_rehearsal_configuration(base, directory, speed=1.0, http=False)
+    running = Campaign(
+        configuration,
+        path,
+        directory,
+        days=days,
+        seed=seed,
+        epoch_utc_s=EPOCH_UTC_S,
+        progress=progress,
+        script=happenings,
+        shelf=shelf,
+    )
+    return running.run()

@@ -1,0 +1,97 @@
+"""What the machine's side of a fault campaign knows to be true at a moment."""
+
+from config.schema import Configuration
+from daemon.simulation.faults.invariants import Claims
+from daemon.simulation.faults.models import ModelShelf
+from daemon.simulation.faults.operations_check import QUIET, OperationsWatch
+from daemon.simulation.faults.recovery import Truth
+from daemon.simulation.faults.script import Happening
+from daemon.simulation.faults.world import CampaignWorld
+from drivers.sim.nc.nc import RunCode
+from drivers.sim.nc.program import RETREAT
+
+TEMPERATURES_LATE_S = 25.0
+"""Temperatures arrive when a line has been heard within this time [s]."""
+BLIND_BEFORE_S = 90.0
+"""A reference is the mean of its last minute; a line that was silent for a part of that may be missing in it [s]."""
+ZERO_UM = 1e-6
+
+
+class TruthKeeper:
+    """Hears the wires and looks at the NC, where the daemon has only what it is told."""
+
+    def __init__(
+        self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, shelf: ModelShelf
+    ) -> None:
+        self._macros = configuration.cnc.macros
+        self._world = world
+        self._operations = operations
+        self._shelf = shelf
+        self._heard_s = -1e9
+        self._disturbed_s = -1e9
+        self._reference: str | None = None
+        self._reference_s = 0.0
+        self._sensor_wrong_s = -1e9
+        self._blind = False
+
+    def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
+        """Take the end of a pass."""
+        if heard:
+            self._heard_s = time_s
+        if not whole:
+            self._disturbed_s = time_s
+
+    def heard(self, time_s: float, claims: Claims) -> None:
+        """Take what the daemon says of its reference: was a line away when it was set?"""
+        if claims.reference != self._reference:
+            self._reference, self._reference_s = claims.reference, time_s
+            self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
+
+    def begun(self, happening: Happening) -> None:
+        """Take the begin of an incident."""
+        if happening.kind in QUIET:
+            self._sensor_wrong_s = max(self._sensor_wrong_s, happening.end_s + BLIND_BEFORE_S)
+
+    def temperatures(self, time_s: float) -> bool:
+        """Tell whether temperatures arrive."""
+        return time_s - self._heard_s <= TEMPERATURES_LATE_S
+
+    @property
+    def at_retreat_block(self) -> bool:
+        """The part program waits at its retreat block."""
+        nc = self._world.machine.nc
+        return (nc.program, nc.sequence_number, nc.run) == (
+            self._world.machine.body.program.number,
+            RETREAT,
+            RunCode.START,
+        )
+
+    @property
+    def applied_um(self) -> float:
+        """The largest amount that the NC applies on an axis [um]."""
+        return max(map(abs, self._world.machine.guard.applied_um.values()), default=0.0)
+
+    @property
+    def echo_known(self) -> bool:
+        """The guard's echo of every axis can be read."""
+        return None not in self._echoes()
+
+    def _echoes(self) -> list[float | None]:
+        table = self._world.machine.nc.macros
+        return [table.get(number) for number in self._macros.echo_applied.values()]
+
+    def at(self, time_s: float, claims: Claims) -> Truth:
+        """Return what is true now."""
+        unit_um = self._macros.unit_um
+        known = [value for value in self._echoes() if value is not None]
+        return Truth(
+            reachable=self._world.cnc.reachable,
+            temperatures=self.temperatures(time_s),
+            distrust=bool(self._world.cnc.proof),
+            echo_known=self.echo_known,
+            at_zero=self.echo_known and all(abs(value) * unit_um <= ZERO_UM for value in known),
+            zero_first=self._operations.retreating,
+            reference_blind=self._blind,
+            sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
+            model_has_states=any(map(self._shelf.is_watching, (claims.model, self._shelf.model_id))),
+        )

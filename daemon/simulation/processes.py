@@ -1,0 +1,257 @@
+"""A simulated machine and a daemon as two processes on real wires, watched by a third.
+
+`toolpoint demo` and `toolpoint replay` both stand on this: they differ in the machine.
+"""
+
+import contextlib
+import json
+import secrets
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from config.loader import load_configuration
+from config.schema import Configuration
+from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
+from drivers.contract import SIMULATED_CNC_IDENTITY
+from drivers.opcua.certificates import create_application_certificate
+
+FIRST_LEAD_S = 4.0
+"""The simulated time starts this long after the processes [s]; doubled when they were not ready."""
+MOST_LEADS = 4
+REQUEST_REAL_S = 2.0
+"""A request of the NC program waits at least this long for its answer [s of the wall clock]."""
+LOOK_AHEAD = 1.5
+"""The guard believes blocks this much longer than they are written for, polls included."""
+STOP_PATIENCE_S = 15.0
+
+
+class RehearsalError(Exception):
+    """The rehearsal could not be set up or broke off; the text says why."""
+
+
+def free_port() -> int:
+    """Return a TCP port of the loopback interface that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def write_rehearsal_configuration(
+    base: dict[str, Any], directory: Path, *, speed: float, http: bool, secure: bool = False
+) -> tuple[Path, Configuration]:
+    """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
+
+    Waiting times that stand for the speed of the wires grow with the speed of the simulation,
+    because a pause of this computer is then a long time for the machine.
+    """
+    for line in base["temperatures"]["lines"]:
+        line["port"] = str(directory / f"{line['name']}.tty")
+    if base.get("displacements"):
+        base["displacements"]["file"] = {"path": str(directory / "displacement.csv"), "header": "time"}
+    base["cnc"]["opcua"] = {
+        "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
+        "namespace_uri": "urn:toolpoint:cnc",
+        "allow_insecure_writes": not secure,
+        "security": _keys(directory) if secure else None,
+    }
+    base["cnc"]["stale_after_s"] = max(3.0, speed)
+    base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
+    base["compensation"]["allow_writable_model_directory"] = True
+    output = base["compensation"].setdefault("output", {})
+    slowest_poll_s = base["cnc"].get("poll_period_s", 0.5)
+    output["validity_s"] = min(max(30.0, speed), 100.0)
+    base["cnc"]["guard"]["look_ahead_s"] = max(120.0, LOOK_AHEAD * (output["validity_s"] + slowest_poll_s))
+    output["stale_after_s"] = min(max(60.0, speed), 300.0)
+    output["alarm_after_s"] = 300.0
+    base["history"] = {"path": str(directory / "history.sqlite")}
+    base["service"] = {
+        "socket": str(directory / "control.sock"),
+        "http_port": free_port() if http else None,
+        "log_level": "info",
+    }
+    path = directory / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
+    return path, load_configuration(path)
+
+
+def _keys(directory: Path) -> dict[str, str]:
+    """Make certificates, keys and a password for both sides; return the daemon's security section."""
+    for name, uri in (("daemon", "urn:toolpoint:daemon"), ("cnc", SIMULATED_CNC_IDENTITY)):
+        create_application_certificate(
+            directory / f"{name}.der",
+            directory / f"{name}.pem",
+            application_uri=uri,
+            host_name="localhost",
+            server=name == "cnc",
+        )
+    password = directory / "password"
+    password.touch(mode=0o600)
+    password.write_text(secrets.token_urlsafe(24) + "\n", encoding="ascii")
+    return {
+        "user_name": "toolpoint",
+        "password_file": str(password),
+        "certificate": str(directory / "daemon.der"),
+        "private_key": str(directory / "daemon.pem"),
+        "server_certificate": str(directory / "cnc.der"),
+    }
+
+
+@contextlib.contextmanager
+def folder_for(directory: Path | None) -> Iterator[Path]:
+    """Yield a new or empty folder that stays, or a temporary one that does not; raises RehearsalError."""
+    if directory is None:
+        with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+        return
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        empty = not any(directory.iterdir())
+    except OSError as error:
+        raise RehearsalError(f"{directory} cannot be used: {error.strerror}; name an empty or a new folder") from error
+    if not empty:
+        raise RehearsalError(f"{directory} is not empty; name an empty or a new folder")
+    yield directory.resolve()
+
+
+@dataclass(slots=True)
+class Rehearsal:
+    """Two running processes and what they have said."""
+
+    configuration: Configuration
+    simulator: "subprocess.Popen[str]"
+    daemon: "subprocess.Popen[bytes]"
+    client: ControlClient
+    epoch_real_s: float
+    speed: float
+    reports: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return (time.monotonic() - self.epoch_real_s) * self.speed
+
+    def check_alive(self) -> None:
+        """Raise RehearsalError when one of the two has ended."""
+        for name, process in (("the simulated machine", self.simulator), ("the daemon", self.daemon)):
+            if process.poll() is not None:
+                raise RehearsalError(f"{name} ended with status {process.returncode}")
+
+    def wait_for_report(self, wanted: str, timeout_s: float) -> dict[str, Any]:
+        """Return the first report that carries the key `wanted`."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            for report in self.reports:
+                if wanted in report:
+                    return report
+            self.check_alive()
+            time.sleep(0.02)
+        raise RehearsalError(f"the simulated machine did not report {wanted!r} within {timeout_s:.0f} s")
+
+
+@contextlib.contextmanager
+def rehearse(
+    simulate_arguments: Sequence[str], config_path: Path, *, speed: float, epoch_utc_s: float, directory: Path
+) -> Iterator[Rehearsal]:
+    """Start both processes so that the daemon is ready before the simulated time begins, and stop them."""
+    lead_s = FIRST_LEAD_S
+    for _ in range(MOST_LEADS):
+        epoch_real_s = time.monotonic() + lead_s
+        running = _start(simulate_arguments, config_path, speed, epoch_real_s, epoch_utc_s, directory)
+        try:
+            if running is not None:
+                yield running
+                return
+        finally:
+            if running is not None:
+                _stop(running)
+        lead_s *= 2
+    raise RehearsalError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
+
+
+def _start(
+    simulate_arguments: Sequence[str],
+    config_path: Path,
+    speed: float,
+    epoch_real_s: float,
+    epoch_utc_s: float,
+    directory: Path,
+) -> Rehearsal | None:
+    clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
+    toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
+    common = ["--config", str(config_path), "--simulated-clock", clock]
+    configuration = load_configuration(config_path)
+    keys = ["--server-key", str(directory / "cnc.pem")] if configuration.cnc.opcua.security else []
+    with (directory / "simulator.log").open("ab") as log:
+        simulator = subprocess.Popen(
+            [*toolpoint, "simulate", *common, "--directory", str(directory), *keys, *simulate_arguments],
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+    reports: list[dict[str, Any]] = []
+    threading.Thread(target=_collect, args=(simulator, reports), daemon=True).start()
+    while not reports and simulator.poll() is None and time.monotonic() < epoch_real_s:
+        time.sleep(0.02)
+    with (directory / "daemon.log").open("ab") as log:
+        daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
+    try:
+        client = _connect(configuration.service.socket, daemon, epoch_real_s)
+        running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
+        while time.monotonic() < epoch_real_s - 0.1:
+            running.check_alive()
+            links = client.ask("status")["links"]
+            if all(link["up"] for link in links if link["name"] == "cnc"):
+                return running
+            time.sleep(0.05)
+    except RehearsalError:
+        _kill(simulator, daemon)
+        raise
+    except DaemonUnreachableError:
+        pass
+    _kill(simulator, daemon)
+    return None
+
+
+def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> ControlClient:
+    while time.monotonic() < until_s:
+        try:
+            return ControlClient(path)
+        except DaemonUnreachableError:
+            if daemon.poll() is not None:
+                raise RehearsalError(f"the daemon ended with status {daemon.returncode}") from None
+            time.sleep(0.05)
+    raise DaemonUnreachableError(f"{path}: no daemon in time")
+
+
+def _collect(simulator: "subprocess.Popen[str]", reports: list[dict[str, Any]]) -> None:
+    assert simulator.stdout is not None
+    for line in simulator.stdout:
+        reports.append(json.loads(line))
+
+
+def _stop(running: Rehearsal) -> None:
+    with contextlib.suppress(OSError):
+        running.client.close()
+    for process in (running.daemon, running.simulator):
+        process.terminate()
+    for process in (running.daemon, running.simulator):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(STOP_PATIENCE_S)
+    _kill(running.simulator, running.daemon)
+
+
+def _kill(*processes: "subprocess.Popen[Any]") -> None:
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.wait()

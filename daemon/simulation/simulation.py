@@ -1,0 +1,167 @@
+"""Builds the simulated machine that a command asks for and runs its faces."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from config.recordings.recording_map import RecordingMap
+from config.schema import Configuration
+from drivers.clock import ScaledClock
+from drivers.contract import DriverError
+from drivers.files.recording_csv import read_recording
+from drivers.sim.contract import SimulatedMachine
+from drivers.sim.faults import Fault, check_targets, load_faults
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.machine.packs import PackedMachine, load_pack_script
+from drivers.sim.machine.recorded import RecordedMachine
+from drivers.sim.nc.program import demo_program, standing_program
+from drivers.sim.wires.opcua_server import ServerSecurity
+from drivers.sim.wires.runner import Witness, run_simulated_machine
+
+DEMO_SEED = 1000
+"""The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
+
+Report = Callable[[dict[str, Any]], None]
+
+
+class SimulationError(Exception):
+    """The simulated machine cannot be built; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """A machine and what it runs on."""
+
+    machine: SimulatedMachine
+    configuration: Configuration
+    clock: ScaledClock
+    witness: Witness | None = None
+
+    async def run(
+        self,
+        directory: Path,
+        *,
+        faults_path: Path | None,
+        until_s: float | None,
+        report_s: float,
+        report: Report,
+        server_key: Path | None = None,
+    ) -> None:
+        """Run the machine's faces until cancelled; lines speak from simulated time 0 on."""
+        faults = read_faults(faults_path, self.configuration)
+        try:
+            await run_simulated_machine(
+                self.machine,
+                self.configuration,
+                self.clock,
+                directory=directory,
+                faults=faults,
+                report_period_s=report_s,
+                report=self._with_channels(report),
+                security=self._security(server_key),
+                ready=lambda _: report({"ready": True}),
+                own_process=True,
+                first_pass_s=0.0,
+                until_s=math.inf if until_s is None else until_s,
+                witness=self.witness,
+            )
+        except (ValueError, OSError) as error:
+            raise SimulationError(str(error)) from error
+
+    def _security(self, server_key: Path | None) -> ServerSecurity | None:
+        security = self.configuration.cnc.opcua.security
+        if security is None or server_key is None:
+            return None
+        return ServerSecurity(
+            user_name=security.user_name,
+            password=security.password_file.read_text(encoding="utf-8").strip(),
+            certificate=security.server_certificate,
+            private_key=server_key,
+            trusted_clients=(security.certificate,),
+        )
+
+    def _with_channels(self, report: Report) -> Report:
+        machine = self.machine
+        if not isinstance(machine, RecordedMachine):
+            return report
+
+        def extended(content: dict[str, Any]) -> None:
+            report(content | {"channels": machine.channels()} if content.get("final") else content)
+
+        return extended
+
+
+def read_faults(path: Path | None, configuration: Configuration) -> tuple[Fault, ...]:
+    """Return the faults of a script that this machine can have; raises SimulationError."""
+    if path is None:
+        return ()
+    try:
+        faults = load_faults(path)
+        check_targets(faults, configuration)
+    except ValueError as error:
+        raise SimulationError(str(error)) from error
+    return faults
+
+
+def simulated_day(
+    configuration: Configuration, clock: ScaledClock, seed: int | None, *, standing: bool = False
+) -> Simulation:
+    """Return the simulated CFRP machine on one of its days; `standing` at a safe point, or with the demo's program."""
+    machine = CfrpMachine(
+        Day.draw(DEMO_SEED if seed is None else seed, start="cold"),
+        standing_program() if standing else demo_program(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+        configuration.cnc.guard,
+    )
+    return Simulation(machine=machine, configuration=configuration, clock=clock)
+
+
+def packed_simulation(configuration: Configuration, clock: ScaledClock, path: Path, report: Report) -> Simulation:
+    """Return the simulated machine, standing at a safe point, with one sensor moved between packs by a script."""
+    try:
+        script = load_pack_script(path)
+    except ValueError as error:
+        raise SimulationError(str(error)) from error
+    line = next((line for line in configuration.temperatures.lines if script.sensor in line.sensor_ids), None)
+    if line is None:
+        raise SimulationError(f"{path}: sensor: there is no sensor {script.sensor}")
+    machine = CfrpMachine(
+        Day.draw(DEMO_SEED, start="cold"),
+        standing_program(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+    )
+    packed = PackedMachine(machine, script, line.name, clock, report)
+    return Simulation(machine=packed, configuration=configuration, clock=clock, witness=packed)
+
+
+def recorded_simulation(
+    configuration: Configuration,
+    clock: ScaledClock,
+    path: Path,
+    *,
+    recording_map: RecordingMap,
+    hours: tuple[float, float] | None,
+) -> Simulation:
+    """Return a machine that plays a part of a recording."""
+    try:
+        recording = read_recording(path, recording_map)
+        if hours is not None:
+            recording = recording.between_hours(*hours)
+        machine = RecordedMachine(
+            recording,
+            configuration.temperatures.sensors,
+            configuration.cnc.macros,
+            configuration.compensation.axes,
+            configuration.cnc.guard,
+            block_s=recording_map.sample_s,
+        )
+    except (DriverError, ValueError) as error:
+        raise SimulationError(str(error)) from error
+    return Simulation(machine=machine, configuration=configuration, clock=clock)

@@ -1,0 +1,107 @@
+"""The warm-up as JSON and as a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun
+from daemon.workbench.figures import Line, Panel, save
+from models.records import FloatArray
+
+NAMES = {"programmed": "programmed speed", "rule": "source's rule (5-9)", "tuned": "tuned"}
+"""Strategy -> words."""
+
+
+def warm_up_content(runs: Sequence[WarmUpRun], request: WarmUpRequest) -> dict[str, Any]:
+    """Return the runs as JSON."""
+    low, high = request.limits.range_rpm(request.demand.programmed_rpm)
+    return {
+        "programmed_rpm": request.demand.programmed_rpm,
+        "depth_mm": request.demand.depth_mm,
+        "range_rpm": [low, high],
+        "machine_seed": request.machine_seed,
+        "day_seed": request.day_seed,
+        "strategies": {run.strategy: _run(run) for run in runs},
+    }
+
+
+def _run(run: WarmUpRun) -> dict[str, Any]:
+    return {
+        "share_stable": run.share_stable,
+        "removed_cm3_per_min": run.removed_cm3_per_min(stable_only=False),
+        "removed_while_stable_cm3_per_min": run.removed_cm3_per_min(stable_only=True),
+        "lowest_limiting_depth_mm": run.lowest_limit_mm,
+        "alarms": sorted({minute.pair.alarm for minute in run.minutes if minute.pair.alarm}),
+        "minutes": [
+            {
+                "time_min": minute.time_min,
+                "speed_rpm": minute.pair.speed_rpm,
+                "feed_mm_min": minute.pair.feed_mm_min,
+                "state": minute.pair.state,
+                "chatter": not minute.stable,
+                "limiting_depth_mm": minute.limiting_depth_mm,
+                "true_resonance_hz": minute.true_hz,
+                "estimated_resonance_hz": minute.estimated_hz,
+            }
+            for minute in run.minutes
+        ],
+    }
+
+
+def in_words(run: WarmUpRun) -> str:
+    """Return what a person wants to know of a run."""
+    return (
+        f"{NAMES[run.strategy]}: stable for {run.share_stable:.0%} of the time, "
+        f"{run.removed_cm3_per_min(stable_only=True):.1f} cm3/min without chatter, "
+        f"lowest limiting depth {run.lowest_limit_mm:.2f} mm"
+    )
+
+
+def warm_up_picture(path: Path, runs: Sequence[WarmUpRun], request: WarmUpRequest) -> None:
+    """Draw limiting depth, chatter, spindle speed and resonances over time."""
+    depth_mm = request.demand.depth_mm
+    times = np.array([minute.time_min for minute in runs[0].minutes])
+    limits = [_limits(run) for run in runs]
+    limits.append(
+        Line(x=times[[0, -1]], y=np.array([depth_mm, depth_mm]), label=f"milled {depth_mm:g} mm", dashed=True)
+    )
+    speeds = [
+        Line(x=times, y=np.array([each.pair.speed_rpm for each in run.minutes]), label=NAMES[run.strategy])
+        for run in runs
+    ]
+    chatter = [
+        Line(x=times, y=_share_so_far(run), label=NAMES[run.strategy], dashed=run.strategy == "tuned") for run in runs
+    ]
+    panels = [
+        Panel(lines=limits, x_label="", y_label="limiting depth [mm]"),
+        Panel(lines=chatter, x_label="", y_label="chatter so far"),
+        Panel(lines=speeds, x_label="", y_label="speed [1/min]"),
+        Panel(lines=_resonances(runs[-1]), x_label="time of milling [min]", y_label="resonance [Hz]"),
+    ]
+    save(path, panels, "Milling through warm-up", heights=(3, 2, 3, 3))
+
+
+def _limits(run: WarmUpRun) -> Line:
+    found = [(each.time_min, each.limiting_depth_mm) for each in run.minutes if each.limiting_depth_mm is not None]
+    return Line(
+        x=np.array([at for at, _ in found]), y=np.array([limit for _, limit in found]), label=NAMES[run.strategy]
+    )
+
+
+def _share_so_far(run: WarmUpRun) -> FloatArray:
+    chatter = np.array([not minute.stable for minute in run.minutes], dtype=np.float64)
+    share: FloatArray = np.cumsum(chatter) / np.arange(1, len(chatter) + 1)
+    return share
+
+
+def _resonances(run: WarmUpRun) -> list[Line]:
+    times = np.array([minute.time_min for minute in run.minutes])
+    lines = []
+    for axis in run.minutes[0].true_hz:
+        true = np.array([minute.true_hz[axis] for minute in run.minutes])
+        estimated = np.array([minute.estimated_hz.get(axis, np.nan) for minute in run.minutes])
+        lines.append(Line(x=times, y=true, label=f"{axis.upper()}, true"))
+        lines.append(Line(x=times, y=estimated, label=f"{axis.upper()}, estimated", dashed=True))
+    return lines

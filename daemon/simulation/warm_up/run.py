@@ -1,0 +1,207 @@
+"""The simulated machine mills through its warm-up, once for each way to choose the spindle speed.
+
+What the tuner knows comes from an estimator that was fitted on impact tests of another day; whether a cut chatters is
+said by the time-domain simulation with the machine's true modes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
+from daemon.simulation.warm_up.machine import CYCLE_S, STANDING_S, MillingMachine
+from daemon.simulation.warm_up.modes import CaseMachine
+from daemon.simulation.warm_up.referee import CutState, WarmUpReferee
+from daemon.simulation.warm_up.spindle import SpindleMachine
+from drivers.sim.spindle.warming_spindle import WarmingSpindle
+from models.records import Phase
+from models.spindle_speed.choice import SpeedDemand, SpeedLimits
+from models.spindle_speed.planner import MillingOperation
+from models.spindle_speed.strategies import ProgrammedSpeed, ResonanceRule, SpeedInForce, SpeedStrategy, TunedSpeed
+from models.spindle_speed.tuning import SpeedTuningSettings
+from models.spindle_speed.verification import StabilityVerification
+from models.stability.errors import StabilityError
+from models.stability.lobes import StabilityLobes
+from models.stability.lobes_sdm import semi_discretised_lobes
+from models.stability.lobes_zoa import zeroth_order_lobes
+from models.stability.milling import Cut
+from models.stability.response import ModalResponse, ToolPointResponse
+
+CUT_S, SAFE_S = 50.0, 10.0
+"""A minute is a cut and a safe point [s]."""
+CHOICE_POINTS = {"zoa": 601, "sdm": 121}
+USUAL_SETTINGS = SpeedTuningSettings(hysteresis_rpm=30.0, dwell_s=20.0, step_rpm=300.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarmUpRequest:
+    """What is milled, and how the speed may be chosen."""
+
+    demand: SpeedDemand
+    limits: SpeedLimits
+    minutes: int = 60
+    feed_per_tooth_mm: float = 0.05
+    dynamics: str = "spindle"
+    """`spindle`: the finite elements of the simulated machine; `case`: the modes of the case, by a law."""
+    method: str = "zoa"
+    second_look: bool = True
+    """A chosen speed is looked at by semi-discretisation too."""
+    rule_axis: str | None = None
+    """Followed by the source's rule; None: the axis that is softer at its resonance."""
+    offset_hz: float = 20.0
+    settings: SpeedTuningSettings = USUAL_SETTINGS
+    machine_seed: int = 1
+    day_seed: int = 1
+    limit_every_min: int | None = 5
+    """How often the limiting depth at the commanded speed is looked for; None: never."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarmUpMinute:
+    """One cut of a minute."""
+
+    time_min: float
+    pair: SpeedInForce
+    true_hz: dict[str, float]
+    """Resonance of the machine per axis [Hz]."""
+    estimated_hz: dict[str, float]
+    stable: bool
+    limiting_depth_mm: float | None
+    """None: not looked for in this minute."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarmUpRun:
+    """One warm-up with one way to choose the speed."""
+
+    strategy: str
+    minutes: tuple[WarmUpMinute, ...]
+    cut_area_mm2: float
+    """Axial times radial depth [mm2]."""
+
+    @property
+    def share_stable(self) -> float:
+        """Share of the cutting time without chatter, 0 to 1."""
+        return float(np.mean([minute.stable for minute in self.minutes]))
+
+    def removed_cm3_per_min(self, *, stable_only: bool) -> float:
+        """Return the material removed per minute of the warm-up [cm3/min]."""
+        counted = [minute.pair.feed_mm_min * (minute.stable or not stable_only) for minute in self.minutes]
+        return float(np.mean(counted)) * self.cut_area_mm2 * 1e-3 * CUT_S / (CUT_S + SAFE_S)
+
+    @property
+    def lowest_limit_mm(self) -> float:
+        """The lowest limiting depth that was found at the commanded speeds [mm]; NaN where none was looked for."""
+        found = [each.limiting_depth_mm for each in self.minutes if each.limiting_depth_mm is not None]
+        return min(found, default=float("nan"))
+
+
+def warm_up(case: StabilityCase, request: WarmUpRequest) -> tuple[WarmUpRun, ...]:
+    """Return the warm-up without tuning, with the source's rule, and with ours; raises StabilityError."""
+    if case.feed_deg == ALL_DIRECTIONS:
+        raise StabilityError("the simulated cut has one direction of the feed; give feed_deg a number")
+    machine = machine_of(case, request)
+    operation = operation_of(case, request)
+    axis = request.rule_axis or machine.softer_axis
+    lobes_of = partial(lobes_over, cut=case.cut(), request=request, feed_deg=float(case.feed_deg))
+    check = StabilityVerification(case.cut(), (float(case.feed_deg),)) if request.second_look else None
+    strategies: dict[str, SpeedStrategy] = {
+        "programmed": ProgrammedSpeed(operation),
+        "rule": ResonanceRule(operation, axis=axis, offset_hz=request.offset_hz),
+        "tuned": TunedSpeed(operation, request.settings, lobes_of, check),
+    }
+    states = {name: mill_through(strategy, machine, request) for name, strategy in strategies.items()}
+    return judged(states, case, request)
+
+
+def machine_of(case: StabilityCase, request: WarmUpRequest) -> MillingMachine:
+    """Return the machine that mills; raises StabilityError."""
+    if request.dynamics == "case":
+        range_rpm = request.limits.range_rpm(request.demand.programmed_rpm)
+        return CaseMachine(case, range_rpm, request.machine_seed, request.day_seed)
+    if request.method != "zoa":
+        raise StabilityError(
+            "the tool point of the spindle is a receptance over frequency; semi-discretisation needs the modes of the "
+            "case (--dynamics case)"
+        )
+    return SpindleMachine(case, request.machine_seed, request.day_seed)
+
+
+def operation_of(case: StabilityCase, request: WarmUpRequest) -> MillingOperation:
+    """Return the programmed operation with its range of speeds; raises StabilityError."""
+    speed_rpm = request.demand.programmed_rpm
+    return MillingOperation(
+        demand=request.demand,
+        feed_mm_min=request.feed_per_tooth_mm * case.teeth * speed_rpm,
+        teeth=case.teeth,
+        range_rpm=request.limits.range_rpm(speed_rpm),
+    )
+
+
+def lobes_over(response: ToolPointResponse, *, cut: Cut, request: WarmUpRequest, feed_deg: float) -> StabilityLobes:
+    """Return the lobes over the range that the speed is chosen from; raises StabilityError."""
+    low, high = request.limits.range_rpm(request.demand.programmed_rpm)
+    reach = 1.0 + request.demand.tolerance_fraction
+    points = CHOICE_POINTS[request.method]
+    if request.method == "zoa":
+        return zeroth_order_lobes(
+            response, cut, from_rpm=low / reach, to_rpm=high * reach, points=points, feed_deg=feed_deg
+        )
+    if not isinstance(response, ModalResponse):
+        raise StabilityError("semi-discretisation needs modes; take the zeroth-order solution")
+    return semi_discretised_lobes(
+        response, cut, from_rpm=low / reach, to_rpm=high * reach, points=points, feed_deg=feed_deg
+    )
+
+
+def mill_through(strategy: SpeedStrategy, machine: MillingMachine, request: WarmUpRequest) -> list[CutState]:
+    """Let the machine stand, then mill minute by minute; return the state in the middle of each cut."""
+    spindle = WarmingSpindle(machine.day, machine.sensors, machine_seed=request.machine_seed)
+    estimator, known, states = machine.estimator(), None, list[CutState]()
+    for _ in range(round(STANDING_S / CYCLE_S) + 1):
+        spindle.turn(CYCLE_S, 0.0, feeding=False)
+        known = estimator.renew(spindle.time_s, spindle.readings_degc())
+    for minute in range(request.minutes):
+        pair = strategy.renew(spindle.time_s, Phase.SAFE_POINT, known)
+        for cycle in range(round(CUT_S / CYCLE_S)):
+            spindle.turn(CYCLE_S, pair.speed_rpm, feeding=True)
+            known = estimator.renew(spindle.time_s, spindle.readings_degc())
+            in_cut = strategy.renew(spindle.time_s, Phase.CUTTING, known)
+            if (in_cut.speed_rpm, in_cut.feed_mm_min) != (pair.speed_rpm, pair.feed_mm_min):
+                raise StabilityError(f"the speed changed within the cut of minute {minute}; please report this defect")
+            if cycle == round(0.5 * CUT_S / CYCLE_S):
+                estimated = {} if known is None else dict(known.resonance_hz)
+                states.append(CutState(pair=pair, modes=machine.at(spindle.node_degc), estimated_hz=estimated))
+        spindle.turn(SAFE_S, pair.speed_rpm, feeding=True)
+        known = estimator.renew(spindle.time_s, spindle.readings_degc())
+    return states
+
+
+def judged(
+    states: Mapping[str, Sequence[CutState]], case: StabilityCase, request: WarmUpRequest
+) -> tuple[WarmUpRun, ...]:
+    """Return the runs with the referee's verdict on every cut, all cuts of all runs side by side."""
+    referee = WarmUpReferee(case, request.feed_per_tooth_mm)
+    every = [state for run in states.values() for state in run]
+    stable = iter(referee.stable(every, np.full(len(every), request.demand.depth_mm)).tolist())
+    every_min = request.limit_every_min or request.minutes + 1
+    sampled = [state for run in states.values() for state in run[::every_min]] if request.limit_every_min else []
+    limits = iter(referee.limiting_depths_mm(sampled, request.demand.depth_mm).tolist() if sampled else [])
+    runs = []
+    for name, run in states.items():
+        minutes = tuple(
+            WarmUpMinute(
+                time_min=number + 0.5 * CUT_S / 60.0,
+                pair=state.pair,
+                true_hz=state.true_hz,
+                estimated_hz=state.estimated_hz,
+                stable=next(stable),
+                limiting_depth_mm=next(limits) if sampled and number % every_min == 0 else None,
+            )
+            for number, state in enumerate(run)
+        )
+        area_mm2 = request.demand.depth_mm * (case.radial_depth_mm or case.diameter_mm)
+        runs.append(WarmUpRun(strategy=name, minutes=minutes, cut_area_mm2=area_mm2))
+    return tuple(runs)

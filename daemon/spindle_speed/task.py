@@ -1,0 +1,400 @@
+"""Moves the spindle speed with the stability pockets: looks at the operation, decides, writes the pair.
+
+Owned by the control task, which alone talks to the CNC. What is slow happens in `SpeedWorker`; what is
+commanded, and when, is decided by `models.spindle_speed.tuning.step`. The CNC takes a pair only when its
+speed program runs, at a safe block, and only for the operation that it was made for.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from config.schema import Configuration
+from config.schema.spindle_speed import SpindleSpeedConfig
+from daemon.cnc.events import Journal
+from daemon.cnc.interlocks import Interlocks
+from daemon.cnc.session import CncSession
+from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
+from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
+from daemon.spindle_speed.memory import KEPT_S, OperationMemories, SpeedSwitch
+from daemon.spindle_speed.snapshot import speed_picture
+from daemon.spindle_speed.worker import PlannedSpeed, SpeedWorker
+from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
+from drivers.clock import Clock
+from drivers.contract import FatalDriverError
+from models.records import CncSample, MachineTemperatures, Phase
+from models.spindle_speed.tuning import (
+    SpeedState,
+    SpeedTuningInputs,
+    SpeedTuningMemory,
+    SpeedTuningSettings,
+    SpindleSpeedCommand,
+    step,
+)
+from models.stability.errors import StabilityError
+
+NO_LINK = "no link to the CNC"
+OUR_FAULT = "spindle speed"
+"""A FAULT of the spindle speed begins so."""
+NO_OPERATION = "no operation has begun"
+ANEW = "decided anew at the next safe block"
+FEED_DIGITS = 7
+"""Feeds are written to this many significant digits, however small they are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _OperationState:
+    """Where the operation under way stands; taken back whole when a write fails."""
+
+    memory: SpeedTuningMemory
+    command: SpindleSpeedCommand | None = None
+    decided: bool = False
+    """The operation has had a decision at a safe block from dynamics of now, so that the block may speak for it."""
+    known_s: float = -math.inf
+    """Latest dynamics that could be followed [s]."""
+    moved: bool = False
+    """It has changed: not again before the NC has taken that, and has cut with it."""
+    alarm: str = ""
+
+
+class SpindleSpeedOutput:
+    """Follows one CNC's operations; does nothing without the section `spindle_speed`."""
+
+    def __init__(self, configuration: Configuration, clock: Clock, journal: Journal, permission: Interlocks) -> None:
+        self._clock, self._journal, self._permission = clock, journal, permission
+        self.worker = SpeedWorker(configuration)
+        tuning = configuration.spindle_speed
+        self._follower: _Follower | None = None
+        if tuning is not None:
+            self._follower = _Follower(configuration, tuning, clock, journal, permission, self.worker)
+
+    def take(self, temperatures: MachineTemperatures) -> None:
+        """Take a cycle of the sensors."""
+        time = temperatures.trace.cleansed or temperatures.trace.last_byte
+        self.worker.take(time.monotonic_s, temperatures.degc)
+
+    async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+        """Look at the operation when it is time, decide, and write what is due.
+
+        `sample` is the latest poll, with the part program's block while a program of the guard runs.
+        """
+        if self._follower is not None:
+            await self._follower.follow(session, phase, sample)
+
+    def turn(self, *, on: bool, person: str) -> str:
+        """Switch the tuning on or off, as a person asks; return why that is refused, '' when it is taken."""
+        if self._follower is None:
+            return "there is no section spindle_speed in the configuration, so there is nothing to switch"
+        self._follower.switch.turn(on=on, person=person)
+        return ""
+
+    @property
+    def stands_off(self) -> bool:
+        """It is switched off, and the block in the CNC says so or has run out."""
+        follower = self._follower
+        return follower is None or (bool(follower.switch.obstacle) and not follower.followed)
+
+    def close(self) -> None:
+        """Release what is open."""
+        if self._follower is not None:
+            self._follower.writer.close()
+
+    def picture(self) -> dict[str, Any] | None:
+        """Return what status shows; None where the tuning is off."""
+        return None if self._follower is None else self._follower.picture()
+
+
+class _Follower:
+    """The work of `SpindleSpeedOutput` where the tuning is on."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        tuning: SpindleSpeedConfig,
+        clock: Clock,
+        journal: Journal,
+        permission: Interlocks,
+        worker: SpeedWorker,
+    ) -> None:
+        self._tuning, self._clock, self._journal, self._permission = tuning, clock, journal, permission
+        self._worker = worker
+        self._block = SpeedBlock(tuning.macros)
+        self._calls = SpeedCalls(configuration, tuning, self._block)
+        self._memories = OperationMemories(journal, clock)
+        self.writer = SpeedWriter(tuning, self._block, configuration.history.path)
+        self.switch = SpeedSwitch(journal)
+        self._standing: _OperationState | None = None
+        self._next_look_s = -math.inf
+        self._found: MacroValues = {}
+        self._session: CncSession | None = None
+        self._fault_raised = (journal.fault or "").startswith(OUR_FAULT)
+        """A FAULT has been raised here that nobody has acknowledged yet."""
+        self._obstacle = NO_LINK
+        """Why nothing may be decided or written, '' when it may."""
+        self._unreadable: tuple[CncSession, str] | None = None
+        self._settings = SpeedTuningSettings(
+            hysteresis_rpm=tuning.hysteresis_rpm,
+            dwell_s=tuning.dwell_s,
+            step_rpm=tuning.step_rpm,
+            filter_s=tuning.filter_s,
+            keep_feed_per_tooth=tuning.keep_feed_per_tooth,
+        )
+
+    async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+        if session is None or session.sample is None or sample is None:
+            self._hinder(NO_LINK)
+            return
+        if self._unreadable is not None and self._unreadable[0] is session:
+            return
+        now_s = self._clock.now().monotonic_s
+        if now_s < self._next_look_s and session is self._session:
+            return
+        self._next_look_s = now_s + self._tuning.read_period_s
+        found = await self._read(session)
+        if found is None:
+            return
+        if session is not self._session:
+            self._session = session
+            self.writer.doubt()
+        self._found = found
+        clock_s = sample.clock_s + (now_s - sample.time.monotonic_s)
+        self._hinder(self._judged(session, found, clock_s, now_s))
+        self._take_call(found, now_s, sample)
+        operation = self._calls.under_way
+        if operation is not None:
+            self._worker.look(operation.called, operation.place if operation.wanted else None)
+        else:
+            self._worker.look(None, None)
+        if not self._obstacle:
+            await self._serve(session, operation, phase, clock_s, now_s)
+
+    async def _read(self, session: CncSession) -> MacroValues | None:
+        """Read the macros; where the CNC has none of them for us, say so and leave the compensation its link."""
+        try:
+            return await session.cnc.read_macros(self._block.numbers)
+        except FatalDriverError as error:
+            why = f"its macros cannot be read, so it is not tuned before the next connection: {error}"
+            self._unreadable = (session, why)
+            self._hinder(why)
+            return None
+
+    def _hinder(self, obstacle: str) -> None:
+        """Take what stands against deciding and writing; say once what is said nowhere else."""
+        elsewhere = obstacle in ("", NO_LINK) or self._journal.fault is not None
+        if not elsewhere and obstacle != self._obstacle:
+            self._journal.say("alarm", f"spindle speed: {obstacle}")
+        self._obstacle = obstacle
+
+    def _judged(self, session: CncSession, found: MacroValues, clock_s: float, now_s: float) -> str:
+        """Return what stands against writing: a FAULT, a prohibition, or a block that is not ours (a FAULT too)."""
+        if self._journal.fault is not None:
+            return f"FAULT: {self._journal.fault}"
+        if prohibition := self._permission.prohibition(session.cnc):
+            return prohibition
+        if self._fault_raised and not self._block.vacant(found):
+            self.writer.acknowledge(found)
+        self._fault_raised = False
+        if objection := self.writer.objection(found, clock_s, now_s):
+            return self._raise_fault(objection)
+        return ""
+
+    def _raise_fault(self, problem: str) -> str:
+        self._fault_raised = True
+        self._journal.raise_fault(f"{OUR_FAULT}: {problem}")
+        return f"FAULT: {self._journal.fault}"
+
+    def _take_call(self, found: MacroValues, now_s: float, sample: CncSample) -> None:
+        """Take the operation that the NC program has begun; another one is decided on anew."""
+        before = self._calls.under_way
+        begun = self._calls.look(found, now_s, sample)
+        if self._calls.waiting:
+            self._next_look_s = now_s
+        if not begun:
+            return
+        self._put_away(before)
+        assert self._calls.under_way is not None
+        self._journal.say(
+            "speed", f"{self._calls.under_way.made_for} begins in O{self._calls.under_way.called.program}"
+        )
+
+    def _put_away(self, operation: SpeedOperation | None) -> None:
+        if operation is not None and self._standing is not None:
+            self._memories.keep(operation, self._standing.memory, moved=self._standing.moved)
+        self._standing = None
+
+    def _begun(self, operation: SpeedOperation, now_s: float) -> _OperationState:
+        """Return where an operation stands that begins, or goes on after something else was in the machine."""
+        lowest_rpm, highest_rpm = self._range_rpm(operation)
+        memory, moved = self._memories.begin(operation, lowest_rpm, highest_rpm)
+        pair = self.writer.pair
+        ours = pair.made_for == operation.made_for and lowest_rpm <= pair.speed_rpm <= highest_rpm
+        if ours and self.writer.valid(now_s):  # this run of the daemon began within the operation: it goes on
+            memory = replace(memory, commanded_rpm=pair.speed_rpm, begun=True)
+            return _OperationState(memory=memory, decided=True, known_s=now_s, moved=True)
+        return _OperationState(memory=memory, moved=moved)
+
+    def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
+        """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
+        tuning, programmed_rpm = self._tuning, operation.made_for.speed_rpm
+        most_rpm = tuning.within_percent / 100.0 * programmed_rpm
+        highest_rpm = tuning.highest_of(self._calls.configured(operation))
+        return max(tuning.lowest_rpm, programmed_rpm - most_rpm), min(highest_rpm, programmed_rpm + most_rpm)
+
+    # --- deciding and writing ------------------------------------------------------------
+
+    async def _serve(
+        self, session: CncSession, operation: SpeedOperation | None, phase: Phase, clock_s: float, now_s: float
+    ) -> None:
+        """Decide, and write what is due; a decision that does not reach the CNC is taken back."""
+        if self._withheld:
+            self._put_away(operation)
+            await self._write(session, DISABLED, None, clock_s, now_s)
+        if operation is None or self._withheld:
+            return
+        if self._standing is None:
+            self._standing = self._begun(operation, now_s)
+        before = self._standing
+        if before.moved and phase is Phase.CUTTING and self._taken(before, operation):
+            before = replace(before, moved=False)
+        standing = before if self._calls.waiting else self._decided(before, operation, now_s, phase)
+        if not await self._write(session, self._wanted_pair(standing, operation), operation, clock_s, now_s):
+            return
+        self._standing = standing
+        if standing is not before:
+            self._report(before, standing)
+        self._memories.keep(operation, standing.memory, moved=standing.moved)
+
+    @property
+    def _withheld(self) -> str:
+        """Why the NC is to take nothing, although it may be written to; '' when it may."""
+        return self.switch.obstacle or self._calls.absence
+
+    async def _write(
+        self, session: CncSession, pair: SpeedPair, operation: SpeedOperation | None, clock_s: float, now_s: float
+    ) -> bool:
+        """Write a pair when that is due; return whether the CNC holds it now, anything else is a FAULT."""
+        if not self.writer.due(pair, now_s):
+            return True
+        configured = None if operation is None else self._calls.configured(operation)
+        try:
+            await self.writer.write(session, pair, configured, self._found, clock_s=clock_s, now_s=now_s)
+        except SpeedWriteError as error:
+            self._hinder(self._raise_fault(str(error)))
+            return False
+        return True
+
+    def _taken(self, standing: _OperationState, operation: SpeedOperation) -> bool:
+        """Whether the NC has taken for this operation what is commanded, from the block or as programmed."""
+        applied_rpm = self._block.applied_rpm(self._found)
+        return (
+            not self._calls.waiting
+            and self._block.made_for(self._found) == operation.made_for
+            and applied_rpm == float(round(standing.memory.commanded_rpm))
+        )
+
+    def _decided(
+        self, before: _OperationState, operation: SpeedOperation, now_s: float, phase: Phase
+    ) -> _OperationState:
+        planned, problem = self._planned(operation, now_s) if operation.wanted else (None, operation.problem)
+        plan = planned.plan if planned is not None and not problem else None
+        at_safe_block = phase is Phase.SAFE_POINT
+        inputs = SpeedTuningInputs(
+            now_s=now_s,
+            phase=Phase.IDLE if before.moved and at_safe_block else phase,
+            enabled=operation.wanted,
+            programmed_rpm=operation.made_for.speed_rpm,
+            programmed_feed_mm_min=operation.made_for.feed_mm_min,
+            choice=plan.choice if plan is not None else None,
+            flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
+        )
+        command, memory = step(before.memory, inputs, self._settings)
+        if operation.wanted and planned is None:  # nobody has looked yet how far the target is off: that stays noted
+            memory = replace(memory, off_since_s=before.memory.off_since_s)
+        known_s = now_s if plan is not None else before.known_s
+        outdated = now_s - known_s > KEPT_S
+        if outdated and operation.wanted and math.isfinite(known_s):
+            problem = f"{problem}; that has been so for an hour, so the programmed speed is taken"
+            command = replace(command, reason="no valid dynamics for an hour; the programmed speed")
+        return _OperationState(
+            memory=memory,
+            command=command,
+            decided=not outdated and (before.decided or (at_safe_block and plan is not None)),
+            known_s=known_s,
+            moved=before.moved or command.write,
+            alarm=(command.alarm if operation.wanted else None) or problem,
+        )
+
+    def _planned(self, operation: SpeedOperation, now_s: float) -> tuple[PlannedSpeed | None, str]:
+        """Return the latest plan of this operation and what stands against following it, '' when nothing does."""
+        planned = self._worker.latest
+        if self._worker.obstacle:
+            return None, self._worker.obstacle
+        if planned is None or planned.called != operation.called:
+            return None, "no dynamics for this operation yet"
+        if now_s - planned.time_s > self._tuning.stale_after_s:
+            return planned, f"the latest temperatures are {now_s - planned.time_s:.0f} s old; the speed is frozen"
+        if planned.problem:
+            return planned, planned.problem
+        try:
+            self._settings.check_resolution(max(planned.change_per_step_rpm.values(), default=0.0))
+        except StabilityError as error:
+            return planned, str(error)
+        return planned, ""
+
+    def _wanted_pair(self, standing: _OperationState, operation: SpeedOperation) -> SpeedPair:
+        """Return what the block should say; before the first safe block of an operation, nothing."""
+        command = standing.command
+        if command is None or not standing.decided or command.state is SpeedState.OFF:
+            return DISABLED
+        speed_rpm = float(round(command.speed_rpm))
+        share = speed_rpm / command.speed_rpm if self._tuning.keep_feed_per_tooth else 1.0
+        return SpeedPair(
+            made_for=operation.made_for,
+            speed_rpm=speed_rpm,
+            feed_mm_min=float(f"{share * command.feed_mm_min:.{FEED_DIGITS}g}"),
+            enable=True,
+        )
+
+    def _report(self, before: _OperationState, now: _OperationState) -> None:
+        """Record what has reached the CNC."""
+        command = now.command
+        if command is not None and command.write:
+            word = "jumps" if command.jump else "moves"
+            self._journal.say(
+                "speed",
+                f"{word} from {before.memory.commanded_rpm:.0f} to {command.speed_rpm:.0f} 1/min: {command.reason}",
+            )
+        if now.alarm and now.alarm != before.alarm:
+            self._journal.say("alarm", f"spindle speed: {now.alarm}")
+
+    # --- showing -------------------------------------------------------------------------
+
+    def _state(self) -> tuple[SpeedState, str]:
+        command = self._standing.command if self._standing is not None else None
+        if self._obstacle:
+            return SpeedState.HOLD, f"nothing is decided or written: {self._obstacle}"
+        if self._withheld:
+            return SpeedState.OFF, self._withheld
+        if command is None:
+            return SpeedState.OFF, NO_OPERATION if self._calls.under_way is None else ANEW
+        return command.state, command.reason
+
+    @property
+    def followed(self) -> bool:
+        """The NC may follow the pair in the block."""
+        return self.writer.valid(self._clock.now().monotonic_s)
+
+    def picture(self) -> dict[str, Any]:
+        """Return what status shows; the command only while the NC may follow it."""
+        state, reason = self._state()
+        alarm = self._standing.alarm if self._standing is not None else ""
+        followed = not self._obstacle and self.followed
+        return {
+            "state": state.value,
+            "reason": reason,
+            "alarm": self._obstacle or alarm or self._worker.obstacle,
+            "switched_on": not self.switch.obstacle,
+            "applied_rpm": self._block.applied_rpm(self._found),
+            "nc_status": self._block.status(self._found),
+            **speed_picture(self._calls.under_way, self._worker.latest, self.writer.pair if followed else None),
+        }

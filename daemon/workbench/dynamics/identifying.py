@@ -1,0 +1,239 @@
+"""Identification from measured responses, as plain data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from config.machine.spindle_chain import Spindle
+from daemon.workbench.dynamics.other_units import refuse_other_units
+from daemon.workbench.dynamics.responses import ResponseError, properties
+from drivers.files.frf_measurement import read_measurements
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
+from models.dynamics.bearings import CondensedShaft, parameters_from_properties
+from models.dynamics.chain import Chain, Part, SpringDamper
+from models.dynamics.contact import Interface, identify_contact
+from models.dynamics.coupling import chain_receptance
+from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
+from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
+from models.dynamics.plausibility import check_frequencies, check_level
+from models.dynamics.response_fit import Identified, good_fit
+
+Fixed = Literal["auto", "source", "file"]
+"""Where the parameters that are not varied come from."""
+POOR_FIT = 0.5
+"""Root mean square of |log(H / H_meas)| above which the model does not explain the measurement."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """Which frequencies of a measurement are used."""
+
+    from_hz: float | None = None
+    to_hz: float | None = None
+    least_coherence: float | None = None
+    trust_units: bool = False
+    """Whether the units are taken as stated, whatever the numbers look like."""
+
+
+def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
+    """Return the average of all responses in the files, cut to the band.
+
+    Raises
+    ------
+    MeasurementError, MeasurementFileError
+        When a file cannot be read or the band cannot determine the parameters.
+
+    """
+    whole = average([each for path in paths for each in read_measurements(path)])
+    if not band.trust_units and len(whole.frequency_hz):
+        check_frequencies(whole.frequency_hz)
+    part = whole.between(band.from_hz, band.to_hz)
+    if band.least_coherence is not None:
+        part = part.coherent(band.least_coherence)
+    if not len(part.frequency_hz):
+        raise MeasurementError(
+            f"no frequency is left; the files hold {whole.frequency_hz[0]:g} to {whole.frequency_hz[-1]:g} Hz"
+        )
+    check_for_identification(part, parameters, trust_units=band.trust_units)
+    return part
+
+
+def bearings_summary(
+    spindle: Spindle,
+    measurement: Measurement,
+    parameters: int,
+    method: Method = "lm",
+    fixed: Fixed = "auto",
+    *,
+    trust_units: bool = False,
+) -> dict[str, Any]:
+    """Return what `toolpoint dynamics identify` prints.
+
+    `auto` keeps what is not varied at the values of section 5.2.3 and, when that fits badly, at the file's.
+
+    Raises
+    ------
+    ResponseError
+        When the spindle has no bearings.
+    MeasurementError
+        When the response is of another unit, unless `trust_units`.
+
+    """
+    if not spindle.shaft.supports:
+        raise ResponseError("the file describes no bearings; give their positions and groups under `bearings`")
+    shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
+    if not trust_units:
+        check_level(measurement, *level_range_m_per_n(shaft))
+    found, source = _identified(spindle, shaft, measurement, parameters, method, fixed)
+    if not trust_units:
+        few = min(parameters, 7)
+        refuse_other_units(
+            measurement, found.log_error, lambda other: _identified(spindle, None, other, few, "lm", fixed)[0].log_error
+        )
+    summary = _summary(spindle, measurement, found, method)
+    summary["parameters"] = parameters
+    summary["fixed_from"] = source if parameters < 12 else None
+    return summary
+
+
+def _identified(
+    spindle: Spindle,
+    shaft: CondensedShaft | None,
+    measurement: Measurement,
+    parameters: int,
+    method: Method,
+    fixed: Fixed,
+) -> tuple[Identified, str]:
+    """Return what was found, and where the parameters that were kept come from."""
+    shaft = shaft or CondensedShaft(spindle.shaft, measurement.frequency_hz)
+    stated = parameters_from_properties(properties(spindle))
+    response = measurement.receptance_m_per_n
+    kept_by_file = {name: stated.get(name, value) for name, value in FIXED[parameters].items()}
+    if fixed == "file":
+        found = identify_bearings(
+            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
+        )
+        return found, "file"
+    found, source = identify_bearings(shaft, response, parameters=parameters, start=stated, method=method), "source"
+    if fixed == "auto" and parameters < 12 and found.log_error >= good_fit(response):
+        other = identify_bearings(
+            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
+        )
+        evaluations = found.evaluations + other.evaluations
+        if other.log_error < 0.5 * found.log_error:
+            found, source = other, "file"
+        found = replace(found, evaluations=evaluations)
+    return found, source
+
+
+def _summary(spindle: Spindle, measurement: Measurement, found: Identified, method: str) -> dict[str, Any]:
+    warnings = list(spindle.warnings)
+    if found.log_error > POOR_FIT:
+        warnings.append(
+            f"the model does not explain the measurement (mean |log(H/H_meas)| {found.log_error:.2g}); "
+            "check units, direction, sensor position and the shaft's dimensions"
+        )
+    warnings += [
+        f"{name} = {found.values[name]:.3g} is not physical: the data do not bound it; do not use it"
+        for name in found.implausible
+    ]
+    unseen = [name for name in found.free if not found.identifiable[name]]
+    if unseen:
+        warnings.append(
+            f"the response from {measurement.frequency_hz[0]:g} to {measurement.frequency_hz[-1]:g} Hz does not "
+            f"determine {', '.join(unseen)}; other values fit as well. A wider band may, or fewer parameters"
+        )
+    return {
+        "name": spindle.description.name,
+        "rigid_rotary_inertia": spindle.rotary,
+        "warnings": warnings,
+        "method": method,
+        "values": {name: found.values[name] for name in found.free},
+        "fixed": {name: value for name, value in found.values.items() if name not in found.free},
+        "cost": found.cost_m_per_n,
+        "log_error": found.log_error,
+        "evaluations": found.evaluations,
+        "identifiable": found.identifiable,
+        "relative_uncertainty": {
+            name: None if not np.isfinite(size) else size for name, size in found.log_deviation.items()
+        },
+        "implausible": list(found.implausible),
+    }
+
+
+JOINTS = ("spindle-holder", "holder-tool", "shaft")
+
+
+def contact_summary(
+    spindle: Spindle,
+    measurement: Measurement,
+    joint: str,
+    after_segment: int | None,
+    method: Method,
+    *,
+    trust_units: bool = False,
+) -> dict[str, Any]:
+    """Return what `toolpoint dynamics contact` prints.
+
+    Raises
+    ------
+    ResponseError
+        When the file lacks the joint's sides.
+    MeasurementError
+        When the response is of another unit, unless `trust_units`.
+
+    """
+
+    def identified(measured: Measurement, method: Method) -> Identified:
+        """Return the contact that a response shows."""
+        interface, start = _interface(spindle, measured, joint, after_segment)
+        return identify_contact(interface, measured.receptance_m_per_n, start=start, method=method)
+
+    found = identified(measurement, method)
+    if not trust_units:
+        refuse_other_units(measurement, found.log_error, lambda other: identified(other, "lm").log_error)
+    return {**_summary(spindle, measurement, found, method), "joint": joint}
+
+
+def _interface(
+    spindle: Spindle, measurement: Measurement, joint: str, after_segment: int | None
+) -> tuple[Interface, dict[str, float]]:
+    frequency_hz = measurement.frequency_hz
+    if joint == "shaft":
+        front, behind, told = _cut_shaft(spindle, after_segment)
+    else:
+        body, assembly = ("holder", SpindleAssembly(shaft=spindle.shaft)) if joint == "spindle-holder" else (
+            "tool", spindle.assembly("holder"))  # fmt: skip
+        parts: tuple[Part, ...] = getattr(spindle, body)
+        if not parts:
+            raise ResponseError(f"the file describes no {body}; add `{body}`")
+        told = parts[-1] if isinstance(parts[-1], SpringDamper) else None
+        front = Chain(parts=parts[:-1] if told else parts)
+        behind = assembly
+    rows = CondensedAssembly(behind, frequency_hz).receptance_matrix(properties(spindle))
+    rear = np.stack([rows[0], rows[1], rows[1], rows[2]], axis=1).reshape(-1, 2, 2)
+    start = {}
+    if isinstance(told, SpringDamper):
+        start = {"kt": told.kt_n_per_m, "ct": told.ct_ns_per_m, "kr": told.kr_nm_per_rad, "cr": told.cr_nms_per_rad}
+    interface = Interface(frequency_hz=frequency_hz, front=chain_receptance(front, frequency_hz), rear=rear)
+    return interface, {name: value for name, value in start.items() if value > 0.0}
+
+
+def _cut_shaft(spindle: Spindle, after_segment: int | None) -> tuple[Chain, SpindleAssembly, Part | None]:
+    parts, count = list(spindle.shaft.parts), len(spindle.shaft.segments)
+    if after_segment is None or not 1 <= after_segment < count:
+        raise ResponseError(f"--after-segment must name the segment in front of the joint, 1 to {count - 1}")
+    seen, index = 0, 0
+    while seen < after_segment:
+        seen += not isinstance(parts[index], SpringDamper)
+        index += 1
+    front, rest = parts[:index], parts[index:]
+    told = rest.pop(0) if isinstance(rest[0], SpringDamper) else None
+    length_m = Chain(parts=tuple(front)).length_m
+    if any(support.position_m <= length_m for support in spindle.shaft.supports):
+        raise ResponseError("a bearing stands in front of that joint; measure the shaft without bearings")
+    supports = tuple(replace(each, position_m=each.position_m - length_m) for each in spindle.shaft.supports)
+    return Chain(parts=tuple(front)), SpindleAssembly(shaft=Chain(parts=tuple(rest), supports=supports)), told

@@ -1,0 +1,181 @@
+"""The tool point over a recording: bearing properties, responses and the followed resonance (Figs 5-18, 5-19, 5-26)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from config.machine.spindle_chain import Spindle
+from daemon.workbench.dynamics.campaign import Temperatures
+from daemon.workbench.dynamics.campaign_report import new_figure, write_page
+from daemon.workbench.figures import COLOURS
+from models.records import FloatArray
+from models.thermomechanics.regression import ThermomechanicalModel
+from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracker
+
+SHOWN_RESPONSES = 5
+
+
+class TrackingError(ValueError):
+    """A recording cannot be followed; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrackedDay:
+    """What was found over a recording."""
+
+    time_min: FloatArray
+    """Shape (n,)."""
+    dynamics: tuple[ToolPointDynamics, ...]
+    warnings: tuple[str, ...]
+
+
+def inertia_warnings(model: ThermomechanicalModel, spindles: Mapping[str, Spindle]) -> list[str]:
+    """Return a sentence for each axis whose spindle is computed with another rotary inertia than the model's."""
+    found = [warning for spindle in spindles.values() for warning in spindle.warnings]
+    found += [
+        f"axis {axis}: the model {model.model_id} was identified with rigid_rotary_inertia "
+        f"{model.rigid_rotary_inertia}, but the spindle is computed with {spindle.rotary}; resonances are shifted"
+        for axis, spindle in spindles.items()
+        if spindle.rotary != model.rigid_rotary_inertia
+    ]
+    return list(dict.fromkeys(found))
+
+
+def track_recording(
+    temperatures: Temperatures,
+    model: ThermomechanicalModel,
+    spindles: Mapping[str, Spindle],
+    at: str,
+    near_hz: float | None,
+    every_min: float,
+    progress: Callable[[str, int, int], None],
+) -> TrackedDay:
+    """Follow the resonances through a recording.
+
+    Parameters
+    ----------
+    temperatures
+        The recording.
+    model
+        Regressions of the bearings.
+    spindles
+        Axis -> spindle.
+    at
+        nose, holder or tool.
+    near_hz
+        The resonance nearest to this is followed [Hz]; None: the highest.
+    every_min
+        Time between the results [min].
+    progress
+        Called with what is done, how much of it, and of how much.
+
+    Raises
+    ------
+    TrackingError
+        When a signal is missing, or no result comes out.
+
+    """
+    labels = {name: (index,) for index, name in enumerate(temperatures.signals)}
+    assemblies = {axis: spindle.assembly(at) for axis, spindle in spindles.items()}
+    near = {} if near_hz is None else dict.fromkeys(assemblies, near_hz)
+    try:
+        tracker = ToolPointTracker(model, assemblies, labels, near_hz=near)
+    except ValueError as error:
+        raise TrackingError(f"{temperatures.name}: {error}; the recording has {', '.join(labels)}") from error
+    columns = [temperatures.signals.index(name) for name in model.signals]
+    times: list[float] = []
+    found: list[ToolPointDynamics] = []
+    due_min = float(temperatures.time_min[0])
+    for index, (minute, row) in enumerate(zip(temperatures.time_min.tolist(), temperatures.degc, strict=True)):
+        if minute < due_min:
+            tracker.observe(60.0 * minute, row[columns])
+            continue
+        due_min += every_min
+        dynamics = tracker.renew_from(60.0 * minute, row[columns])
+        progress("tool point", index, len(temperatures.time_min))
+        if dynamics is not None:
+            times.append(minute)
+            found.append(dynamics)
+    if not found:
+        raise TrackingError(f"{temperatures.name}: at no time have all of {', '.join(model.signals)} a temperature")
+    return TrackedDay(
+        time_min=np.array(times), dynamics=tuple(found), warnings=tuple(inertia_warnings(model, spindles))
+    )
+
+
+def tracking_summary(day: TrackedDay) -> dict[str, Any]:
+    """Return what `toolpoint dynamics track` prints."""
+    return {
+        "model_id": day.dynamics[0].model_id,
+        "warnings": list(day.warnings),
+        "time_min": day.time_min.tolist(),
+        "doubt": [each.doubt for each in day.dynamics],
+        "axes": {axis: _axis_summary(day, axis) for axis in day.dynamics[0].axes},
+    }
+
+
+def _axis_summary(day: TrackedDay, axis: str) -> dict[str, Any]:
+    told = [each.axes[axis] for each in day.dynamics]
+    names = [each.name for each in told[0].properties]
+    return {
+        "resonance_hz": [each.resonance_hz for each in told],
+        "magnitude_m_per_n": [each.resonance.magnitude_m_per_n for each in told],
+        "continuous": [each.resonance.continuous for each in told],
+        "confidence": [each.confidence for each in told],
+        "properties": {
+            name: {
+                "raw": [each.properties[k].raw for each in told],
+                "value": [each.properties[k].value for each in told],
+                "flagged": [each.properties[k].flagged for each in told],
+            }
+            for k, name in enumerate(names)
+        },
+    }
+
+
+def write_tracking_page(path: Path, day: TrackedDay) -> None:
+    """Write resonances, responses and bearing properties over time as one page."""
+    axes = list(day.dynamics[0].axes)
+    resonance = new_figure("Followed resonance at the tool point (Fig. 5-19)", "time [min]", "frequency [Hz]")
+    figures = [resonance]
+    for number, axis in enumerate(axes):
+        hz = [each.resonance_hz[axis] for each in day.dynamics]
+        resonance.add_scatter(x=day.time_min, y=hz, mode="lines", name=axis, line={"color": COLOURS[number]})
+        doubted = [k for k, each in enumerate(day.dynamics) if each.doubt or not each.axes[axis].resonance.continuous]
+        resonance.add_scatter(
+            x=day.time_min[doubted], y=[hz[k] for k in doubted], mode="markers", name=f"{axis}, doubted",
+            marker={"color": COLOURS[number], "symbol": "x-thin-open"},
+        )  # fmt: skip
+        figures += [_responses(day, axis), _properties(day, axis)]
+    warnings = "".join(f"<p>{each}</p>" for each in day.warnings)
+    write_page(path, f"Tool point over time, model {day.dynamics[0].model_id}", [warnings], figures, [])
+
+
+def _responses(day: TrackedDay, axis: str) -> Any:
+    figure = new_figure(
+        f"Receptance at the tool point, {axis} (Fig. 5-18)", "frequency [Hz]", "receptance [m/N]", logarithmic=True
+    )
+    for k in np.unique(np.linspace(0, len(day.dynamics) - 1, SHOWN_RESPONSES).astype(int)).tolist():
+        size = np.abs(day.dynamics[k].axes[axis].receptance_m_per_n)
+        figure.add_scatter(x=day.dynamics[k].frequency_hz, y=size, mode="lines", name=f"{day.time_min[k]:.0f} min")
+    return figure
+
+
+def _properties(day: TrackedDay, axis: str) -> Any:
+    figure = new_figure(
+        f"Bearing properties, {axis}, beside their first value (Fig. 5-26); crosses: flagged", "time [min]", "ratio"
+    )
+    told = [each.axes[axis].properties for each in day.dynamics]
+    for k, first in enumerate(told[0]):
+        colour, scale = COLOURS[k % len(COLOURS)], abs(first.value) or abs(first.raw) or 1.0
+        ratio = np.array([each[k].value / scale for each in told])
+        flagged = [place for place, each in enumerate(told) if each[k].flagged]
+        figure.add_scatter(x=day.time_min, y=ratio, mode="lines", name=first.name, line={"color": colour})
+        figure.add_scatter(
+            x=day.time_min[flagged], y=ratio[flagged], mode="markers", showlegend=False,
+            marker={"color": colour, "symbol": "x-thin-open"},
+        )  # fmt: skip
+    return figure

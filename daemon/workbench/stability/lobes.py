@@ -1,0 +1,109 @@
+"""Lobes of a stability case, by either method."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
+from daemon.workbench.stability.case_files import modal_response_of, response_of
+from models.spindle_speed.choice import SpeedChoice, SpeedDemand, SpeedLimits, choose_speed
+from models.stability.errors import StabilityError
+from models.stability.lobes import StabilityLobes
+from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
+from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.semi_discretisation import (
+    FEWEST_PER_CYCLE,
+    fine_steps,
+    periods_per_passing,
+    semi_discretisation,
+    spectral_radius,
+)
+from models.stability.state_space import state_space
+
+POINTS = {"zoa": 400, "sdm": 100}
+CHOICE_POINTS = {"zoa": 601, "sdm": 121}
+"""Speeds among which one is chosen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LobesRequest:
+    """What lobes are asked for."""
+
+    method: str
+    """`zoa` or `sdm`."""
+    from_rpm: float
+    to_rpm: float
+    points: int | None = None
+    max_depth_mm: float | None = None
+    steps: int | None = None
+
+
+def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
+    """Return the lobes of a case; raises MeasurementFileError and StabilityError."""
+    cut = case.cut()
+    points = request.points or POINTS[request.method]
+    from_rpm, to_rpm = request.from_rpm, request.to_rpm
+    everywhere = case.feed_deg == ALL_DIRECTIONS
+    feed_deg = 0.0 if everywhere else float(case.feed_deg)
+    if request.method == "zoa":
+        response = response_of(case)
+        if everywhere:
+            return lowest_over_feed_directions(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
+        return zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=feed_deg)
+    modes, warnings = modal_response_of(case, from_rpm, to_rpm)
+    depth, steps = request.max_depth_mm, request.steps
+    if everywhere:
+        found = semi_discretised_over_feed_directions(
+            modes, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, max_depth_mm=depth, steps=steps
+        )
+    else:
+        found = semi_discretised_lobes(
+            modes,
+            cut,
+            from_rpm=from_rpm,
+            to_rpm=to_rpm,
+            points=points,
+            feed_deg=feed_deg,
+            max_depth_mm=depth,
+            steps=steps,
+        )
+    return found.with_warnings(warnings)
+
+
+def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps: int | None) -> dict[str, Any]:
+    """Return the spectral radius at speeds [1/min] and depths [mm]; raises MeasurementFileError, StabilityError."""
+    if case.feed_deg == ALL_DIRECTIONS:
+        raise StabilityError("a spectral radius needs one direction of the feed; give feed_deg a number")
+    speeds = [speed for speed, _ in points]
+    modes, warnings = modal_response_of(case, min(speeds), max(speeds))
+    cut, structure = case.cut(), state_space(modes, float(case.feed_deg))
+    found = []
+    for speed, depth in points:
+        taken = steps or fine_steps(structure, cut, speed)
+        if (periods := periods_per_passing(structure, cut, speed)) * FEWEST_PER_CYCLE > taken:
+            raise StabilityError(
+                f"--steps {taken} do not follow {periods:.4g} vibrations from tooth to tooth at {speed:g} 1/min; take "
+                "more, or leave --steps out"
+            )
+        radius = spectral_radius(semi_discretisation(structure, cut, taken), speed, np.array([depth]))[0]
+        if not np.isfinite(radius):
+            raise StabilityError(
+                f"at {speed:g} 1/min and {depth:g} mm the vibration grows beyond all numbers: this is far above any "
+                "limiting depth; check the depth, which is in mm"
+            )
+        found.append(
+            {"speed_rpm": speed, "depth_mm": depth, "spectral_radius": float(radius), "stable": bool(radius < 1.0)}
+        )
+    return {"method": "sdm", "points": found, "warnings": list(warnings)}
+
+
+def choose_for_case(
+    case: StabilityCase, demand: SpeedDemand, limits: SpeedLimits, method: str
+) -> tuple[SpeedChoice, tuple[str, ...]]:
+    """Return the speed for a case and warnings; raises MeasurementFileError and StabilityError."""
+    low, high = limits.range_rpm(demand.programmed_rpm)
+    reach = 1.0 + demand.tolerance_fraction
+    wide = LobesRequest(method=method, from_rpm=low / reach, to_rpm=high * reach, points=CHOICE_POINTS[method])
+    found = find_lobes(case, wide)
+    return choose_speed(found, demand, range_rpm=(low, high)), found.warnings

@@ -1,0 +1,284 @@
+"""Evaluates thermal models on recordings: what is trained on, what is tested, and the figures of both."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from config.recordings.recording_map import RecordingMap
+from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import DatasetError, Recording
+from models.recordings.findings import usable_recordings
+from models.records import FloatArray
+from models.thermal.layout import BoolArray
+from models.thermal.training.families import HyperParameters
+from models.thermal.training.folds import cycles
+from models.thermal.training.inputs import (
+    Inputs,
+    build_inputs,
+    require_same_columns,
+    temperatures_alone,
+    unusable_sensors,
+    with_sensors,
+)
+from models.thermal.training.prepared import prepare
+from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, trial_rows
+from models.thermal.training.trust import Trust, judge
+from models.thermal.training.watch_fit import fit_watch
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Protocol:
+    """What is trained on and what is tested."""
+
+    train_hours: tuple[float, float] | None = None
+    """Hours of every recording that are trained on; None: all."""
+    test_hours: tuple[float, float] | None = None
+    """Hours of every recording that are tested, as one run each; None: what the other fields say."""
+    leave_out: str | None = None
+    """`cycles` or `runs` are left out in turn and tested."""
+    probe_min: float | None = None
+    """Time between probes that reset the offset [min]."""
+    faults: tuple[Fault, ...] = ()
+    """Faults, each in a test of its own; sensor `each` stands for every sensor in turn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    """One training and what is tested on it."""
+
+    name: str
+    train: BoolArray
+    test: BoolArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Outcome:
+    name: str
+    trials: list[Trial]
+    trust: Trust
+    hyper_parameters: HyperParameters
+    faults: list[FaultOutcome]
+    dropped: dict[str, str]
+
+
+def read_recordings(
+    paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return recordings that may be used, and the warnings about them; raises RecordingFileError, DatasetError."""
+    recordings: list[Recording] = []
+    for number, path in enumerate(paths, start=1):
+        recordings.append(read_recording(path, recording_map))
+        progress("reading", number, len(paths))
+    require_same_columns(recordings)
+    return usable_recordings(recordings)
+
+
+def evaluate(
+    recordings: Sequence[Recording], sample_s: float, model: str, protocol: Protocol, progress: Progress
+) -> dict[str, Any]:
+    """Return the figures of a family of models on recordings, for JSON.
+
+    Raises
+    ------
+    DatasetError
+        When the recordings cannot be trained on or tested as asked for.
+
+    """
+    if protocol.leave_out == "runs":
+        _require_different(recordings)
+    whole = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
+    parts = _parts(whole, protocol)
+    _require_faults(whole, parts, protocol.faults)
+    outcomes = []
+    for number, part in enumerate(parts, start=1):
+        outcomes.append(_one(recordings, sample_s, model, protocol, part))
+        progress("evaluating", number, len(parts))
+    return {"model": model, **_figures(whole, outcomes)}
+
+
+def _require_different(recordings: Sequence[Recording]) -> None:
+    """Refuse a recording that is given twice: it would be tested on a model that was trained on it."""
+    for second, recording in enumerate(recordings):
+        for first, other in enumerate(recordings[:second]):
+            if np.array_equal(recording.temperatures_degc, other.temperatures_degc, equal_nan=True):
+                raise DatasetError(
+                    f"{recording.name}: recordings {first + 1} and {second + 1} hold the same temperatures; give each "
+                    "run once, or the model is tested on what it was trained on"
+                )
+
+
+def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
+    everything = np.ones(inputs.rows, dtype=np.bool_)
+    trained = everything if protocol.train_hours is None else inputs.rows_between(*protocol.train_hours)
+    if protocol.leave_out == "cycles":
+        found = cycles(inputs, trained)
+        if len(found) < 3:
+            raise DatasetError(
+                f"{inputs.recording_names[0]}: {len(found)} cycle(s) from one start of the spindle to the next; "
+                "to leave one out takes at least 3, so record more, or choose hours for training and test"
+            )
+        return [_Part(name=f"cycle {i}", train=trained & ~mask, test=mask) for i, mask in enumerate(found, start=1)]
+    if protocol.leave_out == "runs":
+        if len(inputs.recording_names) < 2:
+            raise DatasetError("leaving runs out takes at least two recordings; each recording is a run")
+        masks = [inputs.recording == index for index in range(len(inputs.recording_names))]
+        names = inputs.recording_names
+        return [_Part(name=n, train=trained & ~mask, test=mask) for n, mask in zip(names, masks, strict=True)]
+    assert protocol.train_hours is not None and protocol.test_hours is not None
+    tested = inputs.rows_between(*protocol.test_hours)
+    for kind, rows, hours in (("training", trained, protocol.train_hours), ("test", tested, protocol.test_hours)):
+        if not rows.any():
+            last = float(inputs.time_min.max()) / 60.0
+            raise DatasetError(
+                f"there is no row in the {kind} hours {hours[0]:g}-{hours[1]:g}; the recordings end at {last:.2f} h"
+            )
+    if (trained & tested).any():
+        raise DatasetError(
+            "training and test hours overlap; a model must be tested on what it has not seen, so separate them"
+        )
+    return [_Part(name="test", train=trained, test=tested)]
+
+
+def _require_faults(inputs: Inputs, parts: Sequence[_Part], faults: Sequence[Fault]) -> None:
+    for fault in faults:
+        temperatures = [name for name in inputs.sensor_names if name not in inputs.axis_positions]
+        if fault.sensor != "each" and fault.sensor not in temperatures:
+            known = ", ".join(temperatures[:20])
+            raise DatasetError(f"fault {fault.kind}: there is no temperature {fault.sensor}; there are {known}")
+        if not any(_holds(inputs, rows, fault) for part in parts for rows in trial_rows(inputs, part.test)):
+            raise DatasetError(f"fault {fault.kind}: hour {fault.at_hours:g} does not lie in what is tested")
+
+
+def _holds(inputs: Inputs, rows: np.ndarray[Any, np.dtype[np.intp]], fault: Fault) -> bool:
+    at_min = 60.0 * fault.at_hours
+    return bool(inputs.time_min[rows[0]] <= at_min + 1e-9 and at_min <= inputs.time_min[rows[-1]])
+
+
+def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol: Protocol, part: _Part) -> _Outcome:
+    plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
+    dropped = unusable_sensors(plain, part.train)
+    kept = [name for name in plain.sensor_names if name not in dropped]
+    if not set(kept) - set(plain.axis_positions):
+        raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
+    chosen = [with_sensors(recording, kept) for recording in recordings]
+    prepared = prepare(chosen, sample_s, model, part.train, protocol.probe_min)
+    inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
+    trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
+    watch = fit_watch(temperatures_alone(chosen), sample_s, rows, fold)
+    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter, rows)
+    trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
+    return _Outcome(
+        name=part.name,
+        trials=trials,
+        trust=trust,
+        hyper_parameters=problem.hyper_parameters,
+        faults=_fault_outcomes(inputs, tester, trials, protocol.faults, dropped),
+        dropped=dropped,
+    )
+
+
+def _fault_outcomes(
+    inputs: Inputs, tester: Tester, trials: Sequence[Trial], faults: Sequence[Fault], dropped: dict[str, str]
+) -> list[FaultOutcome]:
+    found = []
+    for fault in faults:
+        names = inputs.sensor_names if fault.sensor == "each" else (fault.sensor,)
+        for name in names:
+            if name in dropped or name in inputs.axis_positions:
+                continue
+            single = Fault(kind=fault.kind, sensor=name, at_hours=fault.at_hours, amount=fault.amount)
+            found += [tester.with_fault(trial, single) for trial in trials if _holds(inputs, trial.rows, single)]
+    return found
+
+
+def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
+    channels = _channel_figures(inputs.channels, outcomes)
+    refusals = [o for o in outcomes if o.trust.refused is not None]
+    several = len(outcomes) > 1
+    healthy = [(o, blame) for o in outcomes for trial in o.trials for blame in trial.blamed if blame.sign != "missing"]
+    names = [[n for n in inputs.sensor_names if n not in o.dropped] for o in outcomes]
+    of_outcome = {id(o): kept for o, kept in zip(outcomes, names, strict=True)}
+    return {
+        "channels": channels,
+        "mean": _mean(channels),
+        "hyper_parameters": {o.name: o.hyper_parameters for o in outcomes} if several else outcomes[0].hyper_parameters,
+        "refused": "; ".join(f"{o.name}: {o.trust.refused}" if several else str(o.trust.refused) for o in refusals)
+        or None,
+        "faults": [
+            {
+                "sensor": fault.sensor,
+                "kind": fault.kind,
+                "found_after_min": fault.found_after_min,
+                "max_ratio": fault.max_ratio,
+                "blamed_instead": list(fault.blamed_instead),
+            }
+            for o in outcomes
+            for fault in o.faults
+        ],
+        "false_alarms": len(healthy),
+        "false_alarm_sensors": [of_outcome[id(o)][blame.sensor] for o, blame in healthy],
+        "tests": [_test_figures(inputs, o) for o in outcomes],
+    }
+
+
+def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
+    mean = _mean(_channel_figures(inputs.channels, [outcome]))
+    return {
+        "name": outcome.name,
+        "rows": sum(len(trial.rows) for trial in outcome.trials),
+        "reduction_rmse": mean["reduction_rmse"],
+        "reduction_max": mean["reduction_max"],
+        "held_out_relative_rmse": _number(outcome.trust.held_out_relative_rmse),
+        "forward_skill": [_number(value) for value in outcome.trust.forward_skill],
+        "temperatures_left_out": outcome.dropped,
+    }
+
+
+def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, float | None]]:
+    trials = [(trial, outcome.trust.band_um) for outcome in outcomes for trial in outcome.trials]
+    return {name: _one_channel(index, trials) for index, name in enumerate(channels)}
+
+
+def _one_channel(channel: int, trials: Sequence[tuple[Trial, FloatArray]]) -> dict[str, float | None]:
+    measured, residual, band = [], [], []
+    for trial, band_um in trials:
+        known = np.isfinite(trial.residual_um[:, channel])
+        measured.append(trial.measured_um[known, channel])
+        residual.append(trial.residual_um[known, channel])
+        band.append(band_um[channel] * trial.band_factor[known])
+    without, remaining, half = np.concatenate(measured), np.concatenate(residual), np.concatenate(band)
+    if not len(without):
+        keys = ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um")
+        return dict.fromkeys(keys, None)
+    rmse, largest = float(np.sqrt(np.square(remaining).mean())), float(np.abs(remaining).max())
+    rmse_without, largest_without = float(np.sqrt(np.square(without).mean())), float(np.abs(without).max())
+    covered = np.abs(remaining) <= half
+    return {
+        "rmse_um": rmse,
+        "max_um": largest,
+        "reduction_rmse": 1.0 - rmse / rmse_without if rmse_without > 0.0 else None,
+        "reduction_max": 1.0 - largest / largest_without if largest_without > 0.0 else None,
+        "band_coverage": float(covered.mean()) if np.isfinite(half).all() else None,
+        "band_width_um": float(2.0 * half.mean()) if np.isfinite(half).all() else None,
+        "rmse_without_um": rmse_without,
+        "max_without_um": largest_without,
+    }
+
+
+def _mean(channels: dict[str, dict[str, float | None]]) -> dict[str, float | None]:
+    found: dict[str, float | None] = {}
+    for key in ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"):
+        values = [figures[key] for figures in channels.values()]
+        known = [value for value in values if value is not None]
+        found[key] = (max(known) if key == "max_um" else sum(known) / len(known)) if known else None
+    return found
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

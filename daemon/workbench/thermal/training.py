@@ -1,0 +1,179 @@
+"""Trains a thermal model from recordings on disk, and reports what came of it."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from config.recordings.recording_map import RecordingMap
+from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import Recording
+from models.thermal.artifact import model_to_json
+from models.thermal.lagged_artifact import lagged_model_to_json
+from models.thermal.lagged_model import LaggedModel
+from models.thermal.model import ThermalModel
+from models.thermal.training.evaluation import ResidualMetrics
+from models.thermal.training.train import TrainingChoices, TrainingResult, train
+from models.thermal.training.train_family import FamilyTraining, train_family
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which part of the recordings is trained on."""
+
+    hours: tuple[float, float] | None = None
+    """First and last hour, counted from each recording's first row [h]; None: all."""
+    channels: tuple[str, ...] | None = None
+    """Displacement channels; None: all."""
+
+
+def train_from_files(
+    paths: Sequence[Path],
+    recording_map: RecordingMap | None,
+    selection: Selection,
+    choices: TrainingChoices,
+    progress: Callable[[str, int, int], None],
+) -> TrainingResult:
+    """Read the recordings and train; raises RecordingFileError or DatasetError."""
+    return train(
+        _read(paths, recording_map, selection, progress),
+        choices,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        progress=lambda done, total: progress("training", done, total),
+    )
+
+
+def train_family_from_files(
+    paths: Sequence[Path],
+    recording_map: RecordingMap | None,
+    selection: Selection,
+    family: str,
+    progress: Callable[[str, int, int], None],
+) -> FamilyTraining:
+    """Read the recordings and fit a family of models; raises RecordingFileError or DatasetError."""
+    return train_family(
+        _read(paths, recording_map, selection, progress),
+        family,
+        sample_s=60.0 if recording_map is None else recording_map.sample_s,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        progress=lambda done, total: progress("training", done, total),
+    )
+
+
+def _read(
+    paths: Sequence[Path],
+    recording_map: RecordingMap | None,
+    selection: Selection,
+    progress: Callable[[str, int, int], None],
+) -> list[Recording]:
+    recordings: list[Recording] = []
+    for number, path in enumerate(paths, start=1):
+        recordings.append(_selected(read_recording(path, recording_map), selection))
+        progress("reading", number, len(paths))
+    return recordings
+
+
+def _selected(recording: Recording, selection: Selection) -> Recording:
+    if selection.hours is not None:
+        recording = recording.between_hours(*selection.hours)
+    if selection.channels is not None:
+        recording = recording.with_channels(selection.channels)
+    return recording
+
+
+def write_model(result: TrainingResult, path: Path) -> None:
+    """Write the model's file in one step; raises OSError."""
+    write_model_file(result.model, path)
+
+
+def write_model_file(model: ThermalModel | LaggedModel, path: Path) -> None:
+    """Write a model's file in one step, so that nobody ever reads half of one; raises OSError."""
+    text = lagged_model_to_json(model) if isinstance(model, LaggedModel) else model_to_json(model)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def summary(result: TrainingResult, path: Path) -> dict[str, Any]:
+    """Return what was trained and how good it is on what it had not seen, for JSON."""
+    model, report = result.model, result.report
+    return {
+        "model": {
+            "file": str(path),
+            "model_id": model.model_id,
+            "kind": model.kind,
+            "interval_min": model.interval_min,
+            "ridge_k2": report.ridge_k2,
+            "sensors": len(model.sensor_ids),
+            "drift_um_per_min": dict(zip(model.channels, model.drift_um_per_min.tolist(), strict=True)),
+            "band_um": {c: _finite(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
+        },
+        "training": [
+            {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}
+            for data in model.training
+        ],
+        "increments": {"used": report.increments_used, "left_out": report.increments_left_out, "rank": report.rank},
+        "held_out": {
+            "folds": list(report.folds),
+            "relative_rmse": _finite(report.score),
+            "channels": {} if report.held_out is None else channel_figures(report.held_out),
+        },
+        "warnings": list(report.warnings),
+    }
+
+
+def family_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
+    """Return what was trained and how far it may be trusted, for JSON."""
+    model, trust = result.model, result.trust
+    return {
+        "model": {
+            "file": str(path),
+            "model_id": model.model_id,
+            "kind": model.kind,
+            "sensors": len(model.sensor_ids),
+            "band_um": {c: _finite(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
+        },
+        "hyper_parameters": result.hyper_parameters,
+        "refused": trust.refused,
+        "training": [
+            {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}
+            for data in model.training
+        ],
+        "held_out": {
+            "folds": result.folds,
+            "relative_rmse": _finite(trust.held_out_relative_rmse),
+            "forward_skill": [_finite(value) for value in trust.forward_skill],
+        },
+        "temperatures_left_out": result.left_out,
+        "warnings": list(result.warnings),
+    }
+
+
+def channel_figures(metrics: ResidualMetrics) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Return ``{channel: {without: {rmse_um, max_um}, with: {rmse_um, max_um}}}`` for JSON."""
+    return {
+        channel: {
+            "without": {
+                "rmse_um": _finite(float(metrics.rmse_without_um[index])),
+                "max_um": _finite(float(metrics.max_without_um[index])),
+            },
+            "with": {
+                "rmse_um": _finite(float(metrics.rmse_with_um[index])),
+                "max_um": _finite(float(metrics.max_with_um[index])),
+            },
+        }
+        for index, channel in enumerate(metrics.channels)
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,252 @@
+"""The commissioning sheet of the NC programs: what to load, check and try, and where to sign."""
+
+import html
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from config.schema import Configuration
+from config.schema.guard import SHARED_MEMORY
+from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_digest, guard_program
+
+SIGNATURES = ("Loaded and compared by", "Tested by", "Released for production by")
+UNVERIFIED = (
+    "This text was run in Toolpoint's own interpreter, never on a FANUC. Everything marked [control] is what the "
+    "documentation of such controls says, and has to be seen on this control before the sheet is signed."
+)
+STYLE = (
+    "body{font:11pt sans-serif;max-width:52em;margin:2em auto;padding:0 1em}table{border-collapse:collapse;width:100%}"
+    "th,td{border:1px solid #888;padding:.3em .5em;text-align:left;vertical-align:top}th{background:#eee}"
+    "code{font-family:monospace}@media print{h2{break-after:avoid}tr{break-inside:avoid}}"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetSection:
+    """A heading, a paragraph and a table; each may be empty."""
+
+    title: str
+    text: str = ""
+    head: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+
+
+def guard_sheet(configuration: Configuration) -> tuple[SheetSection, ...]:
+    """Return the sheet for this machine; raises GuardTextError where the programs cannot be made."""
+    text = guard_program(configuration)
+    return (
+        _identity(configuration, text),
+        _macros(configuration),
+        _limits(configuration),
+        _checks(configuration),
+        _loading(configuration),
+        _tests(configuration),
+        SheetSection(
+            title="Signatures",
+            text="The programs are those with the digest above, every row has been seen on this machine.",
+            head=("", "name", "date", "signature"),
+            rows=tuple((role, "", "", "") for role in SIGNATURES),
+        ),
+    )
+
+
+def sheet_markdown(configuration: Configuration) -> str:
+    """Return the sheet as Markdown."""
+    lines = [f"# Commissioning sheet of the guard macro: {configuration.machine}", ""]
+    for section in guard_sheet(configuration):
+        lines += [f"## {section.title}", ""]
+        if section.text:
+            lines += [section.text, ""]
+        if section.head:
+            lines.append(_markdown_row(section.head))
+            lines.append("|" + "---|" * len(section.head))
+            lines += [_markdown_row(row) for row in section.rows]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def sheet_html(configuration: Configuration) -> str:
+    """Return the sheet as one HTML page that prints well."""
+    title = html.escape(f"Commissioning sheet of the guard macro: {configuration.machine}")
+    parts = [
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
+        f"<style>{STYLE}</style></head><body>",
+        f"<h1>{title}</h1>",
+    ]
+    for section in guard_sheet(configuration):
+        parts.append(f"<h2>{html.escape(section.title)}</h2>")
+        if section.text:
+            parts.append(f"<p>{html.escape(section.text)}</p>")
+        if section.head:
+            parts.append("<table>")
+            parts.append(_html_row(section.head, "th"))
+            parts += [_html_row(row, "td") for row in section.rows]
+            parts.append("</table>")
+    return "\n".join([*parts, "</body></html>", ""])
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _html_row(cells: Sequence[str], tag: str) -> str:
+    return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+
+def _identity(configuration: Configuration, text: str) -> SheetSection:
+    guard, macros = configuration.cnc.guard, configuration.cnc.macros
+    programs = GuardPrograms.of(macros, guard)
+    calls = [("guard", programs.guard), ("initialise", programs.initialise), ("request", programs.request)]
+    calls += [("safe point begins", programs.enter), ("safe point ends", programs.leave)]
+    rows = [("machine", configuration.machine), ("control, serial number", ""), ("guard version", str(GUARD_VERSION))]
+    rows += [("SHA-256 of the text", guard_digest(text))]
+    rows += [(name, f"O{number}") for name, number in calls if number is not None]
+    rows += [("an expired block", f"{guard.on_expiry} what is applied, {_stop_words(guard.alarm)}")]
+    return SheetSection(title="What this sheet is for", text=UNVERIFIED, head=("", "value"), rows=tuple(rows))
+
+
+def _stop_words(alarm: str) -> str:
+    return "operator message (#3006)" if alarm == "message" else "alarm (#3000)"
+
+
+def _macros(configuration: Configuration) -> SheetSection:
+    macros, guard = configuration.cnc.macros, configuration.cnc.guard
+    memory = guard.memory_of(len(configuration.compensation.axes))
+    rows: list[tuple[str, ...]] = [
+        ("#" + ", #".join(map(str, sorted(set(macros.block) - _nc_owned(configuration)))), "daemon", "block"),
+        ("#" + ", #".join(map(str, sorted(_nc_owned(configuration)))), "NC programs", "echo, request, flag"),
+        (f"#{memory[0]} to #{memory[-1]}", "guard alone", "memory: pending axis, planned, before, after, applied"),
+    ]
+    return SheetSection(
+        title="Macro variables",
+        text="No other program may use one of these.",
+        head=("macro", "written by", "what"),
+        rows=tuple(rows),
+    )
+
+
+def _nc_owned(configuration: Configuration) -> set[int]:
+    macros = configuration.cnc.macros
+    owned = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
+    owned |= {number for key, number in macros.request_macros.items() if key != "acknowledge"}
+    return owned | ({macros.safe_flag} if macros.safe_flag is not None else set())
+
+
+def _limits(configuration: Configuration) -> SheetSection:
+    controlled = guard_axes(configuration.compensation.axes, configuration.cnc.guard)
+    rows = tuple(
+        (
+            name,
+            f"{controlled[name].letter}, axis {controlled[name].number}",
+            f"#{5200 + controlled[name].number}",
+            f"{axis.absolute_bound_um:g}",
+            f"{axis.step_um:g}",
+        )
+        for name, axis in configuration.compensation.axes.items()
+    )
+    return SheetSection(title="Limits", head=("axis", "control", "external offset", "bound um", "step um"), rows=rows)
+
+
+def _checks(configuration: Configuration) -> SheetSection:
+    guard = configuration.cnc.guard
+    macros = configuration.cnc.macros
+    highest = max(*macros.block, guard.memory_of(len(macros.values))[-1])
+    rows = [
+        ("custom macro B is there", "MDI: #1=1. runs without alarm"),
+        (f"common variables up to #{highest}", "offset screen, macro page shows them"),
+        ("#100-#199 are cleared by power-off, #500 and up are not", "set one of each, switch off and on [control]"),
+        (
+            f"least increment of the offsets is {guard.increment_mm:g} mm",
+            "offset screen: decimals of EXT; parameter 1013 [control]",
+        ),
+        ("G90 and G91 are absolute and incremental", "a machining centre, or a lathe with G-code system B or C"),
+        ("metric, G21", "#4006 is 21 in the program that calls the guard"),
+        ("#5201.. is the external offset (EXT)", "set EXT by hand, read #5201.. [control]"),
+        (f"{guard.read_ahead_stop} ends the reading ahead", "the last test below; else choose an M code of parameters "
+         "3411 to 3432 and put it into cnc.guard.read_ahead_stop [control]"),
+        ("#3001 counts milliseconds since power-on", "MDI: #500=#3001 twice, 10 s apart [control]"),
+        ("no program of this machine writes #3001", "search the program memory for #3001="),
+        ("the server's clock is #3001 in seconds", "compare the clock in `toolpoint status` with #3001/1000"),
+        ("offset changes by G10 are not locked", "data protection key, parameter 3290 [control]"),
+        ("programs from O9000 are locked after loading", "parameter 3202 bit 4 (NE9) [control]"),
+    ]  # fmt: skip
+    return SheetSection(
+        title="Check on the control",
+        head=("what", "how", "seen"),
+        rows=tuple((*row, "") for row in rows),
+    )
+
+
+def _loading(configuration: Configuration) -> SheetSection:
+    programs = GuardPrograms.of(configuration.cnc.macros, configuration.cnc.guard)
+    steps = [
+        "Compensation is off: `toolpoint status` says OFF, or the daemon does not run.",
+        "EXT holds what the operator wants and nothing else; write it down here:",
+        "Load the text, read it back, compare it with the file character by character.",
+        f"MDI: G65P{programs.initialise}. The echo is 0, the status 0, the version {GUARD_VERSION}.",
+        "Run `toolpoint commission`, which initialises the daemon's macros.",
+        f"Put G65P{programs.guard} into the part programs, only where the tool is clear of the work.",
+    ]
+    return SheetSection(
+        title="Load",
+        head=("step", "what", "done"),
+        rows=tuple((str(number), step, "") for number, step in enumerate(steps, start=1)),
+    )
+
+
+def _tests(configuration: Configuration) -> SheetSection:
+    rows = tuple((str(number), *row, "") for number, row in enumerate(_test_steps(configuration), start=1))
+    return SheetSection(
+        title="Try, with the tool clear of everything",
+        text="The daemon is stopped; macros are set by hand, except #3001. V is a time to come: #3001/1000 plus 60. "
+        f"After each setting the guard is called once (MDI: G65P{configuration.cnc.guard.program}).",
+        head=("test", "set", "expected after the guard", "seen"),
+        rows=rows,
+    )
+
+
+def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
+    macros, guard = configuration.cnc.macros, configuration.cnc.guard
+    name, axis = next(iter(configuration.compensation.axes.items()))
+    offset = 5200 + guard_axes(configuration.compensation.axes, guard)[name].number
+    value, echo, status = macros.values[name], macros.echo_applied[name], macros.echo_status
+    unit, increment_um = macros.unit_um, guard.increment_mm * 1000.0
+    step, bound = axis.step_um / unit, axis.absolute_bound_um / unit
+    half_um = max(axis.step_um / 2.0 // increment_um, 1.0) * increment_um
+    memory = guard.memory + SHARED_MEMORY
+    half, late = f"{half_um / unit:g}", f"#{macros.valid_until}"
+
+    def state(code: GuardStatus) -> str:
+        return f"#{status}={int(code)}"
+
+    same = f"#{offset} as before"
+    yield (f"#{macros.enable}=0", f"{state(GuardStatus.DISABLED)}, {same}, no message")
+    yield (
+        f"#{macros.sequence_a}=1 #{value}={half} {late}=V #{macros.enable}=1 #{macros.sequence_b}=1",
+        f"{state(GuardStatus.APPLIED)}, #{echo}={half}, #{offset} larger by {half_um / 1000.0:g} mm",
+    )
+    yield ("guard called again", f"{state(GuardStatus.APPLIED)}, {same}: nothing is added twice")
+    yield (f"#{value}={min(4 * step, bound):g}", f"#{echo} larger by {step:g}: one step for each call")
+    yield (f"#{macros.sequence_a}=2", f"{state(GuardStatus.TORN)}, {same}, no message")
+    yield (f"#{macros.sequence_a}=1 {late}=1", f"{state(GuardStatus.EXPIRED)}, message, {_expiry(guard.on_expiry)}")
+    yield (f"{late}=V #{value}={bound + step:g}", f"{state(GuardStatus.OVERSIZE)}, message, {same}")
+    yield (f"#{value}=#0", f"{state(GuardStatus.VACANT)}, message, {same}")
+    yield ("G20, then back to G21", f"{state(GuardStatus.INCH)}, message, {same}")
+    yield (f"{late}=V #{value}={half}, G91 before the call", f"{state(GuardStatus.APPLIED)}, and G91 still active")
+    yield (
+        f"EXT of {name} changed by hand by 0.010 mm, then {late}=V #{value}={step:g}",
+        f"#{echo}={step:g}; #{offset} keeps the 0.010 mm",
+    )
+    yield (
+        f"{late}=V #{value}={half}, single block, RESET after the block with G10, then call again",
+        f"{state(GuardStatus.APPLIED)}, #{offset} minus EXT of the operator equals #{memory}",
+    )
+    yield ("control off and on, guard called", f"{state(GuardStatus.EXPIRED)}, message, {same}")
+    yield (
+        f"{late}=V, in one program a feed move of 20 s and the guard in the next block",
+        f"#{macros.echo_time} is the clock after the move, not before it: nothing was read ahead",
+    )
+    yield (f"{late}=V #{value}=0 until #{echo}=0", f"#{offset} is what the operator had, and the 0.010 mm")
+
+
+def _expiry(policy: str) -> str:
+    return "offset as before" if policy == "keep" else "offset one step nearer to the operator's"

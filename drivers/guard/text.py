@@ -1,0 +1,269 @@
+"""Fills the templates of the NC programs in for one machine."""
+
+import hashlib
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from importlib.resources import files
+
+from config.records.commissioning import macro_map_digest
+from config.schema import Configuration
+from config.schema.cnc import MacroMapConfig
+from config.schema.compensation import AxisConfig
+from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
+
+GUARD_VERSION = 1
+"""Echoed by the guard; raised when what the text does changes."""
+LONGEST_LINE = 76
+POLL_MS = 50
+"""The request program looks for its answer once in this time [ms]."""
+RETRIES, RETRY_MS = 3, 200
+"""A block that is being written is read again so often, after so long [ms]."""
+_COMMENT = re.compile(r"\(([^()]*)\)")
+_ALLOWED = re.compile(r"[A-Z0-9 .,\-=/#+]*")
+_FOREIGN = re.compile(r"[^A-Z0-9 .,\-=/#+]+")
+
+
+class GuardStatus(IntEnum):
+    """What the guard's last run did; only APPLIED, and EXPIRED under the policy zero, move anything."""
+
+    APPLIED = 0
+    """The enabled axes were moved towards their values, each by at most its step."""
+    DISABLED = 1
+    """All enable bits are 0: nothing added, what is applied stays, no look at valid_until."""
+    TORN = 2
+    """A sequence number is vacant, or the two differ: the block was being written."""
+    EXPIRED = 3
+    """valid_until is vacant, has passed, or lies further ahead than the limit."""
+    VACANT = 4
+    """The value of an enabled axis, or the enable word itself, is vacant."""
+    OVERSIZE = 5
+    """The value of an enabled axis lies outside its absolute bound, or the enable word has bits of no axis."""
+    INCH = 6
+    """The control is in inch mode (G20)."""
+    MODAL = 7
+    """Cutter compensation or a canned cycle is active: this is no safe point."""
+    MEMORY = 8
+    """What the guard remembers of the applied offset is vacant, contradictory or outside the bound."""
+    UNSETTLED = 9
+    """The external offset is neither what it was before the guard's change nor what it was to become."""
+
+
+class GuardTextError(ValueError):
+    """The programs cannot be made for this configuration; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardPrograms:
+    """O numbers of the programs; those that the macro map has no macros for are None."""
+
+    guard: int
+    initialise: int
+    request: int | None
+    enter: int | None
+    leave: int | None
+
+    @classmethod
+    def of(cls, macros: MacroMapConfig, guard: GuardConfig) -> "GuardPrograms":
+        """Return the numbers for one macro map."""
+        first, flag = guard.program, macros.safe_flag is not None
+        return cls(
+            guard=first,
+            initialise=first + 1,
+            request=first + 2 if macros.request is not None else None,
+            enter=first + 3 if flag else None,
+            leave=first + 4 if flag else None,
+        )
+
+
+def guard_program(configuration: Configuration) -> str:
+    """Return the text of all NC programs for this machine; raises GuardTextError."""
+    cnc = configuration.cnc
+    return guard_text(cnc.macros, configuration.compensation.axes, cnc.guard, machine=configuration.machine)
+
+
+def guard_digest(text: str) -> str:
+    """Return the SHA-256 of a text of NC programs, as the commissioning record names it."""
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:
+    """Return letter and number of every axis; raises GuardTextError where nobody has said them."""
+    found: dict[str, GuardAxisConfig] = {}
+    for name in axes:
+        usual = USUAL_AXES.get(name.lower())
+        if name in guard.axes:
+            found[name] = guard.axes[name]
+        elif usual is not None:
+            found[name] = GuardAxisConfig(letter=usual[0], number=usual[1])
+        else:
+            raise GuardTextError(
+                f"cnc.guard.axes: {name} is not x, y or z; say its letter and axis number, "
+                f"such as {{{name}: {{letter: Z, number: 3}}}}"
+            )
+    for part in ("letter", "number"):
+        taken = [getattr(axis, part) for axis in found.values()]
+        if twice := sorted({str(value) for value in taken if taken.count(value) > 1}):
+            raise GuardTextError(f"cnc.guard.axes: {part} {twice[0]} stands for more than one axis")
+    return found
+
+
+def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
+    """Return the text of all NC programs: guard, initialise, and where the map has macros for them the others."""
+    programs = GuardPrograms.of(macros, guard)
+    rows = list(_axis_rows(macros, axes, guard))
+    fields = _common_fields(macros, guard, len(rows))
+    numbers = {
+        "guard": programs.guard,
+        "initialise": programs.initialise,
+        "request": programs.request,
+        "enter": programs.enter,
+        "leave": programs.leave,
+    }
+    parts = [_filled(name, number, fields, rows, guard) for name, number in numbers.items() if number is not None]
+    body = "\n".join(parts) + "\n"
+    first, rest = body.split("\n", 1)
+    text = "%\n" + first + "\n" + "\n".join(_head(macros, axes, guard, machine, body)) + "\n" + rest + "%\n"
+    _check(text)
+    return text
+
+
+def decimal(value: float) -> str:
+    """Return a number as custom macro text: no exponent, always a decimal point."""
+    text = f"{value:.7f}".rstrip("0")
+    return text if text != "-0." else "0."
+
+
+def _head(
+    macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, machine: str, body: str
+) -> Iterator[str]:
+    """Yield the comments that say which machine, map and limits the text was made for."""
+    yield f"(MACHINE {_comment(machine)})" if machine else "(MACHINE NOT NAMED)"
+    yield f"(TEXT {guard_digest(body)[:16].upper()} MAP {macro_map_digest(macros)[:16].upper()})"
+    for name, axis in axes.items():
+        bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
+        yield f"(AXIS {_comment(name)} BOUND {bound} STEP {step} MM)"
+    stop = "MESSAGE" if guard.alarm == "message" else "ALARM"
+    yield f"(EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {decimal(guard.look_ahead_s)} S)"
+
+
+def _comment(text: str) -> str:
+    """Return a text with nothing but what a control takes in comments."""
+    return _FOREIGN.sub(" ", text.upper()).strip()[:40]
+
+
+def _axis_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig) -> Iterator[dict[str, str]]:
+    """Yield the fields of every axis, in the order of the enable bits."""
+    controlled = guard_axes(axes, guard)
+    increment, to_mm = guard.increment_mm, macros.unit_um / 1000.0
+    factor = "" if math.isclose(to_mm, 1.0) else decimal(to_mm)
+    for bit, (name, axis) in enumerate(axes.items()):
+        bound_mm, step_mm = axis.absolute_bound_um / 1000.0, axis.step_um / 1000.0
+        if step_mm < increment * (1.0 - 1e-9):
+            raise GuardTextError(
+                f"compensation.axes.{name}.step_um: {axis.step_um:g} um is less than the control's least increment "
+                f"of {increment * 1000.0:g} um (cnc.guard.increment_mm), so nothing could ever be applied"
+            )
+        yield {
+            "letter": controlled[name].letter,
+            "offset": str(5200 + controlled[name].number),
+            "number": str(bit + 1),
+            "bit": str(1 << bit),
+            "local": str(11 + bit),
+            "value": str(macros.values[name]),
+            "echo": str(macros.echo_applied[name]),
+            "mirror": str(guard.memory + SHARED_MEMORY + bit),
+            "settle": str(PROGRAM_LABELS.start + 101 + bit),
+            "settled": str(PROGRAM_LABELS.start + 121 + bit),
+            "judged": str(PROGRAM_LABELS.start + 331 + bit),
+            "applied": str(PROGRAM_LABELS.start + 601 + bit),
+            "bound": decimal(_down(bound_mm, increment)),
+            "bound_slack": decimal(bound_mm + increment / 2.0),
+            "bound_tolerance": decimal(bound_mm + macros.tolerance * to_mm),
+            "step": decimal(_down(step_mm, increment)),
+            "to_mm": f"*{factor}" if factor else "",
+            "per_unit": f"/{factor}" if factor else "",
+        }
+
+
+def _down(value: float, increment: float) -> float:
+    """Return a limit as whole increments, never more than it was."""
+    return math.floor(value / increment + 1e-6) * increment
+
+
+def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
+    numbers = ("sequence_a", "sequence_b", "valid_until", "enable", "echo_time", "echo_status", "echo_guard_version")
+    flag = {"safe_flag": str(macros.safe_flag)} if macros.safe_flag is not None else {}
+    alarms = {f"alarm{status}": _stop(guard.alarm, 100 + status) for status in GuardStatus if status >= 3}
+    return {
+        **{name: str(getattr(macros, name)) for name in numbers},
+        **{name: str(guard.memory + place) for place, name in enumerate(("pending", "planned", "before", "after"))},
+        **alarms,
+        **flag,
+        **(_request_fields(macros, guard) if macros.request is not None else {}),
+        "guard": str(guard.program),
+        "version": str(GUARD_VERSION),
+        "tries": str(RETRIES),
+        "retry_ms": str(RETRY_MS),
+        "stop": guard.read_ahead_stop,
+        "look_ahead": decimal(guard.look_ahead_s),
+        "increment": decimal(guard.increment_mm),
+        "half": decimal(guard.increment_mm / 2.0),
+        "all_bits": str((1 << axes) - 1),
+        "axis_count": str(axes),
+    }
+
+
+def _request_fields(macros: MacroMapConfig, guard: GuardConfig) -> dict[str, str]:
+    return {
+        **{name: str(number) for name, number in macros.request_macros.items()},
+        "timeout_ms": str(round(guard.request_timeout_s * 1000.0)),
+        "poll_ms": str(POLL_MS),
+        "timed_out": _stop(guard.on_timeout, 122),
+        "refused": _stop(guard.alarm, 123),
+    }
+
+
+def _stop(means: str, number: int) -> str:
+    """Return the beginning of an alarm, a message, or nothing."""
+    return {"message": "#3006=1", "stop": f"#3000={number}", "continue": ""}[means]
+
+
+def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[str, str]], guard: GuardConfig) -> str:
+    """Return one template with its numbers; a section between @axes and @end is repeated for every axis."""
+    template = files("drivers.guard").joinpath(f"{name}.nc").read_text(encoding="ascii")
+    fields = {**common, "program": str(program)}
+    sections: dict[str, list[dict[str, str]]] = {
+        "@axes": rows,
+        "@keep": [{}] if guard.on_expiry == "keep" else [],
+        "@zero": [{}] if guard.on_expiry == "zero" else [],
+        "@zero_axes": rows if guard.on_expiry == "zero" else [],
+        "@request": [{}] if "counter" in common else [],
+        "@flag": [{}] if "safe_flag" in common else [],
+    }
+    lines: list[str] = []
+    section: list[str] = []
+    repeated: list[dict[str, str]] | None = None
+    for line in template.splitlines():
+        if line in sections:
+            repeated, section = sections[line], []
+        elif line == "@end" and repeated is not None:
+            lines += [entry.format_map(fields | row) for row in repeated for entry in section]
+            repeated = None
+        elif repeated is not None:
+            section.append(line)
+        else:
+            lines.append(line.format_map(fields))
+    return "\n".join(lines)
+
+
+def _check(text: str) -> None:
+    """Refuse what a control would not take."""
+    for line in text.splitlines():
+        if len(line) > LONGEST_LINE:
+            raise GuardTextError(f"the line {line!r} is longer than {LONGEST_LINE} characters")
+        for comment in _COMMENT.findall(line):
+            if not _ALLOWED.fullmatch(comment):
+                raise GuardTextError(f"the comment ({comment}) holds characters that a control does not take")

@@ -1,0 +1,322 @@
+"""The CNC over OPC UA.
+
+One object is one connection: it is built new for every attempt and closed fully. It keeps no task
+of its own; the secure channel is renewed between reads, and staleness is watched here because the
+library reports a frozen peer as connected.
+"""
+
+import asyncio
+import logging
+import math
+from collections.abc import Coroutine, Sequence
+from typing import Any, NoReturn, TypeVar
+
+from asyncua import ua
+from asyncua.client.client import Client
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256, SecurityPolicyNone
+from asyncua.ua.status_codes import StatusCodes
+from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+from cryptography.exceptions import InvalidSignature
+
+from config.schema.cnc import CncConfig
+from drivers.clock import Clock
+from drivers.contract import DriverError, FatalDriverError, LinkError
+from drivers.opcua.certificates import chain_thumbprint, thumbprint
+from drivers.opcua.credentials import OpcUaCredentials, load_credentials
+from drivers.opcua.log import limit_library_log
+from drivers.opcua.variables import Variables
+from models.records import CncSample
+
+T = TypeVar("T")
+log = logging.getLogger(__name__)
+
+SESSION_TIMEOUT_MS = 60_000
+"""A CNC keeps an abandoned session this long; few sessions are all that it offers."""
+RENEW_AT = 0.75
+"""Share of the secure channel's lifetime after which it is renewed (OPC 10000-4, 5.5.2.1)."""
+REFUSALS = {
+    StatusCodes.BadUserAccessDenied: "refuses the user name or password",
+    StatusCodes.BadIdentityTokenRejected: "refuses the user name or password",
+    StatusCodes.BadIdentityTokenInvalid: "refuses the user name or password",
+    StatusCodes.BadSecurityChecksFailed: "refuses the daemon's certificate; it must be trusted at the CNC",
+    StatusCodes.BadCertificateUntrusted: "does not trust the daemon's certificate; it must be trusted at the CNC",
+    StatusCodes.BadCertificateTimeInvalid: "says that the daemon's certificate has expired or is not yet valid",
+    StatusCodes.BadCertificateUriInvalid: "says that the certificate's application URI differs from the daemon's",
+    StatusCodes.BadCertificateUseNotAllowed: "says that the daemon's certificate is not meant for a client",
+    StatusCodes.BadCertificateInvalid: "says that the daemon's certificate is invalid",
+    StatusCodes.BadCertificateRevoked: "says that the daemon's certificate is revoked",
+    StatusCodes.BadSecurityPolicyRejected: "does not accept the security policy Basic256Sha256",
+    StatusCodes.BadSecurityModeRejected: "does not accept signed and encrypted messages",
+}
+"""What a server answers when trying again cannot help."""
+
+
+class OpcUaCnc:
+    """Implements `drivers.contract.Cnc` over OPC UA."""
+
+    def __init__(self, config: CncConfig, clock: Clock) -> None:
+        limit_library_log()
+        self._config = config
+        self._clock = clock
+        self._endpoint = config.opcua.endpoint
+        self._client: Client | None = None
+        self._variables: Variables | None = None
+        self._lost: str | None = None
+        self._renew_at_s = math.inf
+        self._clock_value_s = math.nan
+        self._clock_moved_s = 0.0
+        self.identity = ""
+        self.secure = config.opcua.security is not None
+
+    async def connect(self) -> None:
+        """Connect, check that the server is the right one and offers the configured variables."""
+        if self._client is not None or self._lost is not None:
+            raise LinkError(f"{self._endpoint}: this connection was used up; build a new one")
+        security = self._config.opcua.security
+        credentials = load_credentials(security) if security else None
+        try:
+            await self._call("connecting", self._connect(credentials))
+        except BaseException as error:
+            if isinstance(error, asyncio.CancelledError):
+                self._lost = "cancelled"
+            await self.close()
+            raise
+
+    async def read(self, macros: Sequence[int]) -> CncSample:
+        """Read the machine's state and the given macro variables in one request."""
+        client, variables = self._connected()
+        if self._clock.now().real_s >= self._renew_at_s:
+            await self._call("renewing the secure channel", self._renew(client))
+        request = variables.read_request(macros, state=True)
+        answers = await self._call("reading", client.uaclient.read(request))
+        sample = variables.sample(self._clock.now(), macros, answers)
+        self._watch_clock(sample)
+        return sample
+
+    async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
+        """Read macro variables; None where a variable is vacant."""
+        client, variables = self._connected()
+        request = variables.read_request(macros, state=False)
+        answers = await self._call("reading macro variables", client.uaclient.read(request))
+        return variables.macro_values(macros, answers)
+
+    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        """Write groups of (macro, value), each as one request and only after the previous one was accepted.
+
+        Raises FatalDriverError before anything is sent when the connection, a macro or a value must
+        not be written; LinkError on a lost link or when the server refuses a value.
+        """
+        self._refuse_forbidden(groups)
+        client, variables = self._connected()
+        requests = [(group, variables.write_request(group)) for group in groups if group]
+        await self._call("writing macro variables", self._write(client, requests))
+
+    async def close(self) -> None:
+        """Close the session, the channel and the socket; never raises, never waits longer than the time-out."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        try:
+            if self._lost is None:
+                async with asyncio.timeout(self._config.timeout_s):
+                    await _cancelled_plainly(client.close_session())
+                    await _cancelled_plainly(client.close_secure_channel())
+        except (OSError, UaError) as error:
+            log.debug("%s: the session could not be closed properly: %r", self._endpoint, error)
+        except Exception as error:
+            log.warning("%s: closing the session failed: %r", self._endpoint, error)
+        finally:
+            self._lost = self._lost or "closed"
+            _abort(client)
+        await asyncio.sleep(0)
+
+    async def _connect(self, credentials: OpcUaCredentials | None) -> None:
+        mode, policy = _security_of(credentials)
+        offered = await Client(self._endpoint, timeout=self._config.timeout_s).connect_and_get_server_endpoints()
+        self._check_offer(offered, mode, policy, credentials)
+        client = self._client = Client(self._endpoint, timeout=self._config.timeout_s)
+        client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
+        client.session_timeout = SESSION_TIMEOUT_MS
+        if credentials:
+            _secure(client, credentials)
+        await client.connect_socket()
+        await client.send_hello()
+        await client.open_secure_channel()
+        session = await client.create_session()
+        self.identity = Client.find_endpoint(session.ServerEndpoints, mode, policy).Server.ApplicationUri
+        user, password = (credentials.user_name, credentials.password) if credentials else (None, None)
+        await client.activate_session(username=user, password=password)
+        self._schedule_renewal(client)
+        self._variables = await self._find_variables(client)
+
+    def _check_offer(
+        self,
+        offered: Sequence[ua.EndpointDescription],
+        mode: ua.MessageSecurityMode,
+        policy: str,
+        credentials: OpcUaCredentials | None,
+    ) -> None:
+        matching = [e for e in offered if e.SecurityMode == mode and e.SecurityPolicyUri == policy]
+        if not matching:
+            offers = sorted({f"{e.SecurityPolicyUri.rpartition('#')[2]} {e.SecurityMode.name}" for e in offered})
+            advice = "" if credentials else "; configure cnc.opcua.security"
+            raise FatalDriverError(
+                f"{self._endpoint} offers {', '.join(offers) or 'nothing'}, "
+                f"not {policy.rpartition('#')[2]} {mode.name}{advice}"
+            )
+        wanted = ua.UserTokenType.UserName if credentials else ua.UserTokenType.Anonymous
+        if all(token.TokenType != wanted for e in matching for token in e.UserIdentityTokens or []):
+            raise FatalDriverError(
+                f"{self._endpoint} accepts no user names"
+                if credentials
+                else f"{self._endpoint} accepts no anonymous sessions; configure cnc.opcua.security"
+            )
+        if credentials:
+            self._check_certificate(matching[0].ServerCertificate, credentials)
+
+    def _check_certificate(self, chain: bytes | None, credentials: OpcUaCredentials) -> None:
+        found = chain_thumbprint(chain or b"")
+        trusted = thumbprint(credentials.server_certificate)
+        if found != trusted:
+            raise FatalDriverError(
+                f"{self._endpoint} shows another certificate than the one that is trusted "
+                f"(cnc.opcua.security.server_certificate): SHA-256 {found}, trusted {trusted}"
+            )
+
+    async def _find_variables(self, client: Client) -> Variables:
+        uri = self._config.opcua.namespace_uri
+        namespaces = await client.get_namespace_array()
+        if uri not in namespaces:
+            raise FatalDriverError(
+                f"{self._endpoint} has no namespace {uri!r} (cnc.opcua.namespace_uri); it has {', '.join(namespaces)}"
+            )
+        variables = Variables(self._config.opcua.nodes, namespaces.index(uri))
+        block = self._config.macros.block
+        answers = await client.uaclient.read(variables.read_request(block, state=True))
+        sample = variables.sample(self._clock.now(), block, answers)
+        self._clock_value_s, self._clock_moved_s = sample.clock_s, sample.time.monotonic_s
+        return variables
+
+    async def _write(
+        self, client: Client, requests: Sequence[tuple[Sequence[tuple[int, float]], ua.WriteParameters]]
+    ) -> None:
+        for group, request in requests:
+            statuses = await client.uaclient.write(request)
+            if len(statuses) != len(group):
+                raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(group)} writes")
+            for (number, value), status in zip(group, statuses, strict=True):
+                if not status.is_good():
+                    raise FatalDriverError(
+                        f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
+                    )
+
+    def _refuse_forbidden(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        if not self.secure and not self._config.opcua.allow_insecure_writes:
+            raise FatalDriverError(
+                "nothing is written over an unencrypted, anonymous connection: configure cnc.opcua.security, "
+                "or set cnc.opcua.allow_insecure_writes: true"
+            )
+        for group in groups:
+            for number, value in group:
+                if number not in self._config.macros.allowed:
+                    raise FatalDriverError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
+                if not math.isfinite(value):
+                    raise FatalDriverError(f"{value} must not be written to macro variable #{number}; nothing was sent")
+
+    def _watch_clock(self, sample: CncSample) -> None:
+        now_s = sample.time.monotonic_s
+        if sample.clock_s != self._clock_value_s:
+            self._clock_value_s, self._clock_moved_s = sample.clock_s, now_s
+        elif now_s - self._clock_moved_s > self._config.stale_after_s:
+            self._lose(
+                f"{self._endpoint} answers but its clock stands still at {sample.clock_s:g} s "
+                f"for {now_s - self._clock_moved_s:.1f} s"
+            )
+
+    def _schedule_renewal(self, client: Client) -> None:
+        lifetime_s = client.secure_channel_timeout / 1000
+        self._renew_at_s = self._clock.now().real_s + RENEW_AT * lifetime_s
+
+    async def _renew(self, client: Client) -> None:
+        await client.open_secure_channel(renew=True)
+        client.uaclient.revolve_security_token()
+        self._schedule_renewal(client)
+
+    def _connected(self) -> tuple[Client, Variables]:
+        if self._client is None or self._variables is None or self._lost is not None:
+            raise LinkError(f"{self._endpoint}: not connected ({self._lost or 'never connected'})")
+        return self._client, self._variables
+
+    def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
+        self._lost = reason
+        raise LinkError(reason) from cause
+
+    async def _call(self, what: str, call: Coroutine[Any, Any, T]) -> T:
+        """Await a call within the time-out and turn what the library raises into the contract's errors."""
+        try:
+            async with asyncio.timeout(self._config.timeout_s):
+                return await _cancelled_plainly(call)
+        except DriverError:
+            raise
+        except TimeoutError as error:
+            self._lose(
+                f"{self._endpoint} did not answer within {self._config.timeout_s:g} s while {what}{self._suspicion()}",
+                error,
+            )
+        except InvalidSignature as error:
+            raise FatalDriverError(f"{self._endpoint} signs with another key than its certificate's") from error
+        except UaStatusCodeError as error:
+            if what == "connecting" and error.code in REFUSALS:
+                name = ua.StatusCode(error.code).name
+                raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
+            self._lose(f"{self._endpoint} reported {ua.StatusCode(error.code).name} while {what}", error)
+        except (OSError, UaError) as error:
+            self._lose(
+                f"{self._endpoint} was lost while {what}: {error or type(error).__name__}{self._suspicion()}", error
+            )
+
+    def _suspicion(self) -> str:
+        """Say what a server that breaks off the secure handshake without a word usually means."""
+        if not (self.secure and self._client is not None and not self.identity):
+            return ""
+        return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
+
+
+async def _cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
+    """Await a call of the library with cancellation as asyncio's time-out knows it.
+
+    When a call ends in the instant it is given up, the library raises a class of its own below CancelledError; asyncio
+    would not turn that into a TimeoutError, and it would end the task that waits.
+    """
+    try:
+        return await call
+    except asyncio.CancelledError as cancelled:
+        raise asyncio.CancelledError from cancelled
+
+
+def _security_of(credentials: OpcUaCredentials | None) -> tuple[ua.MessageSecurityMode, str]:
+    if credentials is None:
+        return ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
+    return ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
+
+
+def _secure(client: Any, credentials: OpcUaCredentials) -> None:
+    """Prepare the client (Any: the library declares its policy attribute as the policy None)."""
+    make_policy: Any = SecurityPolicyBasic256Sha256
+    client.application_uri = credentials.application_uri
+    client.security_policy = make_policy(
+        credentials.server_certificate,
+        credentials.certificate,
+        credentials.private_key,
+        ua.MessageSecurityMode.SignAndEncrypt,
+    )
+    client.uaclient.set_security(client.security_policy)
+
+
+def _abort(client: Client) -> None:
+    """Drop the socket at once: a graceful close would wait for a peer that may be gone."""
+    client.uaclient.request_disconnect()
+    protocol = client.uaclient.protocol
+    if protocol is not None and protocol.transport is not None:
+        protocol.transport.abort()
+    client.disconnect_socket()

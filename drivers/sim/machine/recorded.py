@@ -1,0 +1,191 @@
+"""A machine that plays a recording: its temperatures, displacements and spindle speed, on a simulated NC.
+
+The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, and from there on
+the tool is always at a safe point, so that the NC applies what it is given once a second.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from config.schema.cnc import MacroMapConfig
+from config.schema.compensation import AxisConfig
+from config.schema.guard import GuardConfig
+from config.schema.temperatures import SensorConfig
+from drivers.sim.contract import AxisTruth
+from drivers.sim.nc.nc import NumericalControl, RunCode
+from drivers.sim.nc.nc_programs import NcPrograms
+from drivers.sim.nc.program import Block
+from drivers.sim.nc.safe_point import SafePointApplication
+from models.recordings.dataset import Recording
+from models.records import FloatArray
+
+LEAD_IN_S = 120.0
+"""The reference is the mean of a minute, so the first block is shown for longer than that [s]."""
+POSITIONING_S = 20.0
+PROGRAM, POSITIONING, SAFE = 3000, 100, 900
+ROOM_DEGC = 25.0
+
+
+class RecordedMachine:
+    """Implements `drivers.sim.contract.SimulatedMachine` for one recording; every channel is an axis."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        sensors: Sequence[SensorConfig],
+        macro_map: MacroMapConfig,
+        axes: Mapping[str, AxisConfig],
+        guard: GuardConfig | None = None,
+        *,
+        block_s: float,
+    ) -> None:
+        if len(sensors) != len(recording.temperature_names):
+            raise ValueError(
+                f"the recording has {len(recording.temperature_names)} temperatures, the machine {len(sensors)} sensors"
+            )
+        self._recording = recording
+        self._time_s = recording.time_s - recording.time_s[0]
+        first = self._time_s < block_s
+        self._first_degc: FloatArray = recording.temperatures_degc[first].mean(axis=0)
+        self._zero_um: FloatArray = recording.displacements_um[first].mean(axis=0)
+        self._position = {sensor.id: index for index, sensor in enumerate(sensors)}
+        self._axes = tuple(axes)
+        names = recording.displacement_names
+        self._channels = {name: axis.estimate for name, axis in axes.items() if axis.estimate in names}
+        self.time_s = 0.0
+        self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
+        self._guard = SafePointApplication(macro_map, axes, guard)
+        self._guard.initialise(self._nc.macros, self._nc.clock_s)
+        self._programs = NcPrograms(self._guard, self._nc)
+        self._coming = [
+            (LEAD_IN_S, Block(sequence_number=POSITIONING, kind="positioning", duration_s=POSITIONING_S)),
+            (LEAD_IN_S + POSITIONING_S, Block(sequence_number=SAFE, kind="safe", duration_s=self.duration_s)),
+        ]
+        self._blocks = BlockMeans(block_s, len(self._axes))
+        self._show()
+
+    @property
+    def nc(self) -> NumericalControl:
+        """The NC's state."""
+        return self._nc
+
+    @property
+    def duration_s(self) -> float:
+        """How long it plays, lead-in included [s]."""
+        return LEAD_IN_S + float(self._time_s[-1])
+
+    def advance(self, to_s: float) -> None:
+        """Move on to the simulated time `to_s` [s]; a past time is ignored."""
+        if to_s <= self.time_s:
+            return
+        self.time_s = to_s
+        self._show()
+        while self._coming and self._coming[0][0] <= to_s:
+            start_s, block = self._coming.pop(0)
+            self._programs.run_until(start_s)
+            self._programs.enter(block, start_s, probed_um=None)
+        self._programs.run_until(np.nextafter(to_s, np.inf))
+        if LEAD_IN_S <= to_s <= self.duration_s:
+            self._blocks.add(to_s - LEAD_IN_S, self._error_um(), self._applied_um())
+
+    def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
+        """Return the TMP102 codes of the recording's row now; NaN in the recording reads 0."""
+        playing = self.time_s >= LEAD_IN_S
+        row = self._recording.temperatures_degc[self._row()] if playing else self._first_degc
+        codes = []
+        for sensor_id in sensor_ids:
+            degc = row[self._position[sensor_id]]
+            counts = 0 if not np.isfinite(degc) else round(float(np.clip(degc, -128.0, 127.9)) * 16)
+            codes.append(counts & 0xFFF)
+        return codes
+
+    def displacement_um(self) -> dict[str, float]:
+        """Return the recording's displacements now by channel [um], with what the NC applies to their axes."""
+        row = self._recording.displacements_um[self._row()]
+        readings = dict(zip(self._recording.displacement_names, row.tolist(), strict=True))
+        for axis, channel in self._channels.items():
+            assert channel is not None
+            readings[channel] += self._guard.applied_um[axis]
+        return readings
+
+    def truth(self) -> dict[str, AxisTruth]:
+        """Return what was measured since the first block, without and with what the NC has applied."""
+        if self.time_s < LEAD_IN_S:
+            return {}
+        error, applied = self._error_um(), self._applied_um()
+        return {
+            axis: AxisTruth(uncompensated_um=float(error[i]), compensated_um=float(error[i] + applied[i]), cutting=True)
+            for i, axis in enumerate(self._axes)
+        }
+
+    def channels(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Return RMSE and largest error per channel without and with compensation [um], of the block means."""
+        without, compensated = self._blocks.series()
+        return {
+            axis: {"without": _summary(without[:, i]), "with": _summary(compensated[:, i])}
+            for i, axis in enumerate(self._axes)
+        }
+
+    def _row(self) -> int:
+        played_s = max(self.time_s - LEAD_IN_S, 0.0)
+        return max(int(np.searchsorted(self._time_s, played_s, side="right")) - 1, 0)
+
+    def _error_um(self) -> FloatArray:
+        error: FloatArray = self._recording.displacements_um[self._row()] - self._zero_um
+        return error
+
+    def _applied_um(self) -> FloatArray:
+        return np.array(list(self._guard.applied_um.values()))
+
+    def _show(self) -> None:
+        nc, speed = self._nc, self._recording.speed_rpm
+        nc.clock_s = nc.clock_at(self.time_s)
+        nc.spindle_speed_rpm = float(speed[self._row()]) if speed is not None else 0.0
+        nc.motor_temperature_degc = ROOM_DEGC
+        positioned = self.time_s >= LEAD_IN_S
+        nc.run = RunCode.START if positioned else RunCode.STOP
+        if positioned:
+            nc.sequence_number = POSITIONING if self.time_s < LEAD_IN_S + POSITIONING_S else SAFE
+
+
+class BlockMeans:
+    """Means over successive blocks of errors without and with compensation."""
+
+    def __init__(self, block_s: float, width: int) -> None:
+        self._block_s = block_s
+        self._number = 0
+        self._count = 0
+        self._sums = np.zeros((2, width))
+        self._done: list[FloatArray] = []
+
+    def add(self, time_s: float, error_um: FloatArray, applied_um: FloatArray) -> None:
+        """Take one moment into its block."""
+        number = int(time_s // self._block_s)
+        if number != self._number:
+            self._close()
+            self._number = number
+        self._sums += (error_um, error_um + applied_um)
+        self._count += 1
+
+    def series(self) -> tuple[FloatArray, FloatArray]:
+        """Return the two series of block means [um], shape (blocks, channels) each, from the first block's level."""
+        rows = [*self._done, self._sums / self._count] if self._count else self._done
+        if not rows:
+            empty = np.zeros((0, self._sums.shape[1]))
+            return empty, empty
+        stacked = np.array(rows)
+        return stacked[:, 0], stacked[:, 1]
+
+    def _close(self) -> None:
+        if self._count:
+            self._done.append(self._sums / self._count)
+        self._sums = np.zeros_like(self._sums)
+        self._count = 0
+
+
+def _summary(series_um: FloatArray) -> dict[str, float]:
+    known = series_um[np.isfinite(series_um)]
+    if not known.size:
+        return {"rmse_um": float("nan"), "max_um": float("nan")}
+    return {"rmse_um": float(np.sqrt(np.mean(known**2))), "max_um": float(np.abs(known).max())}

@@ -1,0 +1,63 @@
+"""Recordings of whole simulated days, for training and for tests."""
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from config.schema.temperatures import SensorConfig
+from drivers.sim.machine.body import MachineBody
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.plant import MAX_STEP_S
+from drivers.sim.machine.sensors import RotationJump
+from drivers.sim.machine.structure import CHANNELS
+from drivers.sim.nc.program import PartProgram
+from models.records import FloatArray
+
+
+def record(
+    day: Day,
+    program: PartProgram,
+    sensors: Sequence[SensorConfig],
+    *,
+    hours: float,
+    sample_s: float = MAX_STEP_S,
+    machine_seed: int = 1,
+    rotation_jump: RotationJump | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Run a day and return column names and values.
+
+    Columns: t [s], rpm (actual spindle speed), the displacement channels as the A/D logger reads
+    them [um], T1, T2 .. by sensor number, as decoded from the registers [degC]. Rows are samples
+    at 0, `sample_s`, 2 `sample_s` .. , up to `hours`. `progress` is called with 0..1 now and then.
+    """
+    if sample_s < MAX_STEP_S:
+        raise ValueError(f"sample_s is {sample_s}; the sensors convert once in {MAX_STEP_S} s")
+    body = MachineBody(day, program, sensors, machine_seed=machine_seed, rotation_jump=rotation_jump)
+    header = ("t", "rpm", *CHANNELS, *(f"T{sensor_id}" for sensor_id in body.sensors.ids))
+    count = int(hours * 3600.0 / sample_s) + 1
+    rows = np.empty((count, len(header)))
+    for index in range(count):
+        body.advance(index * sample_s, leaving=_ignore, entered=_ignore)
+        rows[index, 0] = body.time_s
+        rows[index, 1] = body.spindle_speed_rpm
+        rows[index, 2 : 2 + len(CHANNELS)] = list(body.displacement_um().values())
+        rows[index, 2 + len(CHANNELS) :] = body.sensors.degc(body.register_codes())
+        if progress and index % 360 == 0:
+            progress(index / count)
+    return header, rows
+
+
+def write_recording(path: Path, header: Sequence[str], rows: FloatArray) -> None:
+    """Write a recording as a plain CSV table: one header row, then numbers."""
+    decimals = [1, 0] + [1] * len(CHANNELS) + [4] * (len(header) - 2 - len(CHANNELS))
+    line = ",".join(f"%.{places}f" for places in decimals) + "\n"
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(header)
+        file.writelines(line % tuple(row) for row in rows.tolist())
+
+
+def _ignore(*_: object) -> None:
+    """Nothing watches a recording."""

@@ -1,0 +1,121 @@
+"""The NC programs as the simulated NC runs them: the very text that `toolpoint guard` prints.
+
+The guard reads the block of macro variables at safe points and changes the external work offset by G10. What is
+applied is that offset minus the operator's own, whatever the echo says.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+from config.schema.cnc import MacroMapConfig
+from config.schema.compensation import AxisConfig
+from config.schema.guard import AxisLetter, GuardAxisConfig, GuardConfig
+from drivers.guard import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_text
+from drivers.sim.contract import Macros
+from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroProgram, compile_programs
+
+LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "A", "B", "C", "U", "V", "W")
+SIMULATED_INCREMENT_MM = 0.0001
+"""Offsets of the simulated control, where no configuration says otherwise (IS-C) [mm]."""
+
+
+@lru_cache(maxsize=8)
+def _compiled(text: str) -> dict[int, MacroProgram]:
+    return compile_programs(text)
+
+
+def simulated_guard(axes: Mapping[str, AxisConfig]) -> GuardConfig:
+    """Return the guard's settings for a control that exists only here: its axes are numbered in their order."""
+    if {name.lower() for name in axes} <= {"x", "y", "z"}:
+        return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM)
+    numbered = {
+        name: GuardAxisConfig(letter=letter, number=number)
+        for number, (name, letter) in enumerate(zip(axes, LETTERS, strict=False), start=1)
+    }
+    return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM, axes=numbered)
+
+
+class SafePointApplication:
+    """The NC programs of one machine on a simulated control."""
+
+    def __init__(
+        self, macro_map: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig | None = None
+    ) -> None:
+        guard = guard or simulated_guard(axes)
+        self._map = macro_map
+        self._axes = guard_axes(axes, guard)
+        self._memory = guard.memory_of(len(axes))
+        self.programs = GuardPrograms.of(macro_map, guard)
+        self.text = guard_text(macro_map, axes, guard)
+        """What the NC runs."""
+        letters = {axis.number: axis.letter for axis in self._axes.values()}
+        self.control = MacroControl(
+            _NoMacros(),
+            addresses=[letters.get(number, "") for number in range(1, max(letters) + 1)],
+            increment_mm=guard.increment_mm,
+        )
+        if guard.read_ahead_stop.startswith("M"):
+            self.control.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
+        self.interpreter = Interpreter(_compiled(self.text), self.control)
+        self._own_mm = dict.fromkeys(axes, 0.0)
+
+    @property
+    def applied_um(self) -> dict[str, float]:
+        """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um]."""
+        return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
+
+    def change_own_offset(self, axis: str, by_um: float) -> None:
+        """Let the operator add to his own offset by hand [um]."""
+        self._own_mm[axis] += by_um / 1000.0
+        self.control.external_mm[self._axes[axis].number - 1] += by_um / 1000.0
+
+    def place(self, macros: Macros, applied_um: Mapping[str, float]) -> None:
+        """Make the control one that applies these offsets [um] and remembers it."""
+        for place, axis in enumerate(self._axes):
+            if axis in applied_um:
+                mm = applied_um[axis] / 1000.0
+                self.control.external_mm[self._axes[axis].number - 1] = self._own_mm[axis] + mm
+                macros.set(self._map.echo_applied[axis], mm * 1000.0 / self._map.unit_um)
+                macros.set(self._memory[-len(self._axes)] + place, mm)
+
+    def initialise(self, macros: Macros, clock_s: float) -> None:
+        """Bring block, echo and memory to what commissioning leaves in a machine that compensates nothing."""
+        for number in (self._map.sequence_a, self._map.sequence_b, self._map.enable, *self._map.values.values()):
+            macros.set(number, 0.0)
+        macros.set(self._map.valid_until, None)
+        if self._map.request is not None:
+            macros.set(self._map.request.acknowledge, 0.0)
+        self._own_mm = {axis: self._external_mm(axis) for axis in self._axes}
+        self.at(macros, clock_s).run(self.programs.initialise, A=1.0)
+
+    def run(self, macros: Macros, clock_s: float) -> GuardStatus:
+        """Call the guard once, as a part program does at a safe point; return the status that it echoes."""
+        self.at(macros, clock_s).run(self.programs.guard)
+        return GuardStatus(round(macros.get(self._map.echo_status) or 0.0))
+
+    def at(self, macros: Macros, clock_s: float) -> Interpreter:
+        """Return the interpreter with these macro variables, at this time of the NC's clock [s]."""
+        self.control.common = macros
+        self.control.clock_s = clock_s
+        return self.interpreter
+
+    def power_cycle(self) -> None:
+        """Switch the control off and on: what ran is gone, offsets stay."""
+        self.interpreter.reset()
+        self.control.power_on()
+
+    def _external_mm(self, axis: str) -> float:
+        return self.control.external_mm[self._axes[axis].number - 1]
+
+
+class _NoMacros:
+    """A control before its first call has no macro variables."""
+
+    def get(self, number: int) -> float | None:
+        raise KeyError(f"macro variable #{number} is not there yet")
+
+    def set(self, number: int, value: float | None) -> None:
+        raise KeyError(f"macro variable #{number} is not there yet")
+
+
+__all__ = ["GUARD_VERSION", "GuardStatus", "SafePointApplication", "simulated_guard"]

@@ -1,0 +1,110 @@
+"""The LATSIS lines of a simulated machine on pseudo-terminals.
+
+Nothing here sleeps: the owner moves the lines on in simulated time with `step`, as often as it
+likes. Times are absolute, so a late step sends what has become due in between and no drift builds up.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from config.schema.temperatures import TemperaturesConfig
+from drivers.sim.contract import SimulatedMachine
+from drivers.sim.faults import Fault
+from drivers.sim.wires.latsis_encoding import LineTransmitter
+from drivers.sim.wires.pty_port import PtyPort
+
+PHASE_STEP = 0.381966
+"""Share of the period by which each line starts after the one before it: never in step, never far apart."""
+
+
+Passed = Callable[[str, float, float], None]
+
+
+class LatsisWires:
+    """All lines of one machine."""
+
+    def __init__(
+        self,
+        machine: SimulatedMachine,
+        config: TemperaturesConfig,
+        directory: Path,
+        *,
+        first_pass_s: float | None = None,
+        until_s: float = math.inf,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+    ) -> None:
+        first_s = machine.time_s if first_pass_s is None else first_pass_s
+        devices: dict[int, str] = {sensor.id: sensor.device for sensor in config.sensors}
+        self._lines = {
+            line.name: (
+                LineTransmitter(
+                    line,
+                    devices,
+                    machine.register_codes,
+                    phase_s=first_s + index * PHASE_STEP % 1 * line.cycle_period_s,
+                    until_s=until_s,
+                    faults=faults,
+                    seed=seed,
+                ),
+                PtyPort(directory / f"{line.name}.tty"),
+            )
+            for index, line in enumerate(config.lines)
+        }
+
+    @property
+    def cycles_sent(self) -> dict[str, int]:
+        """Passes that went out whole, by line."""
+        return {name: transmitter.cycles_sent for name, (transmitter, _) in self._lines.items()}
+
+    @property
+    def cycles_disturbed(self) -> dict[str, int]:
+        """Passes that a fault touched, by line."""
+        return {name: transmitter.cycles_disturbed for name, (transmitter, _) in self._lines.items()}
+
+    @property
+    def idle(self) -> bool:
+        """No line has a pass under way."""
+        return all(transmitter.idle for transmitter, _ in self._lines.values())
+
+    @property
+    def bytes_dropped(self) -> dict[str, int]:
+        """Bytes lost to an absent or slow reader, by line."""
+        return {name: port.bytes_dropped for name, (_, port) in self._lines.items()}
+
+    def link(self, line: str) -> Path:
+        """Return the name under which a line's port appears."""
+        return self._lines[line][1].link
+
+    def open(self) -> None:
+        """Make all ports appear, and their directory."""
+        for _, port in self._lines.values():
+            port.link.parent.mkdir(parents=True, exist_ok=True)
+            port.plug()
+
+    @property
+    def next_start_s(self) -> float:
+        """When the next pass of any line reads its registers [s of the machine]."""
+        return min(transmitter.next_start_s for transmitter, _ in self._lines.values())
+
+    def step(self, now_s: float, passed: Passed | None = None) -> None:
+        """Send what is due at a simulated time [s]; pull and plug adapters as the faults say.
+
+        `passed(line, start_s, end_s)` is called for each pass, right before its last bytes go out.
+        """
+        for name, (transmitter, port) in self._lines.items():
+            before = transmitter.last_pass_s
+            due = transmitter.advance(now_s)
+            if passed is not None and transmitter.last_pass_s not in (None, before):
+                passed(name, *transmitter.last_pass_s)
+            if not transmitter.plugged(now_s):
+                port.unplug()
+                continue
+            port.plug()
+            port.write(due)
+
+    def close(self) -> None:
+        """Make all ports vanish. May be called more than once."""
+        for _, port in self._lines.values():
+            port.unplug()

@@ -1,0 +1,377 @@
+"""Where the request counts from: the baseline of a reference, of a tool setting, and of a probe value.
+
+request = baseline + offset - weight (estimate - estimate at the tool setting + tool term)
+
+Setting a reference, setting a tool and changing the model never move the output; a probe value
+does, and the limits of `models.control.compensation` bound how fast.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.records import FloatArray, OutputState, Phase
+
+SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
+"""States in which the output is meant to stay where the reference found it."""
+ROUNDED_UM = 1.0
+"""A control rounds what it applies to its least increment [um]."""
+SETTLED_UM = 1e-3
+"""The CNC holds a value when what was read back differs by less than this [um]."""
+
+
+def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
+    """Make what is applied the baseline of a new reference; keep the output where it is.
+
+    While the CNC does not yet hold the new command, the guard may still apply the old one: what
+    it then applied is the baseline, because moving back would be a second step on the part.
+
+    Parameters
+    ----------
+    memory
+        From the previous step.
+    inputs
+        What is known now.
+    stale_after_s
+        An older estimate does not tell how far the machine has gone until a new reference [s].
+
+    Returns
+    -------
+    OutputMemory
+        With the reference of the inputs, or the old one while the echo is unknown.
+
+    """
+    if inputs.reference_id != memory.reference_id:
+        return _new_reference(memory, inputs, stale_after_s)
+    if memory.reference_id is None:
+        return _without_reference(memory, inputs)
+    if memory.settling:
+        return _settle(memory, inputs)
+    return _follow_model(memory, inputs)
+
+
+def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Keep what is applied as the baseline of a tool on the axes that were set with it.
+
+    Parameters
+    ----------
+    memory
+        After `follow_reference`.
+    inputs
+        `tool_setting` tells the axes, `tool_number` the tool [-].
+
+    Returns
+    -------
+    OutputMemory
+        Unchanged without a setting, without a valid reference, or without an echo.
+
+    """
+    axes = inputs.tool_setting
+    if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
+        return memory
+    error = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
+    before = memory.tools.get(inputs.tool_number)
+    unset = np.full_like(memory.command_um, np.nan)
+    chosen = np.array(axes, dtype=bool)
+    rest = ToolBaseline(
+        baseline_um=np.where(chosen, inputs.applied_um, before.baseline_um if before else unset),
+        error_um=np.where(chosen, error, before.error_um if before else 0.0),
+        offset_um=np.where(chosen, memory.offset_um, before.offset_um if before else 0.0),
+    )
+    command = np.where(chosen, inputs.applied_um, memory.command_um)
+    return replace(
+        memory,
+        tools=MappingProxyType({**memory.tools, inputs.tool_number: rest}),
+        command_um=memory.command_um if memory.state is OutputState.FAULT else command,
+        settling=memory.state in SETTLING_STATES,
+        pending_um=inputs.written_um,
+    )
+
+
+def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray, FloatArray]:
+    """Return where the request counts from with the tool in the spindle.
+
+    Parameters
+    ----------
+    memory, inputs
+        `inputs.tool_number` selects the tool's setting.
+
+    Returns
+    -------
+    baseline_um, error_um : shape (n_axes,)
+        Baseline [um], and the estimate that belongs to it [um].
+
+    """
+    tool = memory.tools.get(inputs.tool_number)
+    if tool is None:
+        return memory.baseline_um, np.zeros_like(memory.baseline_um)
+    own = np.isfinite(tool.baseline_um)
+    return np.where(own, tool.baseline_um, memory.baseline_um), np.where(own, tool.error_um, 0.0)
+
+
+def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
+    """Return what follows from the estimate.
+
+    Parameters
+    ----------
+    memory, inputs
+        Baselines, offset and weight; the estimate [um].
+
+    Returns
+    -------
+    numpy.ndarray, shape (n_axes,)
+        baseline + offset since the setting - weight (estimate since the setting + tool term) [um];
+        NaN without an estimate.
+
+    """
+    baseline, error = rest_of_tool(memory, inputs)
+    tool = memory.tools.get(inputs.tool_number)
+    before = 0.0 if tool is None else np.where(np.isfinite(tool.baseline_um), tool.offset_um, 0.0)
+    request: FloatArray = baseline + memory.offset_um - before - memory.weight * (inputs.error_of_tool_point_um - error)
+    return request
+
+
+def probe_objection(
+    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, obstacle: str, probe_um: FloatArray
+) -> str:
+    """Return why a probe value cannot correct the estimate, '' when it can.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.control.compensation.step`.
+    obstacle
+        What stands against following the estimate, '' when nothing does.
+    probe_um : shape (n_axes,)
+        Deviation per axis, actual minus nominal [um]; NaN where not probed.
+
+    Returns
+    -------
+    str
+        A sentence, or ''.
+
+    """
+    probed = np.isfinite(probe_um)
+    if not probed.any():
+        return "no axis was probed"
+    if obstacle:
+        return f"the estimate cannot be corrected: {obstacle}"
+    if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
+        return "the axis has no estimate"
+    correction = inputs.applied_um - probe_um - request_um(memory, inputs)
+    for axis, change in zip(limits.axes, correction, strict=True):
+        if abs(change) > limits.probe_bound_um:
+            return (
+                f"axis {axis}: the probe value would correct the estimate by {abs(change):.1f} um, "
+                f"more than the bound of {limits.probe_bound_um:g} um"
+            )
+    return ""
+
+
+def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Let the request cancel a probe's deviation from now on.
+
+    Parameters
+    ----------
+    memory, inputs
+        `inputs.probe_um` is what is left with what is applied now [um]; `probe_objection` was asked before.
+
+    Returns
+    -------
+    OutputMemory
+        With the offset that makes the request `applied - deviation` on the probed axes.
+
+    """
+    if inputs.probe_um is None or memory.reference_id is None:
+        return memory
+    correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
+    known = np.isfinite(correction)
+    return replace(memory, offset_um=memory.offset_um + np.where(known, correction, 0.0))
+
+
+def weight_of(confidence: float, limits: OutputLimits) -> float:
+    """Return the share of the estimate that a confidence is worth.
+
+    Parameters
+    ----------
+    confidence
+        0..1 [-].
+    limits
+        0 at `min_confidence`, 1 from `full_confidence` on, linear between.
+
+    Returns
+    -------
+    float
+        0..1 [-].
+
+    """
+    if confidence >= limits.full_confidence:
+        return 1.0
+    span = limits.full_confidence - limits.min_confidence
+    return float(np.clip((confidence - limits.min_confidence) / span, 0.0, 1.0)) if span > 0 else 0.0
+
+
+def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    """Renew the weight of the estimate between cuts; within a cut it stays.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.control.compensation.step`.
+
+    Returns
+    -------
+    OutputMemory
+        With the weight of the confidence now, except while the output follows or holds in a cut.
+
+    """
+    cutting = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
+    if cutting or inputs.confidence < limits.min_confidence:
+        return memory
+    return replace(memory, weight=weight_of(inputs.confidence, limits))
+
+
+def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Remember the latest estimate, from which a new reference tells how far the machine had gone until then.
+
+    Parameters
+    ----------
+    memory
+        From the previous step.
+    inputs
+        Estimate and what it counts from.
+
+    Returns
+    -------
+    OutputMemory
+        With the estimate of each axis that has one, when it counts from the latest reference.
+
+    """
+    if inputs.estimate_reference_id is None or inputs.estimate_reference_id != memory.error_reference_id:
+        return memory
+    known = np.isfinite(inputs.thermal_error_um)
+    if not known.any() or not np.isfinite(inputs.estimate_age_s):
+        return memory
+    before = memory.error_um if memory.error_um is not None else np.zeros_like(inputs.thermal_error_um)
+    return replace(
+        memory,
+        error_um=np.where(known, inputs.thermal_error_um, before),
+        error_s=inputs.now_s - inputs.estimate_age_s,
+    )
+
+
+def _without_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Keep the tool settings while no reference is valid; without what they count from they end.
+
+    Another model tells anew how far the machine has gone since the reference that has ended. What was
+    estimated until now stays, so the settings are counted from where the new model sees that reference.
+    """
+    if memory.error_reference_id is None:
+        return memory
+    if inputs.kept_reference_id != memory.error_reference_id:
+        return replace(memory, error_um=None, error_reference_id=None, tools=MappingProxyType({}))
+    if inputs.model_id in (None, memory.model_id) or inputs.estimate_reference_id != memory.error_reference_id:
+        return memory
+    if memory.model_id is None or memory.error_um is None:
+        return replace(memory, model_id=inputs.model_id)
+    change = np.nan_to_num(inputs.thermal_error_um - memory.error_um)
+    return replace(memory, model_id=inputs.model_id, tools=_counted_from(memory.tools, -change, 0.0))
+
+
+def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
+    if inputs.reference_id is None:
+        return _without_reference(replace(memory, reference_id=None, settling=False), inputs)
+    if not (inputs.link and np.all(np.isfinite(inputs.applied_um))):
+        return memory
+    return replace(
+        memory,
+        reference_id=inputs.reference_id,
+        model_id=inputs.model_id,
+        baseline_um=inputs.applied_um.copy(),
+        offset_um=np.zeros_like(memory.offset_um),
+        command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
+        settling=memory.state in SETTLING_STATES,
+        pending_um=inputs.written_um,
+        error_um=np.zeros_like(memory.command_um),
+        error_s=inputs.now_s,
+        error_reference_id=inputs.reference_id,
+        tools=_tools_since(memory, inputs, stale_after_s),
+    )
+
+
+def _tools_since(
+    memory: OutputMemory, inputs: OutputInputs, stale_after_s: float
+) -> MappingProxyType[int, ToolBaseline]:
+    """Return the tool settings counted from a new reference; the tool in the spindle is set anew by it."""
+    if memory.error_um is None or inputs.now_s - memory.error_s > stale_after_s:
+        return MappingProxyType({})
+    tools = dict(_counted_from(memory.tools, memory.error_um, memory.offset_um))
+    if (here := tools.get(inputs.tool_number)) is not None:
+        nothing = np.zeros_like(memory.command_um)
+        baseline = np.where(np.isfinite(here.baseline_um), inputs.applied_um, np.nan)
+        tools[inputs.tool_number] = ToolBaseline(baseline_um=baseline, error_um=nothing, offset_um=nothing)
+    return MappingProxyType(tools)
+
+
+def _counted_from(
+    tools: Mapping[int, ToolBaseline], error_um: FloatArray, offset_um: FloatArray | float
+) -> MappingProxyType[int, ToolBaseline]:
+    """Return tool settings counted from where estimate and offset were these [um]."""
+    return MappingProxyType(
+        {
+            number: replace(rest, error_um=rest.error_um - error_um, offset_um=rest.offset_um - offset_um)
+            for number, rest in tools.items()
+        }
+    )
+
+
+def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    if memory.state not in SETTLING_STATES or memory.to_zero or inputs.zero_first:
+        return replace(memory, settling=False)
+    applied = inputs.applied_um
+    if not (inputs.link and np.all(np.isfinite(applied))):
+        return memory
+    moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied)
+    if moved.any():
+        return replace(_rest_at(memory, inputs, moved), command_um=np.where(moved, applied, memory.command_um))
+    held = inputs.written_um is None or bool(np.all(np.abs(inputs.written_um - memory.command_um) <= SETTLED_UM))
+    return replace(memory, settling=not held)
+
+
+def _on_the_way(memory: OutputMemory, applied_um: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return on which axes the guard has gone from the baseline towards what the block held at the reference."""
+    if memory.pending_um is None:
+        return np.ones(len(applied_um), dtype=np.bool_)
+    pending = np.where(np.isfinite(memory.pending_um), memory.pending_um, memory.command_um)
+    lowest, highest = np.minimum(memory.command_um, pending), np.maximum(memory.command_um, pending)
+    on_the_way: npt.NDArray[np.bool_] = (applied_um >= lowest - ROUNDED_UM) & (applied_um <= highest + ROUNDED_UM)
+    return on_the_way
+
+
+def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.bool_]) -> OutputMemory:
+    """Return the memory with the baseline moved to what the guard applied meanwhile."""
+    tool = memory.tools.get(inputs.tool_number)
+    own = np.isfinite(tool.baseline_um) if tool is not None else np.zeros(len(moved), dtype=bool)
+    tools = dict(memory.tools)
+    if tool is not None:
+        tools[inputs.tool_number] = replace(
+            tool, baseline_um=np.where(moved & own, inputs.applied_um, tool.baseline_um)
+        )
+    baseline = np.where(moved & ~own, inputs.applied_um, memory.baseline_um)
+    return replace(memory, baseline_um=baseline, tools=MappingProxyType(tools))
+
+
+def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    if memory.model_id is None:
+        return replace(memory, model_id=inputs.model_id)
+    if inputs.model_id == memory.model_id or inputs.model_id is None:
+        return memory
+    unmoved = replace(memory, offset_um=np.zeros_like(memory.offset_um))
+    request = request_um(unmoved, inputs)
+    baseline, _ = rest_of_tool(memory, inputs)
+    offset = memory.command_um - np.where(np.isfinite(request), request, baseline)
+    return replace(memory, model_id=inputs.model_id, offset_um=offset)

@@ -1,0 +1,308 @@
+"""The output's state machine and limits, as a pure step.
+
+`step` takes what is known now and returns what to write. It knows neither clock nor wire, so
+that every history of inputs, faults and operator actions can be tested. The table `TRANSITIONS`
+is the whole state machine: for each state the conditions that leave it, the first that holds wins.
+
+Sign: thermal error is actual minus nominal; compensation is minus the error, after the limits.
+"""
+
+from dataclasses import replace
+from enum import StrEnum
+
+import numpy as np
+
+from models.control.baseline import (
+    follow_confidence,
+    follow_error,
+    follow_reference,
+    follow_tool,
+    request_um,
+    rest_of_tool,
+    take_probe,
+    weight_of,
+)
+from models.control.state import OutputInputs, OutputLimits, OutputMemory
+from models.records import CompensationCommand, FloatArray, OutputState, Phase
+
+LONGEST_INTERVAL_S = 30.0
+"""A step after a longer pause moves no further than after this one [s]."""
+ZERO_UM = 1e-6
+"""An applied value smaller than this is zero [um]."""
+
+
+class Condition(StrEnum):
+    """What may leave a state."""
+
+    OUTPUT_FAULT = "output not trusted"
+    WANTED = "an axis is switched on"
+    NONE_WANTED = "every axis is switched off"
+    ZERO_FIRST = "the offset is taken out before work is positioned"
+    READY = "reference, model, input and links are good"
+    BAD_INPUT = "input is not good"
+    HELD_TOO_LONG = "held for longer than the limit"
+    RETREATED = "the guard applies zero"
+    ACKNOWLEDGED = "acknowledged by a person"
+
+
+TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
+    OutputState.OFF: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.WANTED, OutputState.ARMED),
+    ),
+    OutputState.ARMED: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
+        (Condition.READY, OutputState.ACTIVE),
+    ),
+    OutputState.ACTIVE: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
+        (Condition.BAD_INPUT, OutputState.HOLD),
+    ),
+    OutputState.HOLD: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.NONE_WANTED, OutputState.RETREAT),
+        (Condition.ZERO_FIRST, OutputState.RETREAT),
+        (Condition.READY, OutputState.ACTIVE),
+        (Condition.HELD_TOO_LONG, OutputState.RETREAT),
+    ),
+    OutputState.RETREAT: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.WANTED, OutputState.ARMED),
+        (Condition.RETREATED, OutputState.OFF),
+    ),
+    OutputState.FAULT: ((Condition.ACKNOWLEDGED, OutputState.HOLD),),
+}
+"""State -> (condition, next state), the first condition that holds wins."""
+
+
+def initial_memory(
+    *, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...], reason: str = "started"
+) -> OutputMemory:
+    """Return the memory at the start of the daemon: the command begins at the CNC's echo.
+
+    Parameters
+    ----------
+    now_s
+        Monotonic time [s].
+    applied_um
+        The guard's echo, shape (n_axes,) [um]; every value must be finite.
+    wanted
+        Axes that a person had switched on before the restart.
+    reason
+        Shown to people.
+
+    Raises
+    ------
+    ValueError
+        When an echo is not finite: nothing may start from an unknown position.
+
+    """
+    if not np.all(np.isfinite(applied_um)):
+        raise ValueError("the CNC's echo is vacant or not a number; commissioning initialises it")
+    moved = bool(np.any(np.abs(applied_um) > ZERO_UM))
+    axes = len(applied_um)
+    return OutputMemory(
+        state=OutputState.HOLD if moved else OutputState.OFF,
+        since_s=now_s,
+        reason="the CNC still applies an offset from before the start" if moved else reason,
+        last_s=now_s,
+        command_um=np.array(applied_um, dtype=np.float64),
+        baseline_um=np.array(applied_um, dtype=np.float64),
+        reference_id=None,
+        model_id=None,
+        offset_um=np.zeros(axes),
+        wanted=wanted,
+    )
+
+
+def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tuple[OutputMemory, CompensationCommand]:
+    """Advance the output by one step.
+
+    Parameters
+    ----------
+    memory
+        From `initial_memory` or the previous step.
+    inputs
+        What is known now; arrays of shape (n_axes,) in the order of `limits.axes`.
+    limits
+        Bounds; `n_axes` rows.
+
+    Returns
+    -------
+    memory, command
+        The new memory, and what is to be written. `command.compensation_um` is finite, never
+        leaves the absolute bound by moving, and moves by at most the slew rate [um], except that
+        it returns at once to what the guard has applied when a reference is set and when a fault
+        is acknowledged (the tool is already there).
+
+    """
+    memory = _heed_requests(memory, inputs, limits)
+    memory = follow_tool(follow_reference(memory, inputs, limits.stale_after_s), inputs)
+    memory = follow_confidence(take_probe(memory, inputs), inputs, limits)
+    memory = _change_state(memory, inputs, limits)
+    requested = _request(memory, inputs)
+    command, hit = _limit(memory, inputs, limits, requested)
+    memory = replace(
+        follow_error(memory, inputs), command_um=command, last_s=max(inputs.now_s, memory.last_s), limits_hit=hit
+    )
+    enable = _enable_bits(memory, inputs)
+    return memory, CompensationCommand(
+        axes=limits.axes,
+        requested_um=requested.copy(),
+        compensation_um=command.copy(),
+        enable=enable,
+        state=memory.state,
+        reason=memory.reason,
+        write=inputs.link and memory.state is not OutputState.FAULT,
+        limits_hit=hit,
+    )
+
+
+def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> str:
+    """Return the first thing that stands against following the estimate, '' when nothing does."""
+    if inputs.refusals:
+        return inputs.refusals[0]
+    if not inputs.link:
+        return "no link to the CNC"
+    if not np.all(np.isfinite(inputs.applied_um)):
+        return "the CNC's echo is vacant"
+    if inputs.reference_id is None:
+        return "no valid reference: the NC program has not passed its positioning, or it was invalidated"
+    if inputs.estimate_age_s > limits.stale_after_s:
+        age = "there is no estimate" if np.isinf(inputs.estimate_age_s) else f"{inputs.estimate_age_s:.0f} s old"
+        return f"temperatures are stale ({age})"
+    if inputs.estimate_reference_id != inputs.reference_id or memory.reference_id != inputs.reference_id:
+        return "waiting for the first estimate of this reference"
+    if inputs.confidence < limits.min_confidence:
+        why = inputs.doubt or "sensors missing"
+        return f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
+    if not inputs.in_domain:
+        return "temperatures are outside the range that the model was trained on"
+    without = np.array(memory.wanted, dtype=bool) & ~np.isfinite(inputs.error_of_tool_point_um)
+    if without.any():
+        axes = ", ".join(axis for axis, missing in zip(limits.axes, without, strict=True) if missing)
+        return (
+            f"no estimate for axis {axes}: sensors that its model counts from are silent, or were when the work was "
+            "positioned; bring them back, then position the work again, or switch the axis off"
+        )
+    in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
+    if in_cut and weight_of(inputs.confidence, limits) < memory.weight:
+        return f"confidence fell to {inputs.confidence:.2f} within a cut: frozen until the next safe point"
+    return ""
+
+
+def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    request = inputs.request
+    if request.zero:
+        return replace(memory, wanted=(False,) * len(limits.axes), to_zero=True)
+    if not (request.enable or request.disable):
+        return memory
+    wanted = tuple(
+        (on or axis in request.enable) and axis not in request.disable
+        for axis, on in zip(limits.axes, memory.wanted, strict=True)
+    )
+    return replace(memory, wanted=wanted, to_zero=memory.to_zero and not any(wanted))
+
+
+def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    obstacle = why_not_ready(memory, inputs, limits)
+    known = bool(np.all(np.isfinite(inputs.applied_um)))
+    zero = known and bool(np.all(np.abs(inputs.applied_um) <= ZERO_UM))
+    any_wanted = any(memory.wanted)
+    holds = {
+        Condition.OUTPUT_FAULT: inputs.output_fault is not None,
+        Condition.WANTED: any_wanted and inputs.link and known and not inputs.zero_first,
+        Condition.NONE_WANTED: not any_wanted,
+        Condition.ZERO_FIRST: inputs.zero_first,
+        Condition.READY: not obstacle and any_wanted,
+        Condition.BAD_INPUT: bool(obstacle),
+        Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
+        Condition.RETREATED: inputs.link and zero and bool(np.all(memory.command_um == 0.0)),
+        Condition.ACKNOWLEDGED: (inputs.request.acknowledge and inputs.link and known and inputs.output_fault is None),
+    }
+    for condition, target in TRANSITIONS[memory.state]:
+        if holds[condition]:
+            return _enter(memory, target, condition, obstacle, inputs)
+    if memory.state in (OutputState.ARMED, OutputState.HOLD):
+        return replace(memory, reason=obstacle or memory.reason)
+    return memory
+
+
+def _enter(
+    memory: OutputMemory, target: OutputState, condition: Condition, obstacle: str, inputs: OutputInputs
+) -> OutputMemory:
+    reason = {
+        Condition.OUTPUT_FAULT: inputs.output_fault or "",
+        Condition.WANTED: obstacle or "switched on",
+        Condition.BAD_INPUT: obstacle,
+        Condition.READY: "following the estimate",
+        Condition.NONE_WANTED: "switched off",
+        Condition.HELD_TOO_LONG: f"held too long: {memory.reason}",
+    }.get(condition, str(condition))
+    entered = replace(memory, state=target, since_s=inputs.now_s, reason=reason)
+    if memory.state is OutputState.FAULT:
+        entered = replace(entered, command_um=inputs.applied_um.copy())
+    if condition is Condition.HELD_TOO_LONG:
+        entered = replace(entered, wanted=(False,) * len(memory.wanted))
+    if target is OutputState.OFF:
+        entered = replace(entered, to_zero=False)
+    return entered
+
+
+def _request(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
+    """Return where each axis should go [um], before any limit."""
+    to_zero = memory.to_zero or inputs.zero_first or memory.reference_id is None
+    retreat = np.zeros_like(memory.command_um) if to_zero else rest_of_tool(memory, inputs)[0]
+    if memory.state is OutputState.RETREAT:
+        return retreat
+    if memory.state is OutputState.OFF:
+        return np.zeros_like(memory.command_um)
+    if memory.state is OutputState.ACTIVE and not memory.settling:
+        request = np.where(memory.wanted, request_um(memory, inputs), retreat)
+        return np.where(np.isfinite(request), request, memory.command_um)
+    frozen = memory.command_um.copy()
+    if memory.state is OutputState.FAULT:
+        return frozen
+    return np.where(memory.wanted, frozen, retreat)
+
+
+def _limit(
+    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, requested: FloatArray
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the request after bound, deadband, slew rate and step, and which of them acted."""
+    current = memory.command_um
+    if memory.state is OutputState.FAULT or not inputs.link:
+        return current.copy(), ()
+    bounded = np.clip(requested, -limits.absolute_bound_um, limits.absolute_bound_um)
+    follows = memory.state is OutputState.ACTIVE
+    still = np.abs(bounded - current) < limits.deadband_um
+    target = np.where(follows & still & np.array(memory.wanted, dtype=bool), current, bounded)
+    elapsed_s = min(max(inputs.now_s - memory.last_s, 0.0), LONGEST_INTERVAL_S)
+    reach = limits.slew_um_per_min * (elapsed_s / 60.0)
+    slewed = current + np.clip(target - current, -reach, reach)
+    lower, upper = inputs.applied_um - limits.step_um, inputs.applied_um + limits.step_um
+    lower, upper = np.minimum(lower, current), np.maximum(upper, current)
+    stepped = np.where(np.isfinite(inputs.applied_um), np.clip(slewed, lower, upper), current)
+    hit = tuple(
+        f"{axis}:{name}"
+        for name, acted in (
+            ("bound", bounded != requested),
+            ("slew", slewed != target),
+            ("step", stepped != slewed),
+        )
+        for axis, yes in zip(limits.axes, acted, strict=True)
+        if yes
+    )
+    return stepped, hit
+
+
+def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]:
+    """Return the enable bit per axis: 1 while it is wanted or still carries an offset."""
+    if memory.state in (OutputState.OFF, OutputState.FAULT):
+        return (False,) * len(memory.wanted)
+    carries = (np.abs(inputs.applied_um) > ZERO_UM) | (memory.command_um != 0.0) | ~np.isfinite(inputs.applied_um)
+    return tuple(bool(on or busy) for on, busy in zip(memory.wanted, carries, strict=True))

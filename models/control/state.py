@@ -1,0 +1,139 @@
+"""What the output knows, remembers and is bounded by: the records of `models.control.compensation`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from models.records import FloatArray, OutputState, Phase
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputLimits:
+    """What bounds the output, per axis and in time."""
+
+    axes: tuple[str, ...]
+    absolute_bound_um: FloatArray
+    slew_um_per_min: FloatArray
+    step_um: FloatArray
+    """Largest distance between what is written and what the guard has applied [um]."""
+    deadband_um: FloatArray
+    stale_after_s: float
+    hold_limit_s: float
+    min_confidence: float
+    """Below this the output holds."""
+    full_confidence: float = 1.0
+    """From here on the estimate counts whole; between the two its weight falls to 0."""
+    probe_bound_um: float = 0.0
+    """A probe value that would correct the estimate by more is refused [um]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperatorRequest:
+    """What a person asked for since the last step."""
+
+    enable: frozenset[str] = frozenset()
+    disable: frozenset[str] = frozenset()
+    zero: bool = False
+    """Disable every axis and retreat to zero, not to the baseline."""
+    acknowledge: bool = False
+
+
+NO_REQUEST = OperatorRequest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolBaseline:
+    """Where the request of a tool counts from on the axes that were set with this tool."""
+
+    baseline_um: FloatArray
+    """What was applied at the tool setting [um], NaN on axes that were not set."""
+    error_um: FloatArray
+    """Estimate at the tool setting, since the work's reference and without the tool [um]."""
+    offset_um: FloatArray
+    """Offset of probes and changes of model at the tool setting [um]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputInputs:
+    """Everything that one step may depend on."""
+
+    now_s: float
+    """Monotonic time [s]."""
+    phase: Phase
+    link: bool
+    """The CNC answered lately and may be written to."""
+    applied_um: FloatArray
+    """The guard's echo per axis [um]; NaN where it is unknown."""
+    written_um: FloatArray | None = None
+    """What the block held at the latest read-back or poll [um]; None where nobody watches it."""
+    thermal_error_um: FloatArray
+    """Estimated error per axis since the reference, without the tool [um]; NaN where there is none."""
+    tool_term_um: FloatArray | None = None
+    """The tool's own expansion since its term began [um]; None where no tool is modelled."""
+    estimate_age_s: float
+    """Age of the estimate [s], inf when there is none."""
+    confidence: float
+    in_domain: bool
+    doubt: str = ""
+    """Why confidence is low when no sensor is missing: states that are not filled yet."""
+    reference_id: str | None
+    """The valid reference; None when there is none."""
+    estimate_reference_id: str | None
+    """The reference that the estimate is relative to."""
+    kept_reference_id: str | None = None
+    """The latest reference, valid or ended, that estimates and tool settings count from; None when none may."""
+    model_id: str | None = None
+    output_fault: str | None = None
+    """Why the output is not trusted (read-back differs, foreign value, exception)."""
+    refusals: tuple[str, ...] = ()
+    """What stands against ACTIVE: no model, no commissioning record, insecure link, ..."""
+    request: OperatorRequest = NO_REQUEST
+    zero_first: bool = False
+    """The offset is to be taken out before the next work positioning."""
+    tool_number: int = 0
+    tool_setting: tuple[bool, ...] | None = None
+    """Axes that were set with the tool in the spindle since the last step."""
+    probe_um: FloatArray | None = None
+    """A probe's deviation per axis, actual minus nominal with what is applied [um]; NaN where not probed."""
+
+    @property
+    def error_of_tool_point_um(self) -> FloatArray:
+        """Estimate and tool term together [um], shape (n_axes,)."""
+        return self.thermal_error_um if self.tool_term_um is None else self.thermal_error_um + self.tool_term_um
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputMemory:
+    """What the output remembers from step to step."""
+
+    state: OutputState
+    since_s: float
+    reason: str
+    last_s: float
+    command_um: FloatArray
+    """Last value commanded [um]."""
+    baseline_um: FloatArray
+    """What was applied when the reference was set [um]."""
+    reference_id: str | None
+    model_id: str | None
+    offset_um: FloatArray
+    """Added to the request so that a change of model moves nothing [um]."""
+    wanted: tuple[bool, ...]
+    """Axes that a person switched on."""
+    to_zero: bool = False
+    """The retreat goes to zero even while the reference is valid."""
+    limits_hit: tuple[str, ...] = field(default=())
+    weight: float = 1.0
+    """Multiplies the estimate since the reference; changes only between cuts."""
+    pending_um: FloatArray | None = None
+    """What the block held when the reference was set [um]."""
+    settling: bool = False
+    """A reference was set, and the CNC does not hold its value yet."""
+    error_um: FloatArray | None = None
+    """The last finite estimate since `error_reference_id`, without the tool [um]."""
+    error_s: float = 0.0
+    """Time of that estimate [s]."""
+    error_reference_id: str | None = None
+    """The reference that this estimate and the tool settings count from; it may have ended."""
+    tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))
+    """Tool settings by tool number."""

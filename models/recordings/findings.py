@@ -1,0 +1,227 @@
+"""What may be wrong with a recording: sentences that name column and row, and say what to do."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from models.align import contiguous_runs
+from models.recordings.dataset import DatasetError, Recording
+from models.recordings.plausibility import (
+    HIGHEST_DEGC,
+    LOWEST_DEGC,
+    impossible_displacements,
+    impossible_speeds,
+    impossible_temperatures,
+)
+from models.records import FloatArray
+
+SMALLEST_SPAN_UM = 0.5
+"""All channels moving less than this while the machine warms are not in micrometres."""
+WARMING_K = 2.0
+"""A temperature span that moves any machine tool by more than `SMALLEST_SPAN_UM`."""
+LARGEST_SPAN_UM = 5000.0
+"""A channel that moves more is not in micrometres (no displacement sensor of a nest reaches so far)."""
+WARMEST_START_DEGC = 50.0
+"""Where no temperature is ever below this, they are not in degC: a cold workshop of 10 degC has 50 degF."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that is wrong, or noteworthy, in a recording."""
+
+    severity: Literal["error", "warning"]
+    column: str
+    """Name of the column; empty when it is about the recording as a whole."""
+    row: int | None
+    """Row of the file from 1 (without the header), None when it is about the whole column."""
+    sentence: str
+
+    def __str__(self) -> str:
+        """Return `column <name>, row <n>: <sentence>`."""
+        place = [f"column {self.column}"] if self.column else []
+        place += [f"row {self.row}"] if self.row is not None else []
+        return f"{', '.join(place)}: {self.sentence}" if place else self.sentence
+
+
+def recording_findings(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
+    """Return everything that is wrong or noteworthy in a recording, errors first.
+
+    Parameters
+    ----------
+    recording
+        The recording as it was read.
+    rows_together
+        See `require_usable`.
+
+    """
+    possible = recording.without_impossible()
+    found = [
+        *_rows(recording, rows_together),
+        *_impossible(recording),
+        *_columns(possible),
+        *_temperature_units(possible),
+        *_displacement_units(possible),
+    ]
+    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+
+
+def require_usable(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
+    """Return the warnings of a recording that training may use.
+
+    Parameters
+    ----------
+    recording
+        The recording as it was read.
+    rows_together
+        Rows of all recordings that are used together with this one, which have to be more than the
+        variables; None: it is used alone.
+
+    Returns
+    -------
+    tuple of Finding
+        Gaps, missing values, constant sensors.
+
+    Raises
+    ------
+    DatasetError
+        Naming every error: fewer rows than variables, columns without values, units that
+        cannot be right.
+
+    """
+    found = recording_findings(recording, rows_together)
+    if errors := [finding for finding in found if finding.severity == "error"]:
+        raise DatasetError("\n".join(f"{recording.name}: {finding}" for finding in errors))
+    return found
+
+
+def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
+
+    Raises
+    ------
+    DatasetError
+        Naming every error of the first recording that has one, see `require_usable`.
+
+    """
+    together = sum(recording.rows for recording in recordings)
+    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together))
+    return [recording.without_impossible() for recording in recordings], warnings
+
+
+def _error(column: str, row: int | None, sentence: str) -> Finding:
+    return Finding(severity="error", column=column, row=row, sentence=sentence)
+
+
+def _warning(column: str, row: int | None, sentence: str) -> Finding:
+    return Finding(severity="warning", column=column, row=row, sentence=sentence)
+
+
+def _rows(recording: Recording, rows_together: int | None) -> Iterator[Finding]:
+    variables = len(recording.temperature_names)
+    rows = recording.rows if rows_together is None else rows_together
+    if rows <= variables:
+        sentence = f"{rows} rows cannot determine {variables} variables; record longer or choose fewer temperatures"
+        yield _error("", None, sentence)
+        return
+    time_s = recording.time_s
+    for first, _ in contiguous_runs(time_s, recording.sample_s)[1:]:
+        sentence = f"a gap of {time_s[first] - time_s[first - 1]:g} s before this row; no difference is taken across it"
+        yield _warning("time", recording.rows_before + first + 1, sentence)
+
+
+def _impossible(recording: Recording) -> Iterator[Finding]:
+    degc, um = recording.temperatures_degc[:, : recording.sensors], recording.displacements_um
+    tables = [
+        (recording.temperature_names[: recording.sensors], "degC", degc, impossible_temperatures(degc)),
+        (recording.displacement_names, "um", um, impossible_displacements(um)),
+    ]
+    if (speed_rpm := recording.speed_rpm) is not None:
+        tables.append((("spindle speed",), "1/min", speed_rpm[:, None], impossible_speeds(speed_rpm)[:, None]))
+    for names, unit, table, wrong in tables:
+        for column in np.flatnonzero(wrong.any(axis=0)):
+            row, count = int(np.argmax(wrong[:, column])), int(wrong[:, column].sum())
+            others = f" ({count} such values, the first here)" if count > 1 else ""
+            sentence = (
+                f"{table[row, column]:.6g} {unit} cannot be{others} and counts as missing; check the sensor and "
+                "its wire, and leave the field empty where a value is wrong"
+            )
+            yield _warning(names[column], recording.rows_before + row + 1, sentence)
+
+
+def _columns(recording: Recording) -> Iterator[Finding]:
+    speed_rpm = recording.speed_rpm
+    if speed_rpm is not None and len(speed_rpm) and not np.isfinite(speed_rpm).any():
+        sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
+        yield _error("spindle speed", None, sentence)
+    columns = [
+        *zip(recording.temperature_names, recording.temperatures_degc.T, strict=True),
+        *zip(recording.displacement_names, recording.displacements_um.T, strict=True),
+    ]
+    for name, column in columns:
+        missing = ~np.isfinite(column)
+        if not len(column) or missing.all():
+            yield _error(name, None, "no value at all; take the column out of the map")
+            continue
+        if missing.any():
+            row = recording.rows_before + int(np.argmax(missing)) + 1
+            sentence = f"{missing.sum()} values are missing, the first here; rows without them are left out"
+            yield _warning(name, row, sentence)
+        known = column[~missing]
+        if len(known) > 2 and known.min() == known.max():
+            sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"
+            yield _warning(name, None, sentence)
+
+
+def _temperature_units(recording: Recording) -> Iterator[Finding]:
+    for name, column in zip(
+        recording.temperature_names[: recording.sensors], recording.temperatures_degc.T, strict=False
+    ):
+        known = column[np.isfinite(column)]
+        if not len(known):
+            continue
+        median = float(np.median(known))
+        if median > HIGHEST_DEGC:
+            unit = "kelvin; subtract 273.15" if median < 400.0 else "raw counts; convert them"
+            yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}")
+        elif median < LOWEST_DEGC:
+            sentence = f"a median of {median:.4g} cannot be degC; is it connected? Else take it out of the map"
+            yield _error(name, None, sentence)
+    yield from _fahrenheit(recording)
+
+
+def _fahrenheit(recording: Recording) -> Iterator[Finding]:
+    temperatures = recording.temperatures_degc[:, : recording.sensors]
+    degc = np.where(np.isfinite(temperatures), temperatures, np.inf)
+    if not degc.size or not WARMEST_START_DEGC < (lowest := float(degc.min())) < HIGHEST_DEGC:
+        return
+    row, column = np.unravel_index(int(np.argmin(degc)), degc.shape)
+    sentence = (
+        f"{lowest:.4g} is the lowest of all temperatures, and no workshop is so warm; it looks like degF: "
+        "subtract 32 and divide by 1.8"
+    )
+    yield _error(recording.temperature_names[int(column)], recording.rows_before + int(row) + 1, sentence)
+
+
+def _displacement_units(recording: Recording) -> Iterator[Finding]:
+    spans_um = _spans(recording.displacement_names, recording.displacements_um)
+    for name, span_um in spans_um.items():
+        if span_um > LARGEST_SPAN_UM:
+            sentence = f"moves by {span_um:.4g}, too far for micrometres; it looks like nanometres or raw counts"
+            yield _error(name, None, sentence)
+    names, degc = recording.temperature_names[: recording.sensors], recording.temperatures_degc[:, : recording.sensors]
+    warmed_k = max(_spans(names, degc).values(), default=0.0)
+    if warmed_k > WARMING_K and spans_um and (widest := max(spans_um.values())) < SMALLEST_SPAN_UM:
+        name = max(spans_um, key=lambda channel: spans_um[channel])
+        sentence = (
+            f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
+            "that looks like millimetres; multiply by 1000"
+        )
+        yield _error(name, None, sentence)
+
+
+def _spans(names: tuple[str, ...], table: FloatArray) -> dict[str, float]:
+    """Return how far each column with a value moves."""
+    known = {name: column[np.isfinite(column)] for name, column in zip(names, table.T, strict=True)}
+    return {name: float(np.ptp(values)) for name, values in known.items() if len(values)}

@@ -1,0 +1,183 @@
+"""The families of thermal models behind one interface: prepared on training rows, chosen by leaving folds out.
+
+Every family ends in coefficients of the same features (temperatures, their lags, lagged speed) and
+a drift, so that the estimate is always the difference of the features since the reference.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from models.recordings.dataset import DatasetError
+from models.records import FloatArray
+from models.thermal.layout import BoolArray, Design, IntArray, RidgeSolution
+from models.thermal.training.folds import fold_segments
+from models.thermal.training.inputs import Inputs
+from models.thermal.training.probing import probed_residual_um
+from models.thermal.training.ridge import PENALTIES, RidgeProblem
+
+CORRELATION_MIN = 60.0
+"""Correlation time of the second ridge's residuals [min]; 20 to 90 min are equally good inside training cycles."""
+DEFAULT_DESIGNS = (
+    Design(departures=True, correlation_min=None),
+    Design(departures=False, correlation_min=CORRELATION_MIN),
+)
+"""The two ridges of the default model: levels on departures from the lags, and generalised least squares on lags."""
+
+HyperParameters = dict[str, float | int | str | bool | list[float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """A fitted model, as coefficients of features."""
+
+    coefficients: FloatArray
+    """[um per unit of the feature], shape (layout.columns, n_channels)."""
+    drift_um_per_min: FloatArray
+    """b_0 [um/min], shape (n_channels,)."""
+    refit: Callable[[tuple[int, ...]], "Fit"]
+    """Returns the fit of the same rows and hyper-parameters without some sensors (indices from 0)."""
+    solutions: tuple[RidgeSolution, ...] = ()
+    """The ridges whose mean it is, where it is one."""
+
+    def estimate_um(self, features: FloatArray, reference: FloatArray, elapsed_min: FloatArray | float) -> FloatArray:
+        """Return the thermal error since the reference [um], shape (n, n_channels)."""
+        drift = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
+        return np.asarray((features - reference) @ self.coefficients + drift)
+
+
+class Problem(Protocol):
+    """A family that is prepared on some rows."""
+
+    hyper_parameters: HyperParameters
+    """What was chosen inside the training rows."""
+
+    def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
+        """Return the fit on everything but some folds."""
+        ...
+
+
+Prepare = Callable[[Inputs, BoolArray, IntArray, float | None], Problem]
+"""Inputs, training rows, their folds, and the time between probes [min] (None without) -> the prepared family."""
+
+
+def held_out_um(inputs: Inputs, rows: BoolArray, fit: Fit) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return measured and estimated thermal errors of each stretch of some rows, from its own first row on [um]."""
+    measured, estimated = [], []
+    for segment in fold_segments(inputs, rows & np.isfinite(inputs.measured_um).all(axis=1)):
+        first = segment[0]
+        measured.append(inputs.measured_um[segment] - inputs.measured_um[first])
+        elapsed_min = inputs.time_min[segment] - inputs.time_min[first]
+        estimated.append(fit.estimate_um(inputs.features[segment], inputs.features[first], elapsed_min))
+    return measured, estimated
+
+
+def relative_rmse(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit], probe_min: float | None = None
+) -> float:
+    """Return the mean over the channels of the RMSE with / without the model, every fold predicted by its fit.
+
+    With a time between probes [min], they reset the offset that often: a model is chosen for how it is used.
+    """
+    remaining, without = np.zeros(len(inputs.channels)), np.zeros(len(inputs.channels))
+    for number, fit in fits.items():
+        for measured, estimated in zip(*held_out_um(inputs, rows & (fold == number), fit), strict=True):
+            residual: FloatArray = measured - estimated
+            if probe_min is not None:
+                times_min = inputs.period_min * np.arange(len(residual), dtype=np.float64)
+                residual = probed_residual_um(times_min, residual, probe_min)
+            remaining += np.square(residual).sum(axis=0)
+            without += np.square(measured).sum(axis=0)
+    moves = without > 0.0
+    if not moves.any():
+        return float("nan")
+    return float(np.sqrt(remaining[moves] / without[moves]).sum() / moves.sum())
+
+
+def fold_numbers(rows: BoolArray, fold: IntArray) -> list[int]:
+    """Return the numbers of the folds that training rows have, without -1."""
+    return [int(number) for number in np.unique(fold[rows]) if number >= 0]
+
+
+def chosen(
+    inputs: Inputs,
+    rows: BoolArray,
+    fold: IntArray,
+    probe_min: float | None,
+    candidates: Callable[[int], Sequence[Fit]],
+) -> int:
+    """Return the index of the candidate that predicts left-out folds best; the middle one without two folds."""
+    numbers = fold_numbers(rows, fold)
+    fits = {number: candidates(number) for number in numbers}
+    if len(numbers) < 2:
+        return len(next(iter(fits.values()))) // 2 if fits else 0
+    scores = [
+        relative_rmse(inputs, rows, fold, {number: fits[number][index] for number in numbers}, probe_min)
+        for index in range(len(fits[numbers[0]]))
+    ]
+    return int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
+
+
+def ridge_fit(solutions: Sequence[RidgeSolution], without: tuple[int, ...] = ()) -> Fit:
+    """Return the mean of several ridges as a fit."""
+    mean = np.mean([solution.coefficients(without) for solution in solutions], axis=0)
+    return Fit(
+        coefficients=mean,
+        drift_um_per_min=np.zeros(mean.shape[1]),
+        refit=lambda sensors: ridge_fit(solutions, tuple(sorted({*without, *sensors}))),
+        solutions=tuple(solutions),
+    )
+
+
+class MeanOfRidges:
+    """The mean of ridges of one or more designs, one penalty per ridge shared by all channels."""
+
+    def __init__(
+        self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, designs: Sequence[Design]
+    ) -> None:
+        self._problems = [RidgeProblem(inputs, rows, fold, design) for design in designs]
+        self._penalties = [self._choose(inputs, rows, fold, probe_min, problem) for problem in self._problems]
+        layout = inputs.layout
+        self.hyper_parameters: HyperParameters = {
+            "penalties": list(self._penalties),
+            "lags_min": list(layout.lags_min),
+            "speed_lags_min": list(layout.speed_lags_min),
+        }
+        if any(design.correlation_min is not None for design in designs):
+            self.hyper_parameters["correlation_min"] = CORRELATION_MIN
+
+    def _choose(
+        self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, problem: RidgeProblem
+    ) -> float:
+        def candidates(number: int) -> list[Fit]:
+            """Return one fit per penalty without the fold."""
+            return [ridge_fit([solution]) for solution in problem.solve(frozenset({number}), PENALTIES)]
+
+        return PENALTIES[chosen(inputs, rows, fold, probe_min, candidates)]
+
+    def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
+        """Return the fit on everything but some folds."""
+        pairs = zip(self._problems, self._penalties, strict=True)
+        return ridge_fit([problem.solve(left_out, [penalty])[0] for problem, penalty in pairs])
+
+
+def default_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
+    """Return the default model: the mean of two ridges on temperatures, their lags and lagged speed."""
+    return MeanOfRidges(inputs, rows, fold, probe_min, DEFAULT_DESIGNS)
+
+
+def ridge_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
+    """Return a ridge on the columns of the inputs as they are."""
+    return MeanOfRidges(inputs, rows, fold, probe_min, (Design(departures=False, correlation_min=None),))
+
+
+def require_enough(inputs: Inputs, rows: BoolArray) -> None:
+    """Raise DatasetError unless training rows outnumber the temperatures."""
+    count, variables = int(rows.sum()), inputs.layout.sensors
+    if count <= variables:
+        raise DatasetError(
+            f"{', '.join(inputs.recording_names)}: {count} complete rows cannot determine {variables} variables; "
+            "record longer or choose fewer temperatures"
+        )

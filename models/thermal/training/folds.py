@@ -1,0 +1,111 @@
+"""Which rows are left out together: whole spindle cycles, whole runs or whole blocks, never single rows."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from models.recordings.dataset import DatasetError
+from models.records import FloatArray
+from models.thermal.layout import BoolArray, IntArray
+from models.thermal.training.inputs import Inputs
+
+STANDSTILL_SHARE = 0.002
+"""The spindle stands still below this share of its highest speed ..."""
+STANDSTILL_RPM = 1.0
+"""... or below this speed [1/min]."""
+FEWEST_CYCLES = 3
+"""With fewer cycles blocks are left out."""
+MOST_FOLDS = 12
+"""With more cycles neighbours are left out together: then they are tool changes rather than warm-up cycles."""
+BLOCKS = 5
+"""What has neither cycles nor several runs is cut into so many blocks."""
+SHORTEST_FOLD_ROWS = 5
+"""A shorter stretch says nothing about a model."""
+
+
+def spindle_starts(speed_rpm: FloatArray) -> IntArray:
+    """Return the rows in which the spindle starts out of standstill; row 0 where it turns there already."""
+    speed = np.abs(speed_rpm)
+    on = speed > max(STANDSTILL_RPM, STANDSTILL_SHARE * float(speed.max(initial=0.0)))
+    return np.flatnonzero(on & ~np.concatenate([[False], on[:-1]]))
+
+
+def cycles(inputs: Inputs, rows: BoolArray) -> list[BoolArray]:
+    """Return the spindle cycles within some rows: each from one start out of standstill to the next.
+
+    Parameters
+    ----------
+    inputs
+        The recordings.
+    rows : shape (n,)
+        Rows that are looked at.
+
+    Returns
+    -------
+    list of numpy.ndarray
+        Masks of shape (n,), in order. Rows before the first start belong to none.
+
+    Raises
+    ------
+    DatasetError
+        When the spindle speed was not recorded.
+
+    """
+    if inputs.speed_rpm is None:
+        raise DatasetError(
+            f"{inputs.recording_names[0]}: cycles begin where the spindle starts, so they need a speed column; "
+            "name it in the map, or choose hours for training and test"
+        )
+    found = []
+    for recording in range(len(inputs.recording_names)):
+        chosen = np.flatnonzero(rows & (inputs.recording == recording))
+        starts = spindle_starts(inputs.speed_rpm[chosen])
+        for first, stop in pairwise([*starts.tolist(), len(chosen)]):
+            mask = np.zeros(inputs.rows, dtype=np.bool_)
+            mask[chosen[first:stop]] = True
+            found.append(mask)
+    return found
+
+
+def inner_folds(inputs: Inputs, rows: BoolArray) -> tuple[IntArray, str]:
+    """Return what is left out in turn when something is to be chosen on some rows.
+
+    Three runs or more are left out one by one; else spindle cycles; else blocks of equal length.
+
+    Parameters
+    ----------
+    inputs
+        The recordings.
+    rows : shape (n,)
+        Training rows; nothing else is looked at.
+
+    Returns
+    -------
+    tuple
+        Number of the fold of every row, shape (n,), -1 for a row that is never left out, and what
+        the folds are: `run`, `cycle` or `block`.
+
+    """
+    fold = np.full(inputs.rows, -1, dtype=np.intp)
+    runs = [run for run in np.unique(inputs.run[rows]) if (rows & (inputs.run == run)).sum() >= SHORTEST_FOLD_ROWS]
+    if len(runs) >= FEWEST_CYCLES:
+        for number, group in enumerate(np.array_split(np.array(runs), min(len(runs), MOST_FOLDS))):
+            fold[rows & np.isin(inputs.run, group)] = number
+        return fold, "run"
+    if inputs.speed_rpm is not None:
+        found = [mask for mask in cycles(inputs, rows) if mask.sum() >= SHORTEST_FOLD_ROWS]
+        if len(found) >= FEWEST_CYCLES:
+            for number, group in enumerate(np.array_split(np.arange(len(found)), min(len(found), MOST_FOLDS))):
+                for index in group:
+                    fold[found[index]] = number
+            return fold, "cycle"
+    for number, block in enumerate(np.array_split(np.flatnonzero(rows), BLOCKS)):
+        fold[block] = number
+    return fold, "block"
+
+
+def fold_segments(inputs: Inputs, rows: BoolArray) -> list[IntArray]:
+    """Return the rows of a mask as stretches within one recording and without a hole, for referencing each."""
+    chosen = np.flatnonzero(rows)
+    breaks = np.flatnonzero((np.diff(chosen) > 1) | (np.diff(inputs.run[chosen]) != 0)) + 1
+    return [part for part in np.split(chosen, breaks) if len(part)]

@@ -1,0 +1,134 @@
+"""Ridge regression on whole levels, prepared once so that folds, penalties and sensors can be left out cheaply.
+
+The cross products of every fold are kept. A fit on some of the folds adds them up and takes one
+symmetric eigenvalue decomposition, which serves every penalty; a fit without some of the sensors
+follows from it by block elimination, exactly, without another decomposition.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.records import FloatArray
+from models.thermal.layout import BRIDGE_MIN, BoolArray, Design, IntArray, RidgeSolution, design_columns
+from models.thermal.training.inputs import Inputs
+
+PENALTIES: tuple[float, ...] = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
+"""Candidates, relative to the mean variance of the columns."""
+
+
+MOST_COLUMNS = 400
+"""More columns are first turned into their leading principal directions, this many."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Piece:
+    """Cross products of the rows of one fold in one run."""
+
+    fold: int
+    run: int
+    rows: int
+    sum_x: FloatArray
+    sum_y: FloatArray
+    xx: FloatArray
+    xy: FloatArray
+
+
+class RidgeProblem:
+    """A ridge on some rows of recordings, of which folds can be left out.
+
+    Every run has an intercept of its own, because the zero of its displacements is its own.
+
+    Parameters
+    ----------
+    inputs
+        The recordings.
+    rows : shape (n,)
+        Training rows.
+    fold : shape (n,)
+        Fold of every row; -1 is never left out.
+    design
+        Columns and rows.
+
+    """
+
+    def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design) -> None:
+        self._layout, self._design = inputs.layout, design
+        columns = design_columns(inputs.features, inputs.layout, design)
+        spread = columns[rows].std(axis=0)
+        moves = spread > 1e-9 * np.maximum(1.0, np.abs(columns[rows]).max(axis=0))
+        self._gain = np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
+        scaled = (columns - columns[rows].mean(axis=0)) * self._gain
+        self._basis: FloatArray | None = None
+        if scaled.shape[1] > MOST_COLUMNS:
+            eigenvalues, vectors = np.linalg.eigh(scaled[rows].T @ scaled[rows])
+            self._basis = np.ascontiguousarray(vectors[:, np.argsort(eigenvalues)[::-1][:MOST_COLUMNS]])
+            scaled = scaled @ self._basis
+        self._pieces = _pieces(inputs, rows, fold, design, scaled)
+
+    def solve(self, left_out: frozenset[int], penalties: Sequence[float]) -> list[RidgeSolution]:
+        """Return the fits on everything but some folds, one per relative penalty."""
+        used = [piece for piece in self._pieces if piece.fold not in left_out]
+        xx, xy = _centred(used)
+        rows = sum(piece.rows for piece in used)
+        eigenvalues, vectors = np.linalg.eigh(xx)
+        eigenvalues = np.maximum(eigenvalues, 0.0)
+        moving = max(int((self._gain > 0.0).sum()), 1)
+        unit = max(float(eigenvalues.sum()) / moving, 1e-12 * max(rows, 1))
+        projected = vectors.T @ xy
+        directions = vectors if self._basis is None else self._basis @ vectors
+        found = []
+        for relative in penalties:
+            damped = eigenvalues + relative * unit
+            found.append(
+                RidgeSolution(
+                    layout=self._layout,
+                    design=self._design,
+                    gain=self._gain,
+                    weights=directions @ (projected / damped[:, None]),
+                    directions=directions,
+                    remaining=relative * unit / damped,
+                )
+            )
+        return found
+
+
+def _pieces(inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design, scaled: FloatArray) -> list[_Piece]:
+    used, x, y = np.flatnonzero(rows), scaled[rows], inputs.cleansed_um[rows]
+    if design.correlation_min is not None:
+        elapsed_min = np.diff(inputs.time_min[used])
+        follows = (np.diff(inputs.run[used]) == 0) & (np.diff(fold[used]) == 0)
+        follows &= (elapsed_min > 0.0) & (elapsed_min <= max(BRIDGE_MIN, 1.5 * inputs.period_min))
+        persists = np.exp(-elapsed_min / design.correlation_min)[:, None]
+        x, y = (x[1:] - persists * x[:-1])[follows], (y[1:] - persists * y[:-1])[follows]
+        used = used[1:][follows]
+    found = []
+    for run in np.unique(inputs.run[used]):
+        for number in np.unique(fold[used][inputs.run[used] == run]):
+            part = (inputs.run[used] == run) & (fold[used] == number)
+            found.append(
+                _Piece(
+                    fold=int(number),
+                    run=int(run),
+                    rows=int(part.sum()),
+                    sum_x=x[part].sum(axis=0),
+                    sum_y=y[part].sum(axis=0),
+                    xx=x[part].T @ x[part],
+                    xy=x[part].T @ y[part],
+                )
+            )
+    return found
+
+
+def _centred(pieces: Sequence[_Piece]) -> tuple[FloatArray, FloatArray]:
+    """Return the cross products of several pieces about the mean of each run."""
+    xx = np.sum([piece.xx for piece in pieces], axis=0)
+    xy = np.sum([piece.xy for piece in pieces], axis=0)
+    for run in {piece.run for piece in pieces}:
+        of_run = [piece for piece in pieces if piece.run == run]
+        count = sum(piece.rows for piece in of_run)
+        sum_x, sum_y = sum(piece.sum_x for piece in of_run), sum(piece.sum_y for piece in of_run)
+        xx = xx - np.outer(sum_x, sum_x) / count
+        xy = xy - np.outer(sum_x, sum_y) / count
+    return xx, xy

@@ -1,0 +1,331 @@
+"""Whether a fitted model may be used at all, and how wide its prediction band is: both from training rows alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.recordings.dataset import DatasetError
+from models.recordings.jumps import scatter_um
+from models.records import FloatArray
+from models.thermal.domain import band_factor
+from models.thermal.layout import BoolArray, IntArray
+from models.thermal.training.domain import REFERENCES, farthest_leverage, leverage_positions
+from models.thermal.training.families import Fit, Problem, fold_numbers, relative_rmse
+from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
+from models.thermal.training.inputs import Inputs
+from models.thermal.training.probing import BiasFilter, probed_residual_um, wander_um2_per_min
+from models.thermal.training.watch_fit import smoothed
+
+BAND_QUANTILE = 0.9
+"""The band is the largest, over folds and instants that could have been the reference, of this quantile."""
+SHORTEST_HORIZON_MIN = 60.0
+"""So much must follow such an instant [min], or half of the fold."""
+SHORTEST_WANDER_MIN = 30.0
+"""How far an offset wanders is not seen over less than this [min]; 10 to 60 min do equally well."""
+NORMAL_90 = 1.282
+"""90 % point of the normal distribution."""
+FEWEST_FOLDS_BEFORE = 2
+"""A fold is predicted from at least so many before it: one warm-up alone is no alternating operation."""
+EXCURSION_SHARE = 0.3
+"""An excursion moves a channel by this share of its span."""
+FEWEST_EXCURSIONS = 2
+"""So many alternating excursions must have been seen ..."""
+FEWEST_RUNS = 3
+"""... or so many separate runs."""
+SMOOTHING_MIN = 10.0
+"""Excursions are counted on displacements smoothed over this time [min]."""
+NOISE_FACTOR = 4.0
+"""A channel moves when its span exceeds the scatter about the smoothed curve by this factor."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trust:
+    """What training says about a model."""
+
+    refused: str | None
+    """Why it must not be activated; None when it may."""
+    band_um: FloatArray
+    """Half width of the prediction band inside the domain of training [um], shape (n_channels,); NaN where nothing
+    could be left out."""
+    held_out_relative_rmse: float
+    """RMSE with / without the model on what was left out, mean over the channels; NaN when nothing was."""
+    forward_skill: tuple[float, ...]
+    """1 - RMSE with / without of each fold, predicted from the folds before it."""
+    bias_filter: BiasFilter | None = None
+    """How a probe corrects the offset, from what was left out; None without probes."""
+
+
+def judge(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, *, probe_min: float | None = None
+) -> Trust:
+    """Return whether a model may be trusted, and its band.
+
+    The gate: at least two alternating excursions of more than 30 % of the span, or three separate
+    runs; positive skill on what was left out; and positive skill in every forward-chained fold,
+    which is predicted only from what came before it.
+
+    Parameters
+    ----------
+    inputs, rows, fold
+        Training rows and their folds, see `inner_folds`.
+    problem
+        The prepared family.
+    probe_min
+        Time between probes [min] for which the band is wanted; None without probes.
+
+    """
+    numbers = fold_numbers(rows, fold)
+    nothing = np.full(len(inputs.channels), np.nan)
+    if len(numbers) < 2:
+        return Trust(
+            refused="nothing could be left out, so nobody knows how good the model is; record longer",
+            band_um=nothing,
+            held_out_relative_rmse=float("nan"),
+            forward_skill=(),
+        )
+    try:
+        fits = {number: problem.fit(frozenset({number})) for number in numbers}
+        score = relative_rmse(inputs, rows, fold, fits, probe_min)
+        series_um = left_out_series_um(inputs, rows, fold, fits)
+        bias_filter = None if probe_min is None else fit_bias_filter(inputs, rows, series_um, probe_min)
+        if probe_min is None:
+            widest_um = _band_um(inputs, rows, fold, series_um, fits)
+        else:
+            widest_um = _probed_band_um(inputs, rows, fold, series_um, probe_min, bias_filter)
+        band_um = few_folds_factor(independent_folds(inputs, rows, len(numbers))) * widest_um
+    except DatasetError as error:
+        return Trust(
+            refused=f"without one of its folds it cannot be fitted ({error})",
+            band_um=nothing,
+            held_out_relative_rmse=float("nan"),
+            forward_skill=(),
+        )
+    skill = _forward_skill(inputs, rows, fold, problem, probe_min)
+    return Trust(
+        refused=_reason(inputs, rows, score, skill),
+        band_um=band_um,
+        held_out_relative_rmse=score,
+        forward_skill=tuple(skill),
+        bias_filter=bias_filter,
+    )
+
+
+def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -> str | None:
+    runs = len(np.unique(inputs.run[rows]))
+    seen = excursions(inputs, rows)
+    if seen < FEWEST_EXCURSIONS and runs < FEWEST_RUNS:
+        return (
+            f"training saw {seen} excursion(s) of more than {EXCURSION_SHARE:.0%} of the span in {runs} run(s); "
+            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record warming, cooling"
+        )
+    if not score < 1.0:
+        return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"
+    if bad := [value for value in skill if not value > 0.0]:
+        return (
+            f"predicted from what came before, {len(bad)} of {len(skill)} folds are worse than without compensation "
+            f"(by {-min(bad):.0%} at worst); record more alternating operation"
+        )
+    return None
+
+
+def _forward_skill(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, probe_min: float | None
+) -> list[float]:
+    """Return the skill of each fold that has enough before it, predicted from those."""
+    found, numbers = [], fold_numbers(rows, fold)
+    for position in range(min(FEWEST_FOLDS_BEFORE, len(numbers) - 1), len(numbers)):
+        later = frozenset(numbers[position:])
+        try:
+            fit = problem.fit(later)
+        except DatasetError:
+            continue
+        found.append(1.0 - relative_rmse(inputs, rows, fold, {numbers[position]: fit}, probe_min))
+    return found
+
+
+def excursions(inputs: Inputs, rows: BoolArray) -> int:
+    """Return how many alternating excursions the channel that moves most has made in some rows.
+
+    An excursion is a move by more than 30 % of the channel's span, of the smoothed displacement,
+    in the direction opposite to the one before. A channel that hardly leaves its own scatter has none.
+    """
+    best, widest = 0, 0.0
+    for channel in range(len(inputs.channels)):
+        known = rows & np.isfinite(inputs.measured_um[:, channel])
+        segments = [part for part in fold_segments(inputs, known) if len(part) > 2]
+        if not segments:
+            continue
+        smooth = [
+            smoothed(inputs.time_min[part], inputs.measured_um[part, channel][:, None], SMOOTHING_MIN)[:, 0]
+            for part in segments
+        ]
+        span = max(float(np.ptp(curve)) for curve in smooth)
+        steps = np.concatenate([np.diff(inputs.measured_um[part, channel]) for part in segments])
+        scatter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
+        if span <= widest or span <= NOISE_FACTOR * scatter:
+            continue
+        widest, best = span, sum(_alternations(curve, EXCURSION_SHARE * span) for curve in smooth)
+    return best
+
+
+def _alternations(values: FloatArray, least: float) -> int:
+    """Return how many moves of at least `least` in alternating directions a curve makes."""
+    count, direction = 0, 0
+    low = high = float(values[0])
+    for value in values:
+        low, high = min(low, float(value)), max(high, float(value))
+        if direction <= 0 and value - low >= least:
+            count, direction, high = count + 1, 1, float(value)
+        elif direction >= 0 and high - value >= least:
+            count, direction, low = count + 1, -1, float(value)
+    return count
+
+
+def _probed_band_um(
+    inputs: Inputs,
+    rows: BoolArray,
+    fold: IntArray,
+    series_um: FloatArray,
+    probe_min: float,
+    bias_filter: BiasFilter | None,
+) -> FloatArray:
+    """Return the half width that held on every fold when probes correct the offset."""
+    widths: list[FloatArray] = []
+    known = rows & np.isfinite(series_um).all(axis=1)
+    for run in np.unique(inputs.run[rows]):
+        of_run = np.flatnonzero(known & (inputs.run == run))
+        if len(of_run):
+            residual_um = series_um[of_run] - series_um[of_run[0]]
+            probed = np.abs(probed_residual_um(inputs.time_min[of_run], residual_um, probe_min, bias_filter))
+            folds = fold[of_run]
+            widths += [np.quantile(probed[folds == number], BAND_QUANTILE, axis=0) for number in np.unique(folds)]
+    return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def _band_um(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, series_um: FloatArray, fits: dict[int, Fit]
+) -> FloatArray:
+    """Return the half width that held on every fold from (nearly) every instant that could have been its reference.
+
+    A left-out residual counts over the factor by which the band of the fit without its fold is widened there.
+    """
+    widths: list[FloatArray] = []
+    known = rows & np.isfinite(series_um).all(axis=1)
+    for number, fit in fits.items():
+        out = rows & (fold == number)
+        limit = farthest_leverage(inputs, rows & ~out, fit.solutions)
+        for run in np.unique(inputs.run[out & known]):
+            chosen = np.flatnonzero(out & known & (inputs.run == run))
+            points = leverage_positions(fit.solutions, inputs.features[chosen]) / np.sqrt(limit)
+            widths += _widths(inputs.time_min[chosen], series_um[chosen], points)
+    return np.asarray(np.max(widths, axis=0)) if widths else np.full(len(inputs.channels), np.nan)
+
+
+def _widths(time_min: FloatArray, residual_um: FloatArray, points: FloatArray) -> list[FloatArray]:
+    """Return the quantile of what followed each of some instants that could have been the reference."""
+    shortest_min = min(SHORTEST_HORIZON_MIN, 0.5 * float(time_min[-1] - time_min[0]))
+    references = np.flatnonzero(time_min <= time_min[-1] - shortest_min)
+    found = []
+    for first in references[:: max(1, len(references) // REFERENCES)]:
+        factor = band_factor(np.linalg.norm(points[first:] - points[first], axis=1))[:, None]
+        scores_um = np.abs(residual_um[first:] - residual_um[first]) / factor
+        found.append(np.quantile(scores_um, BAND_QUANTILE, axis=0))
+    return found
+
+
+def independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
+    """Return how many of the folds count as independent: blocks of one or two spindle cycles are only two.
+
+    Parameters
+    ----------
+    inputs, rows
+        Training rows.
+    folds
+        How many were left out in turn.
+
+    """
+    runs = len(np.unique(inputs.run[rows]))
+    if inputs.speed_rpm is None or runs >= FEWEST_RUNS:
+        return folds
+    return 2 if 1 <= len(cycles(inputs, rows)) < FEWEST_CYCLES else folds
+
+
+def few_folds_factor(folds: int) -> float:
+    """Return by how much a band is widened because it comes from few folds.
+
+    The largest of K folds' quantiles holds on another fold with probability K / (K + 1) only. Below
+    nine folds it is widened by the ratio of the 90 % points of Student's distribution with K - 1
+    degrees of freedom and of the normal distribution.
+
+    Parameters
+    ----------
+    folds
+        K, at least 2.
+
+    """
+    table = {2: 3.078, 3: 1.886, 4: 1.638, 5: 1.533, 6: 1.476, 7: 1.440, 8: 1.415}
+    return table.get(folds, NORMAL_90) / NORMAL_90
+
+
+def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, probe_min: float) -> BiasFilter:
+    """Return how a probe corrects the offset of this model.
+
+    Parameters
+    ----------
+    inputs, rows
+        Training rows.
+    series_um : shape (n, n_channels)
+        What the model left of rows it was not fitted on, see `left_out_series_um` [um].
+    probe_min
+        Time between probes [min].
+
+    Returns
+    -------
+    BiasFilter
+        Its noise is the scatter of displacements about what moves smoothly; its wander is what the
+        left-out residual gains beyond that noise between two probes, or over half an hour where
+        probes come more often: what a model misses drifts, which nothing shows within the noise of
+        a minute. A correction is bounded by the channel's span.
+
+    """
+    segments = fold_segments(inputs, rows)
+    noise_um = scatter_um([inputs.measured_um[part] for part in segments])
+    over_min = max(probe_min, SHORTEST_WANDER_MIN)
+    wander = np.zeros(len(inputs.channels))
+    for part in segments:
+        wander = np.maximum(wander, wander_um2_per_min(inputs.time_min[part], series_um[part], over_min))
+    span = np.nanmax(inputs.measured_um[rows], axis=0) - np.nanmin(inputs.measured_um[rows], axis=0)
+    return BiasFilter(
+        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / over_min, 0.0),
+        noise_um=noise_um,
+        largest_step_um=np.maximum(span, 1e-9),
+    )
+
+
+def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:
+    """Return measured minus estimated over all training rows, each fold by the fit that left it out.
+
+    Parameters
+    ----------
+    inputs, rows, fold
+        Training rows and their folds.
+    fits
+        Fold -> the fit without it.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, n_channels)
+        About the mean of the same run's rows that the fit was trained on [um]; NaN elsewhere.
+
+    """
+    series_um = np.full(inputs.measured_um.shape, np.nan)
+    for number, fit in fits.items():
+        level_um = inputs.measured_um - fit.estimate_um(inputs.features, inputs.features[0], inputs.time_min)
+        out = rows & (fold == number)
+        for run in np.unique(inputs.run[out]):
+            of_run = inputs.run == run
+            trained = level_um[rows & of_run & ~out]
+            trained = trained[np.isfinite(trained).all(axis=1)]
+            zero = trained.mean(axis=0) if len(trained) else 0.0
+            series_um[out & of_run] = level_um[out & of_run] - zero
+    return series_um

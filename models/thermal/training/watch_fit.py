@@ -1,0 +1,160 @@
+"""Fits the watch of the sensors to training rows: predictions, and limits from stretches that were left out."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from models.recordings.dataset import Recording
+from models.records import FloatArray
+from models.thermal.layout import BoolArray, IntArray
+from models.thermal.training.families import fold_numbers
+from models.thermal.training.inputs import Inputs, build_inputs
+from models.thermal.watch import (
+    FAST_MIN,
+    FLAT_FACTOR,
+    FLAT_MIN,
+    SAME_K,
+    SLEW_MARGIN_K_PER_MIN,
+    SLOW_MIN,
+    THRESHOLD_FACTOR,
+    WATCH_LAGS_MIN,
+    SensorWatch,
+    departure_maps,
+)
+
+PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
+"""Damping of the covariance that is tried, relative to the variance of a column."""
+RESTLESS_FLAT_MIN = 5.0
+"""A sensor that never had the same value in two rows of training is stuck after this time [min] ..."""
+FEWEST_FLAT_ROWS = 3
+"""... and so many rows without a change."""
+SMALLEST_THRESHOLD_K = 0.1
+"""No departure below this is a fault [K]: less than two steps of a TMP102."""
+
+
+def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray, fold: IntArray) -> SensorWatch:
+    """Return the watch that predicts left-out folds best, with limits from them.
+
+    Damping, and whether lagged spindle speed helps, are chosen by the mean logarithm of the largest
+    left-out departure.
+
+    Parameters
+    ----------
+    recordings
+        As for `build_inputs`.
+    sample_s
+        Time between rows [s].
+    rows : shape (n,)
+        Training rows.
+    fold : shape (n,)
+        What is left out in turn, see `inner_folds`.
+
+    """
+    best: tuple[float, Inputs, float, FloatArray] | None = None
+    for speed_lags_min in ((), WATCH_LAGS_MIN):
+        inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=speed_lags_min)
+        if speed_lags_min and not inputs.layout.speed_lags_min:
+            continue
+        for penalty, largest_k in zip(PENALTIES, _left_out_departures_k(inputs, rows, fold), strict=True):
+            score = float(np.log(np.maximum(largest_k, 1e-3)).mean())
+            if best is None or score < best[0]:
+                best = (score, inputs, penalty, largest_k)
+    assert best is not None
+    _, inputs, penalty, largest_k = best
+    centre, gain = _scaling(inputs, rows)
+    return SensorWatch(
+        layout=inputs.layout,
+        centre=centre,
+        gain=gain,
+        precision=_precisions(inputs, rows, centre, gain, [penalty])[0],
+        threshold_k=_thresholds_k(largest_k),
+        slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
+        flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
+        speed_scale_rpm=inputs.speed_scale_rpm,
+    )
+
+
+def _thresholds_k(largest_k: FloatArray) -> FloatArray:
+    """Return the limit of every sensor from its largest left-out departure [K].
+
+    What a few folds say about a single sensor may be luck: no limit lies below the median of all.
+    """
+    return np.maximum(THRESHOLD_FACTOR * np.maximum(largest_k, np.median(largest_k)), SMALLEST_THRESHOLD_K)
+
+
+def _scaling(inputs: Inputs, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    centre, spread = inputs.features[rows].mean(axis=0), inputs.features[rows].std(axis=0)
+    moves = spread > 1e-6
+    return centre, np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
+
+
+def _precisions(
+    inputs: Inputs, rows: BoolArray, centre: FloatArray, gain: FloatArray, penalties: Sequence[float]
+) -> list[FloatArray]:
+    scaled = (inputs.features[rows] - centre) * gain
+    scaled = scaled - scaled.mean(axis=0)
+    eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled / max(len(scaled), 1))
+    return [(vectors / (np.maximum(eigenvalues, 0.0) + penalty)) @ vectors.T for penalty in penalties]
+
+
+def _left_out_departures_k(inputs: Inputs, rows: BoolArray, fold: IntArray) -> list[FloatArray]:
+    """Return the largest departure of every sensor on folds that were left out [K], one table per penalty."""
+    largest = [np.zeros(inputs.layout.sensors) for _ in PENALTIES]
+    numbers = fold_numbers(rows, fold)
+    smooth = np.vstack([_against_own_mean(inputs, run) for run in np.unique(inputs.run)])
+    for number in numbers:
+        rest = rows & (fold != number) if len(numbers) > 1 else rows
+        centre, gain = _scaling(inputs, rest)
+        judged = smooth[rows & (fold == number)] * gain
+        for index, precision in enumerate(_precisions(inputs, rest, centre, gain, PENALTIES)):
+            maps, _ = departure_maps(inputs.layout, precision, gain)
+            largest[index] = np.maximum(largest[index], np.abs(judged @ maps.T).max(axis=0))
+    return largest
+
+
+def _against_own_mean(inputs: Inputs, run: int) -> FloatArray:
+    rows = inputs.run == run
+    fast = smoothed(inputs.time_min[rows], inputs.features[rows], FAST_MIN)
+    return fast - smoothed(inputs.time_min[rows], fast, SLOW_MIN)
+
+
+def smoothed(time_min: FloatArray, values: FloatArray, constant_min: float) -> FloatArray:
+    """Return the exponentially weighted mean of each column, which begins at its first value."""
+    found = np.empty_like(values)
+    if not len(values):
+        return found
+    found[0] = values[0]
+    decay = np.exp(-np.diff(time_min) / constant_min)
+    for row in range(1, len(values)):
+        found[row] = values[row] + decay[row - 1] * (found[row - 1] - values[row])
+    return found
+
+
+def _largest_slew(inputs: Inputs, rows: BoolArray) -> FloatArray:
+    """Return the largest change per minute of each sensor between neighbouring training rows [K/min]."""
+    used = np.flatnonzero(rows)
+    follows = (np.diff(inputs.run[used]) == 0) & (np.diff(inputs.time_min[used]) <= 1.5 * inputs.period_min)
+    slew = np.abs(np.diff(inputs.degc[used], axis=0)) / np.maximum(np.diff(inputs.time_min[used]), 1e-9)[:, None]
+    return np.asarray(slew[follows].max(axis=0, initial=0.0))
+
+
+def _flat_min(longest_min: FloatArray, period_min: float) -> FloatArray:
+    """Return how long each sensor may keep its value, from the longest time for which it did in training [min].
+
+    A sensor with enough noise never to repeat itself needs less patience than one that counts in steps.
+    """
+    patient = np.maximum(FLAT_MIN, FLAT_FACTOR * longest_min)
+    return np.where(longest_min > 0.0, patient, max(RESTLESS_FLAT_MIN, FEWEST_FLAT_ROWS * period_min))
+
+
+def _longest_flat_min(inputs: Inputs, rows: BoolArray) -> FloatArray:
+    """Return the longest time for which each sensor kept its value in training [min]."""
+    used = np.flatnonzero(rows)
+    longest, since = np.zeros(inputs.layout.sensors), inputs.time_min[used[0]] * np.ones(inputs.layout.sensors)
+    for before, now in pairwise(used):
+        same = np.abs(inputs.degc[now] - inputs.degc[before]) <= SAME_K
+        same &= bool(inputs.run[now] == inputs.run[before])
+        since = np.where(same, since, inputs.time_min[now])
+        longest = np.maximum(longest, inputs.time_min[now] - since)
+    return longest
