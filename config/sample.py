@@ -57,7 +57,7 @@ def _entry(knob: Knob, given: Any) -> list[str]:
         value = next((value for value in (given, knob.default, example) if value is not None), None)
         return [f"{knob.name}: {_yaml(value)}"]
     if knob.shape is Shape.SECTION:
-        return [f"{knob.name}:", *_indented(_section(knob.section, given or {}))]
+        return [f"{knob.name}:", *_indented(_section(knob.section, given or example or {}))]
     if knob.shape is Shape.SECTIONS:
         first, *rest = given or example or [{}]
         item = _section(knob.section, first)

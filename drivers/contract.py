@@ -6,12 +6,15 @@ the supervisor owns retry and counts any other exception as retriable, loudly.
 """
 
 from collections.abc import AsyncIterator, Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 from models.records import CncSample, DisplacementSample, TemperatureCycle
 
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
 """What the simulated machine's control calls itself; nothing else may be driven by a scaled clock."""
+
+
+Security = Literal["encrypted", "insecure"]
 
 
 class DriverError(Exception):
@@ -59,8 +62,8 @@ class Cnc(Protocol):
 
     identity: str
     """What the control calls itself (known after connect); commissioning is bound to it."""
-    secure: bool
-    """Encrypted, signed and with a named user."""
+    security: Security
+    """Encrypted: signed, encrypted and with a named user (known before connect)."""
 
     async def connect(self) -> None:
         """Connect; raises LinkError or FatalDriverError."""

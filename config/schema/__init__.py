@@ -22,7 +22,7 @@ class Configuration(Section):
     displacements: DisplacementsConfig | None = Field(
         None, description="displacement sensors; none: the machine has none"
     )
-    cnc: CncConfig = Field(description="the CNC")
+    cnc: CncConfig = Field(description="the CNC", examples=[{"opcua": {}}])
     compensation: CompensationConfig = Field(description="what may move the machine")
     spindle_speed: SpindleSpeedConfig | None = Field(
         None, description="the spindle speed follows the stability pockets; none: off"

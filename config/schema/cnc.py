@@ -1,15 +1,13 @@
-"""The CNC: how it is reached, and which of its macro variables are ours."""
+"""The CNC: how it is polled, and which of its macro variables are ours."""
 
 import hashlib
 import json
 from functools import cached_property
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from config.schema.base import (
-    ENDPOINT_PATTERN,
     NUMBER_OR_RANGE_PATTERN,
     KeyPath,
     KeyProblems,
@@ -18,73 +16,11 @@ from config.schema.base import (
     Seconds,
     Section,
 )
+from config.schema.cnc_drivers import CncDriverConfig
 from config.schema.guard import GuardConfig
 from config.schema.temperatures import expand_ranges
 
 MacroRange = Annotated[str, Field(pattern=NUMBER_OR_RANGE_PATTERN)]
-
-
-class OpcUaSecurityConfig(Section):
-    """User name and encryption of the OPC UA session."""
-
-    user_name: str = Field(min_length=1, description="user name at the CNC's server", examples=["toolpoint"])
-    password_file: Path = Field(
-        description="file that holds the password, readable by the daemon only",
-        examples=["/run/credentials/toolpoint.service/cnc-password"],
-    )
-    certificate: Path = Field(
-        description="the daemon's certificate (DER or PEM)", examples=["/etc/toolpoint/pki/toolpoint.der"]
-    )
-    private_key: Path = Field(
-        description="its private key (PEM), readable by the daemon only",
-        examples=["/run/credentials/toolpoint.service/toolpoint-key.pem"],
-    )
-    server_certificate: Path = Field(
-        description="the CNC's certificate; no other server is accepted", examples=["/etc/toolpoint/pki/cnc.der"]
-    )
-
-
-class OpcUaNodesConfig(Section):
-    """Identifiers of the CNC's variables in its OPC UA namespace (s=text or i=number)."""
-
-    mode: str = Field("s=Mode", description="operating mode: 0 MDI, 1 MEM, 3 EDIT, 4 HND, 5 JOG, 10 RMT")
-    run: str = Field("s=RunState", description="0 reset, 1 stop, 2 hold, 3 start, 4 start (MSTR)")
-    alarm: str = Field("s=Alarm", description="not zero: an alarm is active")
-    program: str = Field("s=Program", description="O number of the main program, else of the running one")
-    sequence_number: str = Field("s=SequenceNumber", description="last N number passed")
-    spindle_speed: str = Field("s=SpindleSpeed", description="actual spindle speed [1/min]")
-    motor_temperature: str = Field("s=SpindleMotorTemperature", description="spindle motor [degC]")
-    clock: str = Field("s=Clock", description="the CNC's own clock [s]")
-    power_on_count: str = Field("s=PowerOnCount", description="rises with every power-on")
-    work_offset: str = Field("s=WorkOffset", description="active work offset, 54..59")
-    tool_number: str = Field("s=ToolNumber", description="tool in the spindle")
-    macro: str = Field("s=Macro.{number}", description="macro variable; {number} is replaced")
-
-    @model_validator(mode="after")
-    def _macro_has_number(self) -> "OpcUaNodesConfig":
-        if "{number}" not in self.macro:
-            raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
-        return self
-
-
-class OpcUaConfig(Section):
-    """OPC UA connection to the CNC."""
-
-    endpoint: str = Field(
-        pattern=ENDPOINT_PATTERN,
-        description="address of the CNC's server: opc.tcp://host:port/path",
-        examples=["opc.tcp://192.168.10.20:4840/cnc"],
-    )
-    namespace_uri: str = Field(
-        min_length=1, description="namespace that holds the variables", examples=["urn:toolpoint:cnc"]
-    )
-    nodes: OpcUaNodesConfig = Field(default_factory=OpcUaNodesConfig, description="identifiers of the variables")
-    security: OpcUaSecurityConfig | None = Field(
-        None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
-    )
-    allow_insecure_writes: bool = Field(
-        False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
-    )
 
 
 class RequestMacrosConfig(Section):
@@ -236,11 +172,9 @@ class TemperatureMacroConfig(Section):
     )
 
 
-class CncConfig(Section):
+class CncConfig(CncDriverConfig):
     """The CNC."""
 
-    driver: Literal["opcua"] = Field("opcua", description="protocol")
-    opcua: OpcUaConfig = Field(description="OPC UA connection")
     poll_period_s: Seconds = Field(0.5, description="time between polls of the CNC's state")
     timeout_s: Seconds = Field(1.0, description="every call ends after this long [s of the wall clock]")
     stale_after_s: Seconds = Field(

@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field, model_validator
@@ -106,6 +106,9 @@ class DisplacementFileConfig(Section):
 
 class DisplacementsConfig(Section):
     """Displacement sensors for evaluation and training; compensation never needs them."""
+
+    driver: ClassVar[str] = "file"
+    """Which driver reads them (`drivers/registry.py`)."""
 
     file: DisplacementFileConfig = Field(description="the logger's file")
     channels: list[DisplacementChannelConfig] = Field(min_length=1, description="the channels")

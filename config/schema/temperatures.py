@@ -1,7 +1,7 @@
 """LATSIS lines, their frames, the sensors, and the cleansing of temperatures."""
 
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -33,6 +33,9 @@ CHECKED = GrammarConfig(start=":", separator=",", status=True, checksum="sum8", 
 
 class LineConfig(Section):
     """One LATSIS line on one serial port."""
+
+    driver: ClassVar[str] = "latsis"
+    """Which driver reads it (`drivers/registry.py`)."""
 
     name: Name = Field(description="name of the line in logs, history and commands", examples=["spindle"])
     port: str = Field(

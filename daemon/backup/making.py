@@ -132,6 +132,7 @@ def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[t
 def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manifest:
     model_file = configuration.compensation.model_file
     record = released(model_file)[0] if model_file is not None else None
+    cnc = configuration.cnc
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,
@@ -139,7 +140,7 @@ def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manife
         store_schema=schema_version(),
         active_release=record.number if record is not None else None,
         files=[source.described() for source in sources],
-        left_out=list(LEFT_OUT),
+        left_out=[*LEFT_OUT, *(f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items())],
     )
 
 

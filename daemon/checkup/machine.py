@@ -9,11 +9,11 @@ import numpy as np
 from config.records.commissioning import CommissioningError, commissioning_obstacle, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon import registry
 from daemon.cnc.macro_block import MacroBlock
 from daemon.model_release.file_access import account_of_daemon
 from daemon.model_release.loading import load_released
 from daemon.spindle_speed.planning import open_planning
+from drivers import registry
 from drivers.clock import Clock
 from drivers.contract import DriverError
 
@@ -146,7 +146,7 @@ async def _cnc(configuration: Configuration, clock: Clock) -> str:
         raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
     if obstacle := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
         raise DriverError(f"{cnc.identity}: {obstacle}")
-    security = "encrypted" if cnc.secure else "NOT secure"
+    security = "encrypted" if cnc.security == "encrypted" else "NOT secure"
     return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
 
 

@@ -58,11 +58,9 @@ class Interlocks:
             axes=sorted(axes),
             guard_version=guard_version,
         )
-        if not cnc.secure and not self._configuration.cnc.opcua.allow_insecure_writes:
-            yield (
-                "the connection is not secure: configure cnc.opcua.security, "
-                "or set cnc.opcua.allow_insecure_writes: true"
-            )
+        config = self._configuration.cnc
+        if cnc.security == "insecure" and not config.allow_insecure_writes:
+            yield f"the connection is not secure: {config.insecure_advice}"
 
     def objection(self, request: OperatorRequest, session: CncSession | None, *, unknown: str) -> str:
         """Return why a person's request is refused, '' when it may be taken; `unknown`: why nothing has begun."""

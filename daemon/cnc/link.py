@@ -33,7 +33,7 @@ class CncLink:
             self._lost = asyncio.get_running_loop().create_future()
             self.session = self._last = self._open_session(cnc, self._last)
             self.health.up = True
-            log.info("link.up", link="cnc", identity=cnc.identity, secure=cnc.secure)
+            log.info("link.up", link="cnc", identity=cnc.identity, security=cnc.security)
             raise await self._lost
         finally:
             self.session = None

@@ -47,11 +47,10 @@ def refuse_running_daemon(path: Path) -> None:
 
 def refuse_insecure(configuration: Configuration) -> None:
     """Refuse a connection over which nothing may be written."""
-    opcua = configuration.cnc.opcua
-    if opcua.security is None and not opcua.allow_insecure_writes:
+    cnc = configuration.cnc
+    if not cnc.connection.encrypted and not cnc.allow_insecure_writes:
         raise CommissioningRefusedError(
-            "nothing is written over an unencrypted, anonymous connection: configure cnc.opcua.security, or, in a "
-            "laboratory only, set cnc.opcua.allow_insecure_writes: true"
+            f"nothing is written over an unencrypted, anonymous connection: {cnc.insecure_advice}"
         )
 
 

@@ -129,7 +129,7 @@ class Commissioning:
         self._outcome.identity = station.identity
         sample = await station.look()
         refuse_state(sample, configuration)
-        security = "encrypted and signed" if station.secure else "NOT secure (allow_insecure_writes)"
+        security = "encrypted and signed" if station.security == "encrypted" else "NOT secure (allow_insecure_writes)"
         self._say(f"Control {station.identity}, {security}; O{sample.program}, {sample.mode.value}, {sample.run.value}")
         await self._agree(f"Is this the control of {configuration.machine!r}?")
         sample = await self._initialise(sample)

@@ -9,9 +9,9 @@ from enum import IntEnum
 import numpy as np
 
 from config.schema import Configuration
-from daemon import registry
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
+from drivers import registry
 from drivers.clock import Clock
 
 SETTLED_LOOKS = 1.5

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
-from daemon import registry
 from daemon.backup.restoring import give_to_owner_of_folder
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.commissioning.dialogue import Dialogue
@@ -21,6 +20,7 @@ from daemon.commissioning.station import Station
 from daemon.history.database import HistoryError
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
+from drivers import registry
 from drivers.clock import Clock
 from drivers.contract import Cnc
 
@@ -122,17 +122,16 @@ def with_secrets(configuration: Configuration, folder: Path) -> Configuration:
 
     Raises CommissioningRefusedError when one of the files is not there.
     """
-    opcua = configuration.cnc.opcua
-    if opcua.security is None:
-        raise CommissioningRefusedError("--secrets is given, but cnc.opcua.security is not configured")
-    files = {}
-    for key in ("password_file", "private_key"):
-        files[key] = folder / getattr(opcua.security, key).name
-        if not files[key].is_file():
-            raise CommissioningRefusedError(f"{files[key]} is not there; cnc.opcua.security.{key} names a file like it")
-    security = opcua.security.model_copy(update=files)
-    cnc = configuration.cnc.model_copy(update={"opcua": opcua.model_copy(update={"security": security})})
-    return configuration.model_copy(update={"cnc": cnc})
+    cnc = configuration.cnc
+    files = {key: folder / path.name for key, path in cnc.connection.secrets.items()}
+    if not files:
+        missing = f"{key} is not configured" if (key := cnc.encryption_key) else f"driver {cnc.driver} has no secrets"
+        raise CommissioningRefusedError(f"--secrets is given, but {missing}")
+    for key, path in files.items():
+        if not path.is_file():
+            raise CommissioningRefusedError(f"{path} is not there; cnc.{cnc.driver}.{key} names a file like it")
+    section = cnc.connection.with_secrets(files)
+    return configuration.model_copy(update={"cnc": cnc.model_copy(update={str(cnc.driver): section})})
 
 
 def check_destination(path: Path) -> None:

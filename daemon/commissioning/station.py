@@ -27,7 +27,7 @@ from daemon.commissioning.initialising import (
 from daemon.history.writer import HistoryWriter, WriteId
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
-from drivers.contract import Cnc, LinkError
+from drivers.contract import Cnc, LinkError, Security
 from models.records import (
     CncSample,
     CompensationCommand,
@@ -80,7 +80,7 @@ class Station:
         self._beats = asyncio.Condition()
         self._moved_s = 0.0
         self.identity = ""
-        self.secure = False
+        self.security: Security = "insecure"
         self.target_um: FloatArray = np.zeros(len(self.axes))
         self.command_um: FloatArray = np.zeros(len(self.axes))
         self.enable = [False] * len(self.axes)
@@ -96,7 +96,7 @@ class Station:
         await self.close()
         cnc = self._cnc = self._open_cnc()
         await cnc.connect()
-        self.identity, self.secure = cnc.identity, cnc.secure
+        self.identity, self.security = cnc.identity, cnc.security
         if self._session is not None:
             self._session = self._new_session(self._session.known)
 

@@ -92,7 +92,7 @@ class StatusBoard:
             "weight": memory.weight if memory else None,
             "guard_silent_s": control.guard_silent_s,
             "notices": control.journal.notices[-5:],
-            "insecure_writes": self._configuration.cnc.opcua.allow_insecure_writes,
+            "insecure_writes": self._configuration.cnc.allow_insecure_writes,
             "writable_model_directory": self._configuration.compensation.allow_writable_model_directory,
         }
 
@@ -148,7 +148,7 @@ class StatusBoard:
         sample = session.sample
         return {
             "identity": session.cnc.identity,
-            "secure": session.cnc.secure,
+            "secure": session.cnc.security == "encrypted",
             "mode": sample.mode.value,
             "run": sample.run.value,
             "alarm": sample.alarm,

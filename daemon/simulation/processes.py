@@ -61,9 +61,9 @@ def write_rehearsal_configuration(
     base["cnc"]["opcua"] = {
         "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
         "namespace_uri": "urn:toolpoint:cnc",
-        "allow_insecure_writes": not secure,
         "security": _keys(directory) if secure else None,
     }
+    base["cnc"]["allow_insecure_writes"] = not secure
     base["cnc"]["stale_after_s"] = max(3.0, speed)
     base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
     base["compensation"]["allow_writable_model_directory"] = True
@@ -190,7 +190,7 @@ def _start(
     toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
     common = ["--config", str(config_path), "--simulated-clock", clock]
     configuration = load_configuration(config_path)
-    keys = ["--server-key", str(directory / "cnc.pem")] if configuration.cnc.opcua.security else []
+    keys = ["--server-key", str(directory / "cnc.pem")] if configuration.cnc.connection.encrypted else []
     with (directory / "simulator.log").open("ab") as log:
         simulator = subprocess.Popen(
             [*toolpoint, "simulate", *common, "--directory", str(directory), *keys, *simulate_arguments],

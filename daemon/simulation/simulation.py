@@ -8,6 +8,7 @@ from typing import Any
 
 from config.recordings.recording_map import RecordingMap
 from config.schema import Configuration
+from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import ScaledClock
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
@@ -72,7 +73,7 @@ class Simulation:
             raise SimulationError(str(error)) from error
 
     def _security(self, server_key: Path | None) -> ServerSecurity | None:
-        security = self.configuration.cnc.opcua.security
+        security = self.configuration.cnc.connection_as(OpcUaConfig).security
         if security is None or server_key is None:
             return None
         return ServerSecurity(

@@ -19,8 +19,9 @@ from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import Clock
-from drivers.contract import DriverError, FatalDriverError, LinkError
+from drivers.contract import DriverError, FatalDriverError, LinkError, Security
 from drivers.opcua.certificates import chain_thumbprint, thumbprint
 from drivers.opcua.credentials import OpcUaCredentials, load_credentials
 from drivers.opcua.log import limit_library_log
@@ -58,7 +59,8 @@ class OpcUaCnc:
         limit_library_log()
         self._config = config
         self._clock = clock
-        self._endpoint = config.opcua.endpoint
+        self._opcua = config.connection_as(OpcUaConfig)
+        self._endpoint = self._opcua.endpoint
         self._client: Client | None = None
         self._variables: Variables | None = None
         self._lost: str | None = None
@@ -66,13 +68,13 @@ class OpcUaCnc:
         self._clock_value_s = math.nan
         self._clock_moved_s = 0.0
         self.identity = ""
-        self.secure = config.opcua.security is not None
+        self.security: Security = "encrypted" if self._opcua.encrypted else "insecure"
 
     async def connect(self) -> None:
         """Connect, check that the server is the right one and offers the configured variables."""
         if self._client is not None or self._lost is not None:
             raise LinkError(f"{self._endpoint}: this connection was used up; build a new one")
-        security = self._config.opcua.security
+        security = self._opcua.security
         credentials = load_credentials(security) if security else None
         try:
             await self._call("connecting", self._connect(credentials))
@@ -184,13 +186,13 @@ class OpcUaCnc:
             )
 
     async def _find_variables(self, client: Client) -> Variables:
-        uri = self._config.opcua.namespace_uri
+        uri = self._opcua.namespace_uri
         namespaces = await client.get_namespace_array()
         if uri not in namespaces:
             raise FatalDriverError(
                 f"{self._endpoint} has no namespace {uri!r} (cnc.opcua.namespace_uri); it has {', '.join(namespaces)}"
             )
-        variables = Variables(self._config.opcua.nodes, namespaces.index(uri))
+        variables = Variables(self._opcua.nodes, namespaces.index(uri))
         block = self._config.macros.block
         answers = await client.uaclient.read(variables.read_request(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
@@ -211,10 +213,9 @@ class OpcUaCnc:
                     )
 
     def _refuse_forbidden(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        if not self.secure and not self._config.opcua.allow_insecure_writes:
+        if self.security == "insecure" and not self._config.allow_insecure_writes:
             raise FatalDriverError(
-                "nothing is written over an unencrypted, anonymous connection: configure cnc.opcua.security, "
-                "or set cnc.opcua.allow_insecure_writes: true"
+                f"nothing is written over an unencrypted, anonymous connection: {self._config.insecure_advice}"
             )
         for group in groups:
             for number, value in group:
@@ -277,7 +278,7 @@ class OpcUaCnc:
 
     def _suspicion(self) -> str:
         """Say what a server that breaks off the secure handshake without a word usually means."""
-        if not (self.secure and self._client is not None and not self.identity):
+        if not (self.security == "encrypted" and self._client is not None and not self.identity):
             return ""
         return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
 

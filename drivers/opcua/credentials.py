@@ -7,7 +7,7 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import rsa
 
-from config.schema.cnc import OpcUaSecurityConfig
+from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
 from drivers.opcua.certificates import application_uri, load_certificate, load_private_key, read_file
 

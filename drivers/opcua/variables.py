@@ -9,7 +9,7 @@ from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
-from config.schema.cnc import OpcUaNodesConfig
+from config.schema.cnc_drivers import OpcUaNodesConfig
 from drivers.contract import FatalDriverError, LinkError
 from models.records import CncMode, CncRun, CncSample, Instant
 

@@ -73,8 +73,8 @@ def test_displacements_macros_and_axes(machine: Configuration) -> None:
     assert axes["z"].tool_term is not None
     assert machine.compensation.model_file is None, "a model comes from a person, not with the description"
     assert machine.compensation.commissioning_file is None
-    assert machine.cnc.opcua.security is not None
-    assert not machine.cnc.opcua.allow_insecure_writes
+    assert machine.cnc.driver == "opcua" and machine.cnc.connection.encrypted
+    assert not machine.cnc.allow_insecure_writes
 
 
 def test_sensors_equal_the_reference_table(machine: Configuration) -> None:

@@ -13,6 +13,7 @@ from pydantic import Field
 from config.loader import ConfigurationError, load_configuration, load_yaml_model, parse_yaml_model
 from config.sample import sample_configuration
 from config.schema.base import Section
+from config.schema.cnc_drivers import OpcUaConfig
 from config.yaml_document import MAX_VALUES, read_yaml
 
 
@@ -201,7 +202,7 @@ def test_relative_paths_start_at_the_files_folder(tmp_path: Path) -> None:
     path = tmp_path / "machine.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     configuration = load_configuration(path)
-    security = configuration.cnc.opcua.security
+    security = configuration.cnc.connection_as(OpcUaConfig).security
     assert configuration.compensation.model_file == tmp_path / "models/z.json"
     assert configuration.history.path == Path("/srv/history.sqlite")
     assert security is not None

@@ -32,14 +32,14 @@ def everything_in_use() -> str:
 def test_sample_is_valid_as_it_stands() -> None:
     configuration = parse_yaml_model(sample_configuration(), Configuration, "sample")
     assert configuration.displacements is None
-    assert configuration.cnc.opcua.security is None
+    assert not configuration.cnc.connection.encrypted
     assert configuration.compensation.model_file is None
 
 
 def test_sample_is_valid_with_everything_in_use() -> None:
     configuration = parse_yaml_model(everything_in_use(), Configuration, "sample")
     assert configuration.displacements is not None
-    assert configuration.cnc.opcua.security is not None
+    assert configuration.cnc.connection.encrypted
     assert configuration.temperatures.lines[0].grammar is not None
     assert configuration.compensation.axes["z"].tool_term is not None
 

@@ -22,6 +22,7 @@ from config.records.commissioning import (
     load_commissioning,
     macro_map_digest,
 )
+from config.schema.cnc_drivers import OpcUaConfig
 from daemon.cli.admin.commission import commission
 from daemon.commissioning.dialogue import TerminalDialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
@@ -343,7 +344,7 @@ def test_secrets_come_from_a_folder_where_there_is_no_service(tmp_path):
     with pytest.raises(CommissioningRefusedError, match=r"key\.pem is not there"):
         with_secrets(configuration, tmp_path)
     (tmp_path / "key.pem").write_text("key", encoding="utf-8")
-    security = with_secrets(configuration, tmp_path).cnc.opcua.security
+    security = with_secrets(configuration, tmp_path).cnc.connection_as(OpcUaConfig).security
     assert security is not None
     assert (security.password_file, security.private_key) == (tmp_path / "cnc-password", tmp_path / "key.pem")
 

@@ -85,7 +85,7 @@ async def test_a_machine_that_is_not_at_rest_is_refused(bench, state, words):
 
 async def test_an_insecure_connection_and_a_wrong_offset_are_refused(bench):
     def insecure(content):
-        content["cnc"]["opcua"]["allow_insecure_writes"] = False
+        content["cnc"]["allow_insecure_writes"] = False
 
     assert "allow_insecure_writes" in await refused(bench, change=insecure)
     assert "too small" in await refused(bench, offset_um=1.0)

@@ -13,7 +13,6 @@ from control_rig import (
     running,
 )
 
-from config.schema.cnc import OpcUaConfig
 from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
@@ -295,8 +294,7 @@ async def test_a_scaled_clock_never_drives_a_control_that_is_not_simulated(bench
 
 
 async def test_an_insecure_connection_is_never_written_over(tmp_path):
-    opcua = OpcUaConfig(endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc")
-    bench = Bench(tmp_path, cnc={"opcua": opcua})
+    bench = Bench(tmp_path, cnc={"allow_insecure_writes": False})
     bench.nc.guard.place(bench.nc.macros, {"z": 5.0})
     async with running(bench.rig()) as rig:
         await rig.turn()

@@ -9,7 +9,7 @@ import pytest
 import pytest_asyncio
 from scripted_machine import GROUPS, NAMESPACE, SERVER_URI, Keys, ScriptedNc, cnc_config
 
-from config.schema.cnc import OpcUaNodesConfig
+from config.schema.cnc_drivers import OpcUaNodesConfig
 from drivers.clock import SystemClock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.opcua.cnc import OpcUaCnc
@@ -73,7 +73,7 @@ async def test_one_read_gives_state_and_macros(cnc: OpcUaCnc, nc: ScriptedNc) ->
 
 async def test_identity_is_the_servers_application_uri(cnc: OpcUaCnc) -> None:
     assert cnc.identity == SERVER_URI
-    assert not cnc.secure
+    assert cnc.security == "insecure"
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def driver(server: SimulatedCncServer, keys: Keys, **changes: Any) -> OpcUaCnc:
 
 async def test_reads_and_writes_encrypted_with_a_user(server: SimulatedCncServer, keys: Keys) -> None:
     cnc = driver(server, keys)
-    assert cnc.secure
+    assert cnc.security == "encrypted"
     await cnc.connect()
     assert cnc.identity == SERVER_URI
     await cnc.write_macros(GROUPS)

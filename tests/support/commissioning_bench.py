@@ -135,12 +135,8 @@ class Bench:
         content = json.loads(self._content)
         content["machine"] = "bench <of tests>"
         endpoint = f"opc.tcp://127.0.0.1:{self.relay.port}/cnc"
-        content["cnc"]["opcua"] = {
-            "endpoint": endpoint,
-            "namespace_uri": "urn:toolpoint:cnc",
-            "allow_insecure_writes": True,
-        }
-        content["cnc"] |= {"timeout_s": 5.0, "stale_after_s": 300.0}
+        content["cnc"]["opcua"] = {"endpoint": endpoint, "namespace_uri": "urn:toolpoint:cnc"}
+        content["cnc"] |= {"allow_insecure_writes": True, "timeout_s": 5.0, "stale_after_s": 300.0}
         for axis in content["compensation"]["axes"].values():
             axis["slew_um_per_min"] = 100.0
         content["compensation"]["output"] |= {"validity_s": 100.0}

@@ -11,7 +11,8 @@ from memory_cnc import MemoryNc
 
 from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
-from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, RequestMacrosConfig
+from config.schema.cnc import CncConfig, MacroMapConfig, RequestMacrosConfig
+from config.schema.cnc_drivers import OpcUaConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
@@ -74,11 +75,8 @@ def machine(directory: Path, **changes: Any) -> Configuration:
             ],
         ),
         cnc=CncConfig(
-            opcua=OpcUaConfig(
-                endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc", allow_insecure_writes=True
-            )
-            if "opcua" not in cnc
-            else cnc["opcua"],
+            opcua=OpcUaConfig(endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc"),
+            allow_insecure_writes=cnc.get("allow_insecure_writes", True),
             macros=MacroMapConfig(
                 writable=["120", "500-505", "524"],
                 sequence_a=SEQUENCE_A,

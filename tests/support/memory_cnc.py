@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from config.schema import Configuration
 from drivers.clock import Clock
-from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError
+from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, Security
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 from models.records import CncMode, CncRun, CncSample
@@ -19,7 +19,7 @@ class MemoryNc:
         self.guard = SafePointApplication(configuration.cnc.macros, configuration.compensation.axes)
         self.guard.initialise(self.macros, self.clock_s)
         self.identity = SIMULATED_CNC_IDENTITY
-        self.secure = False
+        self.security: Security = "insecure"
         self.program, self.sequence_number, self.work_offset = 1000, 0, 54
         self.tool_number = 1
         self.run = CncRun.START
@@ -62,7 +62,7 @@ class MemoryCnc:
     def __init__(self, nc: MemoryNc) -> None:
         self._nc = nc
         self.identity = nc.identity
-        self.secure = nc.secure
+        self.security = nc.security
         self.connected = False
         self.closed = False
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from config.schema import Configuration
-from config.schema.cnc import CncConfig, MacroMapConfig, OpcUaConfig, OpcUaSecurityConfig
+from config.schema.cnc import CncConfig, MacroMapConfig
+from config.schema.cnc_drivers import OpcUaConfig, OpcUaSecurityConfig
 from config.schema.compensation import AxisConfig, CompensationConfig
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
@@ -90,8 +91,8 @@ class ScriptedMachine:
 
 def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> CncConfig:
     """A CNC with three axes; `changes` go to CncConfig or, for endpoint's siblings, to OpcUaConfig."""
-    opcua = {key: changes.pop(key) for key in ("security", "allow_insecure_writes", "nodes") if key in changes}
-    opcua.setdefault("allow_insecure_writes", opcua.get("security") is None)
+    opcua = {key: changes.pop(key) for key in ("security", "nodes") if key in changes}
+    changes.setdefault("allow_insecure_writes", opcua.get("security") is None)
     changes.setdefault("timeout_s", 10.0)
     writable = changes.pop("writable", ["100-110", "500-520"])
     return CncConfig(

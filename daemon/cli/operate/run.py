@@ -11,6 +11,7 @@ from daemon.cli.common import config_option, read_configuration, refuse
 from daemon.history.database import HistoryError
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
+from drivers.registry import import_drivers
 
 THREAD_TURN_S = 0.0005
 """A thread that computes (store, serial lines) gives way to the loop after this; Python's own 5 ms are a whole
@@ -40,6 +41,7 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     configure_logging(configuration.service.log_level)
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     sys.setswitchinterval(THREAD_TURN_S)
+    import_drivers(configuration)
     try:
         asyncio.run(Daemon(configuration, clock, config_path=config_path).run())
     except HistoryError as error:

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 from config.schema.cnc import CncConfig
 from daemon.simulation.faults.virtual_time import VirtualClock
 from daemon.simulation.faults.virtual_world import VirtualWorld
-from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError
+from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, Security
 from drivers.sim.nc.nc import ModeCode, RunCode
 from models.records import CncMode, CncRun, CncSample
 
@@ -33,7 +33,7 @@ class VirtualCnc:
 
     def __init__(self, config: CncConfig, world: VirtualWorld, clock: VirtualClock) -> None:
         self.identity = SIMULATED_CNC_IDENTITY
-        self.secure = False
+        self.security: Security = "insecure"
         self._config = config
         self._world = world
         self._clock = clock

@@ -31,6 +31,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
 from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import OpcUaConfig
 from drivers.opcua.certificates import load_certificate, load_private_key
 from drivers.opcua.log import limit_library_log
 from drivers.sim.contract import SimulatedNc
@@ -86,7 +87,8 @@ class SimulatedCncServer:
         limit_library_log()
         self._nc = nc
         self._config = config
-        url = urlparse(config.opcua.endpoint)
+        self._opcua = config.connection_as(OpcUaConfig)
+        url = urlparse(self._opcua.endpoint)
         self._path = url.path
         self._port = (url.port or 4840) if port is None else port
         self._security = security
@@ -148,11 +150,11 @@ class SimulatedCncServer:
 
     async def _add_variables(self, server: Server) -> list[ua.NodeId]:
         """Add the NC's variables at the configured node ids and return them."""
-        namespace = await server.register_namespace(self._config.opcua.namespace_uri)
+        namespace = await server.register_namespace(self._opcua.namespace_uri)
         folder = await server.nodes.objects.add_object(
             ua.NodeId.from_string(f"ns={namespace};s=CNC"), f"{namespace}:CNC"
         )
-        nodes, macros, nc = self._config.opcua.nodes, self._config.macros, self._nc
+        nodes, macros, nc = self._opcua.nodes, self._config.macros, self._nc
         added: list[ua.NodeId] = []
 
         async def add(text: str, name: str, kind: ua.VariantType, read: Callable[[], ua.DataValue]) -> ua.NodeId:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from urllib.parse import urlparse
 
 from config.schema import Configuration
+from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import ScaledClock
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.faults import Fault, FaultKind, check_targets, of_kind
@@ -219,7 +220,7 @@ async def _cnc_face(
     security: ServerSecurity | None,
 ) -> AsyncIterator[tuple[str, TcpRelay | None]]:
     """Serve the CNC on the configured port; a relay stands before it only if a fault needs one."""
-    url = urlparse(configuration.cnc.opcua.endpoint)
+    url = urlparse(configuration.cnc.connection_as(OpcUaConfig).endpoint)
     relayed = bool(of_kind(faults, FaultKind.FROZEN_CNC, FaultKind.KILLED_CNC))
     port = 4840 if url.port is None else url.port
     tuning = configuration.spindle_speed

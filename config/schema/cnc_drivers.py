@@ -1,0 +1,199 @@
+"""How the CNC is reached: the driver, and the section of the configuration that this driver reads.
+
+To add a driver: a section (a `CncConnection`) here, its name in `CncDriverConfig.driver` with the field of that name
+beside it, and one line in `drivers/registry.py`.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, Section
+
+Connection = TypeVar("Connection", bound="CncConnection")
+
+
+class CncConnection(Section):
+    """What every driver's section says of itself, so that nobody else has to know the driver."""
+
+    driver: ClassVar[str]
+    """Name of the driver, which is also the key of the section."""
+    encryption_key: ClassVar[str] = ""
+    """Key in the section that encrypts the connection; empty: the protocol cannot be encrypted."""
+
+    @property
+    def encrypted(self) -> bool:
+        """Whether the connection is signed and encrypted and has a user."""
+        return False
+
+    @property
+    def secrets(self) -> dict[str, Path]:
+        """Files with passwords and keys by their keys in the section: not shown, and in no back-up."""
+        return {}
+
+    def with_secrets(self, files: Mapping[str, Path]) -> Self:
+        """Return a copy in which the secrets' keys name other files."""
+        section = self
+        for key, path in files.items():
+            section = _with(section, key.split("."), path)
+        return section
+
+
+Changed = TypeVar("Changed", bound=BaseModel)
+
+
+def _with(section: Changed, keys: list[str], value: Any) -> Changed:
+    first, *rest = keys
+    return section.model_copy(update={first: _with(getattr(section, first), rest, value) if rest else value})
+
+
+class OpcUaSecurityConfig(Section):
+    """User name and encryption of the OPC UA session."""
+
+    user_name: str = Field(min_length=1, description="user name at the CNC's server", examples=["toolpoint"])
+    password_file: Path = Field(
+        description="file that holds the password, readable by the daemon only",
+        examples=["/run/credentials/toolpoint.service/cnc-password"],
+    )
+    certificate: Path = Field(
+        description="the daemon's certificate (DER or PEM)", examples=["/etc/toolpoint/pki/toolpoint.der"]
+    )
+    private_key: Path = Field(
+        description="its private key (PEM), readable by the daemon only",
+        examples=["/run/credentials/toolpoint.service/toolpoint-key.pem"],
+    )
+    server_certificate: Path = Field(
+        description="the CNC's certificate; no other server is accepted", examples=["/etc/toolpoint/pki/cnc.der"]
+    )
+
+
+class OpcUaNodesConfig(Section):
+    """Identifiers of the CNC's variables in its OPC UA namespace (s=text or i=number)."""
+
+    mode: str = Field("s=Mode", description="operating mode: 0 MDI, 1 MEM, 3 EDIT, 4 HND, 5 JOG, 10 RMT")
+    run: str = Field("s=RunState", description="0 reset, 1 stop, 2 hold, 3 start, 4 start (MSTR)")
+    alarm: str = Field("s=Alarm", description="not zero: an alarm is active")
+    program: str = Field("s=Program", description="O number of the main program, else of the running one")
+    sequence_number: str = Field("s=SequenceNumber", description="last N number passed")
+    spindle_speed: str = Field("s=SpindleSpeed", description="actual spindle speed [1/min]")
+    motor_temperature: str = Field("s=SpindleMotorTemperature", description="spindle motor [degC]")
+    clock: str = Field("s=Clock", description="the CNC's own clock [s]")
+    power_on_count: str = Field("s=PowerOnCount", description="rises with every power-on")
+    work_offset: str = Field("s=WorkOffset", description="active work offset, 54..59")
+    tool_number: str = Field("s=ToolNumber", description="tool in the spindle")
+    macro: str = Field("s=Macro.{number}", description="macro variable; {number} is replaced")
+
+    @model_validator(mode="after")
+    def _macro_has_number(self) -> "OpcUaNodesConfig":
+        if "{number}" not in self.macro:
+            raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
+        return self
+
+
+class OpcUaConfig(CncConnection):
+    """OPC UA connection to the CNC."""
+
+    driver: ClassVar[str] = "opcua"
+    encryption_key: ClassVar[str] = "security"
+
+    endpoint: str = Field(
+        pattern=ENDPOINT_PATTERN,
+        description="address of the CNC's server: opc.tcp://host:port/path",
+        examples=["opc.tcp://192.168.10.20:4840/cnc"],
+    )
+    namespace_uri: str = Field(
+        min_length=1, description="namespace that holds the variables", examples=["urn:toolpoint:cnc"]
+    )
+    nodes: OpcUaNodesConfig = Field(default_factory=OpcUaNodesConfig, description="identifiers of the variables")
+    security: OpcUaSecurityConfig | None = Field(
+        None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
+    )
+
+    @property
+    def encrypted(self) -> bool:
+        """Whether the session is signed, encrypted and has a user."""
+        return self.security is not None
+
+    @property
+    def secrets(self) -> dict[str, Path]:
+        """The password's file and the private key."""
+        if self.security is None:
+            return {}
+        return {f"security.{key}": getattr(self.security, key) for key in ("password_file", "private_key")}
+
+
+def _section_of_driver(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Tell JSON Schema that the driver needs its own section and takes no other."""
+    drivers = drivers_of(model)
+    schema["allOf"] = [
+        {
+            "if": {"properties": {"driver": {"const": driver}}, "required": [] if driver == drivers[0] else ["driver"]},
+            "then": {
+                "required": [driver],
+                "properties": {driver: {"type": "object"}}
+                | {other: {"type": "null"} for other in drivers if other != driver},
+            },
+        }
+        for driver in drivers
+    ]
+
+
+def drivers_of(model: type[BaseModel]) -> tuple[str, ...]:
+    """Return the names that `driver` may have, the default first."""
+    return get_args(model.model_fields["driver"].annotation)
+
+
+class CncDriverConfig(Section):
+    """The driver and its section: a union that `driver` decides, with one key per driver."""
+
+    model_config = ConfigDict(json_schema_extra=_section_of_driver)
+
+    driver: Literal["opcua"] = Field("opcua", description="how the CNC is reached; the section of that name says where")
+    opcua: OpcUaConfig | None = Field(None, description="OPC UA connection; required with driver opcua")
+    allow_insecure_writes: bool = Field(
+        False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
+    )
+
+    @model_validator(mode="after")
+    def _only_the_section_of_the_driver(self) -> Self:
+        problems: list[tuple[KeyPath, str]] = []
+        for driver in drivers_of(type(self)):
+            given = getattr(self, driver) is not None
+            if driver == self.driver and not given:
+                description = type(self).model_fields[driver].description
+                problems.append(((driver,), f"this key is required and missing: {description}"))
+            elif driver != self.driver and given:
+                sentence = f"this section is for driver {driver}, but driver is {self.driver}: keep one of the two"
+                problems.append(((driver,), sentence))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    @property
+    def connection(self) -> CncConnection:
+        """The section of the driver."""
+        section = getattr(self, self.driver)
+        assert isinstance(section, CncConnection)
+        return section
+
+    def connection_as(self, kind: type[Connection]) -> Connection:
+        """Return the section of the driver for a reader that knows one kind only; raises TypeError for another."""
+        if not isinstance(section := self.connection, kind):
+            raise TypeError(f"the configuration is for driver {self.driver}, not {kind.driver}")
+        return section
+
+    @property
+    def encryption_key(self) -> str:
+        """The key that encrypts the connection, from the top of the file; empty: the driver cannot."""
+        key = self.connection.encryption_key
+        return f"cnc.{self.driver}.{key}" if key else ""
+
+    @property
+    def insecure_advice(self) -> str:
+        """What to do when nothing may be written because the connection is not encrypted."""
+        allow = "set cnc.allow_insecure_writes: true"
+        if self.encryption_key:
+            return f"configure {self.encryption_key}, or, in a laboratory only, {allow}"
+        return f"driver {self.driver} cannot encrypt; on a wire of its own, {allow}"

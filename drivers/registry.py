@@ -1,0 +1,71 @@
+"""Which driver serves which section of the configuration: the only place that names drivers.
+
+A driver is imported when it is first asked for, so that an installation loads the libraries of its own wires only.
+To add one: its section in the schema, and one line in a table here.
+"""
+
+from collections.abc import Callable, Mapping
+
+from config.schema import Configuration
+from config.schema.cnc import CncConfig
+from config.schema.displacements import DisplacementsConfig
+from config.schema.temperatures import LineConfig, SensorConfig
+from drivers.clock import Clock
+from drivers.contract import Cnc, DisplacementSource, TemperatureSource
+
+CncFactory = Callable[[CncConfig, Clock], Cnc]
+TemperatureFactory = Callable[[LineConfig, list[SensorConfig], Clock], TemperatureSource]
+DisplacementFactory = Callable[[DisplacementsConfig, Clock, float | None], DisplacementSource]
+
+
+def _opcua() -> CncFactory:
+    from drivers.opcua.cnc import OpcUaCnc
+
+    return OpcUaCnc
+
+
+def _latsis() -> TemperatureFactory:
+    from drivers.latsis.source import LatsisSerialSource
+
+    return LatsisSerialSource
+
+
+def _file() -> DisplacementFactory:
+    from drivers.displacement.source import DisplacementCsvSource
+
+    return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
+
+
+CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua}
+"""`cnc.driver` -> what imports the driver and returns its factory."""
+TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {"latsis": _latsis}
+"""Kind of a temperature source -> the same."""
+DISPLACEMENT_SOURCES: Mapping[str, Callable[[], DisplacementFactory]] = {"file": _file}
+"""Kind of a displacement source -> the same."""
+
+
+def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
+    """Return a new, unconnected CNC."""
+    return CNC_DRIVERS[configuration.cnc.driver]()(configuration.cnc, clock)
+
+
+def open_temperature_source(configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:
+    """Return a new, unopened source for one line."""
+    return TEMPERATURE_SOURCES[line.driver]()(line, configuration.temperatures.sensors, clock)
+
+
+def open_displacement_source(
+    configuration: Configuration, clock: Clock, after_utc_s: float | None
+) -> DisplacementSource:
+    """Return a new, unopened source for the displacements; samples up to `after_utc_s` are skipped."""
+    assert configuration.displacements is not None
+    return DISPLACEMENT_SOURCES[configuration.displacements.driver]()(configuration.displacements, clock, after_utc_s)
+
+
+def import_drivers(configuration: Configuration) -> None:
+    """Import what this configuration needs now, because an import in a running event loop would hold it up."""
+    CNC_DRIVERS[configuration.cnc.driver]()
+    for line in configuration.temperatures.lines:
+        TEMPERATURE_SOURCES[line.driver]()
+    if configuration.displacements is not None:
+        DISPLACEMENT_SOURCES[configuration.displacements.driver]()
