@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from config.knobs import knob_at, section_at
 from config.problems import ConfigurationError, Problem
+from config.renamed import RENAMED, move_renamed_keys
 from config.schema import Configuration
 from config.schema.base import FORMS, KeyProblems, Section
 from config.yaml_document import KeyPath, Position, YamlDocument, read_yaml
@@ -45,7 +46,13 @@ def load_configuration(path: Path) -> Configuration:
     ConfigurationError
         With everything that is wrong in the file, sorted by position.
     """
-    return with_absolute_paths(load_yaml_model(path, Configuration), path.resolve().parent)
+    return load_with_warnings(path)[0]
+
+
+def load_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
+    """Return the daemon's configuration, and which of its keys have a new name; raises ConfigurationError."""
+    configuration, warnings = _parsed(_read_text(path), Configuration, str(path))
+    return with_absolute_paths(configuration, path.resolve().parent), warnings
 
 
 def load_yaml_model(path: Path, model: type[Model]) -> Model:
@@ -61,7 +68,13 @@ def load_yaml_model(path: Path, model: type[Model]) -> Model:
 
 def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
     """Return YAML text as an instance of `model`; `file` names the text in errors. Raises ConfigurationError."""
+    return _parsed(text, model, file)[0]
+
+
+def _parsed(text: str, model: type[Model], file: str) -> tuple[Model, tuple[Problem, ...]]:
+    """Return YAML text as an instance of `model`, and a warning for every key that has a new name."""
     document = read_yaml(text)
+    renamed = move_renamed_keys(document, RENAMED if issubclass(model, Configuration) else {})
     problems = [_problem(file, fault.position, fault.path, fault.sentence) for fault in document.faults]
     if not problems and document.value is None:
         problems.append(_problem(file, (1, 1), (), f"the file is empty; {_beginning(model)}"))
@@ -78,7 +91,7 @@ def parse_yaml_model(text: str, model: type[Model], file: str) -> Model:
         raise ConfigurationError(problems) from None
     if problems:
         raise ConfigurationError(problems)
-    return instance
+    return instance, tuple(_problem(file, warning.position, warning.path, warning.sentence) for warning in renamed)
 
 
 def _beginning(model: type[BaseModel]) -> str:
@@ -269,4 +282,11 @@ def _described(value: Any) -> str:
     return f"{value}"
 
 
-__all__ = ["ConfigurationError", "load_configuration", "load_yaml_model", "parse_yaml_model", "with_absolute_paths"]
+__all__ = [
+    "ConfigurationError",
+    "load_configuration",
+    "load_with_warnings",
+    "load_yaml_model",
+    "parse_yaml_model",
+    "with_absolute_paths",
+]

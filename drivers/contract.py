@@ -5,9 +5,11 @@ it raises `LinkError` (try again later) or `FatalDriverError` (a person must cha
 the supervisor owns retry and counts any other exception as retriable, loudly.
 """
 
+import math
 from collections.abc import AsyncIterator, Sequence
 from typing import Literal, Protocol
 
+from config.schema.cnc import CncConfig
 from models.records import CncSample, DisplacementSample, TemperatureCycle
 
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
@@ -80,10 +82,25 @@ class Cnc(Protocol):
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Write groups of (macro, value), each group only after the previous one was accepted.
 
-        Raises LinkError on a lost link or a refused value (naming the macro). Never retries.
+        Raises LinkError on a lost link, FatalDriverError when the control refuses a value (naming the macro) or
+        `refuse_forbidden` does, before anything is sent. Never retries.
         """
         ...
 
     async def close(self) -> None:
         """Close fully. May be called in any state, more than once; never raises."""
         ...
+
+
+def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncConfig, security: Security) -> None:
+    """Refuse, before anything is sent, what no driver may write; raises FatalDriverError."""
+    if security == "insecure" and not config.allow_insecure_writes:
+        raise FatalDriverError(
+            f"nothing is written over an unencrypted, anonymous connection: {config.insecure_advice}"
+        )
+    for group in groups:
+        for number, value in group:
+            if number not in config.macros.allowed:
+                raise FatalDriverError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
+            if not math.isfinite(value):
+                raise FatalDriverError(f"{value} must not be written to macro variable #{number}; nothing was sent")

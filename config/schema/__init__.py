@@ -50,10 +50,10 @@ class Configuration(Section):
             problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors)"))
         problems += self._numbers_of_the_guard()
         valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
-        if valid_s >= (believed_s := self.cnc.guard.look_ahead_s):
+        if valid_s >= (believed_s := self.cnc.guard.max_validity_s):
             sentence = (
                 f"with cnc.poll_period_s a block is valid for up to {valid_s:g} s, and the guard believes none that is "
-                f"valid for {believed_s:g} s or longer (cnc.guard.look_ahead_s): it would never move anything"
+                f"valid for {believed_s:g} s or longer (cnc.guard.max_validity_s): it would never move anything"
             )
             problems.append((("compensation", "output", "validity_s"), sentence))
         problems += self._speed_macros()

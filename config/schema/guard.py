@@ -46,7 +46,7 @@ class GuardConfig(Section):
     alarm: Literal["message", "stop"] = Field(
         "message", description="message: stops until cycle start (#3006); stop: alarm that ends the program (#3000)"
     )
-    look_ahead_s: Seconds = Field(120.0, description="a block valid for longer than this is not believed [s]")
+    max_validity_s: Seconds = Field(120.0, description="a block that is valid for longer than this is refused [s]")
     increment_mm: float = Field(
         0.001, ge=1e-6, le=0.01, description="least increment of the control's offsets [mm] (IS-B 0.001, IS-C 0.0001)"
     )

@@ -132,17 +132,17 @@ class SpindleSpeedConfig(Section):
     operations: list[SpeedOperationConfig] = Field(min_length=1, description="tools whose speed may be tuned")
     lowest_rpm: float = Field(gt=0, description="lowest speed of the machine [1/min]", examples=[2000.0])
     highest_rpm: float = Field(gt=0, description="highest speed of the machine [1/min]", examples=[12000.0])
-    within_percent: float = Field(
+    max_change_percent: float = Field(
         gt=0, le=50, description="greatest change against the programmed speed [%]", examples=[15.0]
     )
     hysteresis_rpm: float = Field(
-        gt=0, description="a wish nearer to the command than this changes nothing [1/min]", examples=[50.0]
+        gt=0, description="a target nearer to the command than this changes nothing [1/min]", examples=[50.0]
     )
     step_rpm: float = Field(
         gt=0, description="greatest change at one safe block inside a pocket [1/min]", examples=[200.0]
     )
-    dwell_s: float = Field(20.0, ge=0, description="a wish must last this long [s]")
-    filter_s: float = Field(0.0, ge=0, description="time constant that smooths the wish inside a pocket [s]; 0: none")
+    dwell_s: float = Field(20.0, ge=0, description="a target must last this long [s]")
+    filter_s: float = Field(0.0, ge=0, description="time constant that smooths the target inside a pocket [s]; 0: none")
     keep_feed_per_tooth: bool = Field(True, description="the feed follows the speed; else the programmed feed stays")
     offset_hz: float | None = Field(
         None,
@@ -151,10 +151,10 @@ class SpindleSpeedConfig(Section):
     )
     margin_percent: float = Field(20.0, ge=0, le=500, description="limiting depth over the programmed one [%]")
     tolerance_percent: float = Field(2.0, ge=0, le=20, description="it holds this far to both sides of the speed [%]")
-    second_look: bool = Field(
+    verify_with_sdm: bool = Field(
         False,
-        description="look at a chosen speed by semi-discretisation too, which knows the flanks of pockets better and "
-        "takes some 15 ms of processor time per speed and feed direction",
+        description="verify a chosen speed by semi-discretisation (SDM) too, which knows the flanks of pockets better "
+        "and takes some 15 ms of processor time per speed and feed direction",
     )
     sensor_step_k: float = Field(
         0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"

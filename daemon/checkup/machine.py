@@ -41,7 +41,7 @@ class Finding:
         return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}
 
 
-async def probe(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
+async def preflight(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
     """Try everything; nothing is written to the CNC."""
     yield model_finding(configuration)
     yield _record(configuration)

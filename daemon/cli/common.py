@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
-from config.loader import ConfigurationError, load_configuration
+from config.loader import ConfigurationError, load_with_warnings
+from config.problems import Problem
 from config.schema import Configuration
 
 if TYPE_CHECKING:
@@ -87,13 +88,18 @@ def refuse(message: str) -> NoReturn:
 
 def read_configuration(path: Path) -> Configuration:
     """Load the configuration, or end with every problem it has."""
+    return read_with_warnings(path)[0]
+
+
+def read_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
+    """Load the configuration and which of its keys have a new name, or end with every problem it has."""
     if not path.exists():
         refuse(
             f"{path}: there is no configuration. Name yours with --config FILE or the environment variable "
             f"{CONFIGURATION_VARIABLE}; `toolpoint sample-config --output toolpoint.yaml` makes one to begin with"
         )
     try:
-        return load_configuration(path)
+        return load_with_warnings(path)
     except ConfigurationError as error:
         refuse(str(error))
 

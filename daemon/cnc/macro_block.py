@@ -118,7 +118,7 @@ class MacroBlock:
     def expired(self, macros: Mapping[int, float | None], clock_s: float) -> bool:
         """Whether the guard would call this block expired at this reading of the CNC's clock [s]."""
         valid_until_s = macros.get(self._map.valid_until)
-        ahead_s = np.inf if self._guard is None else self._guard.look_ahead_s
+        ahead_s = np.inf if self._guard is None else self._guard.max_validity_s
         return valid_until_s is None or not clock_s < valid_until_s <= clock_s + ahead_s
 
     def implausible_echo(

@@ -70,7 +70,7 @@ def write_rehearsal_configuration(
     output = base["compensation"].setdefault("output", {})
     slowest_poll_s = base["cnc"].get("poll_period_s", 0.5)
     output["validity_s"] = min(max(30.0, speed), 100.0)
-    base["cnc"]["guard"]["look_ahead_s"] = max(120.0, LOOK_AHEAD * (output["validity_s"] + slowest_poll_s))
+    base["cnc"]["guard"]["max_validity_s"] = max(120.0, LOOK_AHEAD * (output["validity_s"] + slowest_poll_s))
     output["stale_after_s"] = min(max(60.0, speed), 300.0)
     output["alarm_after_s"] = 300.0
     base["history"] = {"path": str(directory / "history.sqlite")}

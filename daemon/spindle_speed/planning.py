@@ -84,7 +84,7 @@ class OperationPlanning:
             machine_lowest_rpm=tuning.lowest_rpm,
             machine_highest_rpm=tuning.highest_rpm,
             tool_highest_rpm=self._operation.highest_rpm or tuning.highest_rpm,
-            within_fraction=tuning.within_percent / 100.0,
+            within_fraction=tuning.max_change_percent / 100.0,
         )
         demand = SpeedDemand(
             programmed_rpm=called.speed_rpm,
@@ -100,7 +100,7 @@ class OperationPlanning:
             offset_hz=tuning.offset_hz,
         )
         lobes_of = partial(_lobes, cut=case.cut(), operation=operation, feed_deg=case.feed_deg)
-        return SpeedPlanner(operation, lobes_of, _second_look(case) if tuning.second_look else None)
+        return SpeedPlanner(operation, lobes_of, _second_look(case) if tuning.verify_with_sdm else None)
 
 
 def _second_look(case: StabilityCase) -> StabilityVerification:

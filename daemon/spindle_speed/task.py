@@ -236,7 +236,7 @@ class _Follower:
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
         """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
         tuning, programmed_rpm = self._tuning, operation.made_for.speed_rpm
-        most_rpm = tuning.within_percent / 100.0 * programmed_rpm
+        most_rpm = tuning.max_change_percent / 100.0 * programmed_rpm
         highest_rpm = tuning.highest_of(self._calls.configured(operation))
         return max(tuning.lowest_rpm, programmed_rpm - most_rpm), min(highest_rpm, programmed_rpm + most_rpm)
 

@@ -141,11 +141,11 @@ class SpeedWriter:
             return ""
         highest_rpm = tuning.highest_of(operation) + ROUNDING_RPM
         in_range = tuning.lowest_rpm - ROUNDING_RPM <= pair.speed_rpm <= highest_rpm
-        change_rpm = tuning.within_percent / 100.0 * programmed_rpm + ROUNDING_RPM
+        change_rpm = tuning.max_change_percent / 100.0 * programmed_rpm + ROUNDING_RPM
         if in_feed and in_range and abs(pair.speed_rpm - programmed_rpm) <= change_rpm:
             return ""
         return (
             f"S{pair.speed_rpm:g} F{pair.feed_mm_min:g} for {pair.made_for} is out of bounds "
-            f"({tuning.lowest_rpm:g} to {highest_rpm - ROUNDING_RPM:g} 1/min, at most {tuning.within_percent:g} % of "
+            f"({tuning.lowest_rpm:g} to {highest_rpm - ROUNDING_RPM:g} 1/min, at most {tuning.max_change_percent:g} % of "
             "change, the feed that belongs to it); nothing was sent"
         )

@@ -76,10 +76,10 @@ def _fields(configuration: Configuration, tuning: SpindleSpeedConfig) -> dict[st
         "stop": guard.read_ahead_stop,
         "tries": str(RETRIES),
         "retry_ms": str(RETRY_MS),
-        "look_ahead": decimal(max(guard.look_ahead_s, 2.0 * tuning.validity_s)),
+        "look_ahead": decimal(max(guard.max_validity_s, 2.0 * tuning.validity_s)),
         "lowest": decimal(tuning.lowest_rpm - ROUNDING_RPM),
         "highest": decimal(tuning.highest_rpm + ROUNDING_RPM),
-        "within": decimal(tuning.within_percent / 100.0),
+        "within": decimal(tuning.max_change_percent / 100.0),
         "rounding": decimal(ROUNDING_RPM),
     }
 

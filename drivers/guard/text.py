@@ -146,7 +146,7 @@ def _head(
         bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
         yield f"(AXIS {_comment(name)} BOUND {bound} STEP {step} MM)"
     stop = "MESSAGE" if guard.alarm == "message" else "ALARM"
-    yield f"(EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {decimal(guard.look_ahead_s)} S)"
+    yield f"(EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {decimal(guard.max_validity_s)} S)"
 
 
 def _comment(text: str) -> str:
@@ -208,7 +208,7 @@ def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dic
         "tries": str(RETRIES),
         "retry_ms": str(RETRY_MS),
         "stop": guard.read_ahead_stop,
-        "look_ahead": decimal(guard.look_ahead_s),
+        "look_ahead": decimal(guard.max_validity_s),
         "increment": decimal(guard.increment_mm),
         "half": decimal(guard.increment_mm / 2.0),
         "all_bits": str((1 << axes) - 1),

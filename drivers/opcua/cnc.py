@@ -21,7 +21,7 @@ from cryptography.exceptions import InvalidSignature
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import Clock
-from drivers.contract import DriverError, FatalDriverError, LinkError, Security
+from drivers.contract import DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
 from drivers.opcua.certificates import chain_thumbprint, thumbprint
 from drivers.opcua.credentials import OpcUaCredentials, load_credentials
 from drivers.opcua.log import limit_library_log
@@ -108,7 +108,7 @@ class OpcUaCnc:
         Raises FatalDriverError before anything is sent when the connection, a macro or a value must
         not be written; LinkError on a lost link or when the server refuses a value.
         """
-        self._refuse_forbidden(groups)
+        refuse_forbidden(groups, self._config, self.security)
         client, variables = self._connected()
         requests = [(group, variables.write_request(group)) for group in groups if group]
         await self._call("writing macro variables", self._write(client, requests))
@@ -211,18 +211,6 @@ class OpcUaCnc:
                     raise FatalDriverError(
                         f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
                     )
-
-    def _refuse_forbidden(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        if self.security == "insecure" and not self._config.allow_insecure_writes:
-            raise FatalDriverError(
-                f"nothing is written over an unencrypted, anonymous connection: {self._config.insecure_advice}"
-            )
-        for group in groups:
-            for number, value in group:
-                if number not in self._config.macros.allowed:
-                    raise FatalDriverError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
-                if not math.isfinite(value):
-                    raise FatalDriverError(f"{value} must not be written to macro variable #{number}; nothing was sent")
 
     def _watch_clock(self, sample: CncSample) -> None:
         now_s = sample.time.monotonic_s

@@ -92,7 +92,10 @@ def test_secrets_are_named_by_their_keys_and_can_lie_elsewhere() -> None:
         {"endpoint": "opc.tcp://192.0.2.1:4840", "namespace_uri": "urn:cnc", "security": security}
     )
     assert section.encrypted
-    assert section.secrets == {"security.password_file": Path("/a/password"), "security.private_key": Path("/a/own.pem")}
+    assert section.secrets == {
+        "security.password_file": Path("/a/password"),
+        "security.private_key": Path("/a/own.pem"),
+    }
     moved = section.with_secrets({key: Path("/b") / path.name for key, path in section.secrets.items()})
     assert moved.security is not None and section.security is not None
     assert (moved.security.password_file, moved.security.private_key) == (Path("/b/password"), Path("/b/own.pem"))

@@ -77,7 +77,7 @@ def test_the_simulated_control_runs_the_very_text(shipped: Configuration) -> Non
 def test_the_digest_knows_every_number(shipped: Configuration) -> None:
     digests = {guard_digest(guard_text(MAP, AXES, GUARD))}
     changes: list[dict[str, Any]] = [
-        {"look_ahead_s": 60.0},
+        {"max_validity_s": 60.0},
         {"increment_mm": 0.001},
         {"on_expiry": "zero"},
         {"alarm": "stop"},

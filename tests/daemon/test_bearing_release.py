@@ -17,7 +17,7 @@ from speed_machine import bearing_model, speed_machine
 from config.loader import load_configuration
 from config.problems import ConfigurationError
 from config.schema import Configuration
-from daemon.checkup.machine import probe
+from daemon.checkup.machine import preflight
 from daemon.cli import main
 from daemon.model_release.bearings import BEARINGS
 from daemon.model_release.file_access import Account, own_account
@@ -116,7 +116,7 @@ def test_what_does_not_fit_the_machine_is_not_released(folder: Path) -> None:
 
 async def test_the_check_says_it_too(folder: Path) -> None:
     proposed(folder).rename(folder / "models/bearings.json")
-    found = {each.subject: each async for each in probe(configured(folder), HandClock(), devices=False)}
+    found = {each.subject: each async for each in preflight(configured(folder), HandClock(), devices=False)}
     assert not found["spindle speed"].passed
     told = found["spindle speed"].detail
     assert "could change" in told or "nobody has released" in told

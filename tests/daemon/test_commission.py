@@ -5,7 +5,7 @@ import pytest_asyncio
 from commissioning_bench import Bench, Person, serving
 
 from config.records.commissioning import commissioning_obstacle, save_commissioning
-from daemon.checkup.machine import probe
+from daemon.checkup.machine import preflight
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -54,7 +54,7 @@ async def test_check_compares_the_record_with_the_control_and_its_guard(bench):
     assert record is not None
     for version, passed, words in ((1, True, "O9100"), (9, False, "runs guard version 1")):
         save_commissioning(record.model_copy(update={"guard_version": version}), path)
-        findings = [f async for f in probe(bench.configuration(change), bench.clock, devices=True)]
+        findings = [f async for f in preflight(bench.configuration(change), bench.clock, devices=True)]
         (cnc,) = (finding for finding in findings if finding.subject == "cnc")
         assert (cnc.passed, words in cnc.detail) == (passed, True), cnc
         (covered,) = (finding for finding in findings if finding.subject == "commissioning")

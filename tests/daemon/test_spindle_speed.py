@@ -12,7 +12,7 @@ from speed_rig import CUT, SAFE, SpeedRig
 from config.loader import parse_yaml_model
 from config.problems import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.checkup.machine import probe
+from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
 from daemon.monitor.view import speed_in_words
 from drivers.guard.speed_text import SpeedStatus
@@ -167,7 +167,7 @@ async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
     for there in (False, True):
         if there:
             (tmp_path / "bearings.json").write_text(model_to_json(bearing_model()), encoding="utf-8")
-        found = {each.subject: each async for each in probe(configuration, HandClock(), devices=False)}
+        found = {each.subject: each async for each in preflight(configuration, HandClock(), devices=False)}
         assert found["spindle speed"].passed is there
         assert ("there is no bearing model" in found["spindle speed"].detail) is not there
         assert ("made-up, sha256" in found["spindle speed"].detail) is there

@@ -147,7 +147,9 @@ def test_the_tool_s_own_limit_stands_in_the_text(tmp_path: Path) -> None:
 
 
 def test_the_text_s_number_follows_its_limits(tmp_path: Path) -> None:
-    numbers = [speed_text_number(speed_machine(tmp_path, **changes)) for changes in ({}, {}, {"within_percent": 19.0})]
+    numbers = [
+        speed_text_number(speed_machine(tmp_path, **changes)) for changes in ({}, {}, {"max_change_percent": 19.0})
+    ]
     assert numbers[0] == numbers[1] != numbers[2]
     assert f"(TEXT {numbers[0]})" in speed_program(speed_machine(tmp_path))
 
@@ -215,7 +217,7 @@ def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int)
 
 
 def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(tmp_path: Path) -> None:
-    bench = SpeedBench(tmp_path, within_percent=20.0)
+    bench = SpeedBench(tmp_path, max_change_percent=20.0)
     programmed_rpm = 2348.0
     edge_rpm = float(round(1.2 * programmed_rpm))  # 0.4 1/min above it
     made_for = replace(OPERATION, speed_rpm=programmed_rpm)

@@ -99,7 +99,7 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
         ],
         "lowest_rpm": 2000.0,
         "highest_rpm": 12000.0,
-        "within_percent": 20.0,
+        "max_change_percent": 20.0,
         "hysteresis_rpm": 50.0,
         "step_rpm": 200.0,
     }

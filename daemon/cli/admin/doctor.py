@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from daemon.checkup.machine import Finding, probe
+from daemon.checkup.machine import Finding, preflight
 from daemon.cli.common import (
     DEFAULT_CONFIGURATION,
     config_option,
     json_option,
-    read_configuration,
+    read_with_warnings,
     show_finding,
     write_json,
 )
@@ -49,11 +49,13 @@ def check(config_path: Path, devices: bool, json_path: str | None) -> None:
 
     Stop the daemon first: a serial port has one reader.
     """
-    configuration = read_configuration(config_path)
+    configuration, warnings = read_with_warnings(config_path)
+    for warning in warnings:
+        click.echo(f"warning: {warning}", err=True)
     findings: list[Finding] = []
 
     async def collect() -> None:
-        async for finding in probe(configuration, SystemClock(), devices=devices):
+        async for finding in preflight(configuration, SystemClock(), devices=devices):
             findings.append(finding)
             if json_path is None:
                 show_finding(finding)

@@ -5,13 +5,16 @@ import sys
 from pathlib import Path
 
 import click
+import structlog
 
 from daemon.app import Daemon
-from daemon.cli.common import config_option, read_configuration, refuse
+from daemon.cli.common import config_option, read_with_warnings, refuse
 from daemon.history.database import HistoryError
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.registry import import_drivers
+
+log = structlog.get_logger(__name__)
 
 THREAD_TURN_S = 0.0005
 """A thread that computes (store, serial lines) gives way to the loop after this; Python's own 5 ms are a whole
@@ -37,8 +40,10 @@ def parse_simulated_clock(text: str) -> ScaledClock:
 )
 def run(config_path: Path, simulated_clock: str | None) -> None:
     """Run the daemon until SIGTERM or Ctrl-C."""
-    configuration = read_configuration(config_path)
+    configuration, warnings = read_with_warnings(config_path)
     configure_logging(configuration.service.log_level)
+    for warning in warnings:
+        log.warning("configuration.renamed_key", problem=str(warning))
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     sys.setswitchinterval(THREAD_TURN_S)
     import_drivers(configuration)

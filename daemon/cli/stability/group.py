@@ -206,7 +206,7 @@ def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_pat
     "--max-rpm", type=SPEED, default=14000.0, show_default=True, help="Highest speed of machine and tool [1/min]."
 )
 @click.option(
-    "--within-percent",
+    "--max-change-percent",
     type=POSITIVE,
     default=20.0,
     show_default=True,
@@ -241,7 +241,7 @@ def choose(
     depth_mm: float,
     min_rpm: float,
     max_rpm: float,
-    within_percent: float,
+    max_change_percent: float,
     margin_percent: float,
     tolerance_percent: float,
     feed_mm_min: float | None,
@@ -260,7 +260,7 @@ def choose(
     from models.stability.errors import StabilityError
 
     limits = SpeedLimits(
-        machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=within_percent / 100.0
+        machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=max_change_percent / 100.0
     )
     demand = SpeedDemand(
         programmed_rpm=programmed_rpm,

@@ -29,7 +29,7 @@ PERCENT = FiniteFloat(min=0.0, max=40.0)
     help="Highest speed; the simulated machine's own is 12000 [1/min].",
 )
 @click.option(
-    "--within-percent", type=POSITIVE, default=20.0, show_default=True, help="Greatest change of the speed [%]."
+    "--max-change-percent", type=POSITIVE, default=20.0, show_default=True, help="Greatest change of the speed [%]."
 )
 @click.option("--margin-percent", type=PERCENT, default=20.0, show_default=True, help="As for choose [%].")
 @click.option("--tolerance-percent", type=PERCENT, default=2.0, show_default=True, help="As for choose [%].")
@@ -43,10 +43,10 @@ PERCENT = FiniteFloat(min=0.0, max=40.0)
     "--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="Lobes of our choice."
 )
 @click.option(
-    "--second-look/--no-second-look",
+    "--verify-with-sdm/--no-verify-with-sdm",
     default=True,
     show_default=True,
-    help="Look at a chosen speed by semi-discretisation too.",
+    help="Verify a chosen speed by semi-discretisation (SDM) too.",
 )
 @click.option(
     "--dynamics",
@@ -67,13 +67,13 @@ def warm_up(
     feed_per_tooth_mm: float,
     min_rpm: float,
     max_rpm: float,
-    within_percent: float,
+    max_change_percent: float,
     margin_percent: float,
     tolerance_percent: float,
     offset_hz: float,
     rule_axis: str | None,
     method: str,
-    second_look: bool,
+    verify_with_sdm: bool,
     dynamics: str,
     machine_seed: int,
     day_seed: int,
@@ -103,12 +103,12 @@ def warm_up(
             tolerance_fraction=tolerance_percent / 100.0,
         ),
         limits=SpeedLimits(
-            machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=within_percent / 100.0
+            machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=max_change_percent / 100.0
         ),
         minutes=minutes,
         feed_per_tooth_mm=feed_per_tooth_mm,
         method=method,
-        second_look=second_look,
+        verify_with_sdm=verify_with_sdm,
         dynamics=dynamics,
         rule_axis=rule_axis,
         offset_hz=offset_hz,

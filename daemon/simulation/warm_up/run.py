@@ -46,7 +46,7 @@ class WarmUpRequest:
     dynamics: str = "spindle"
     """`spindle`: the finite elements of the simulated machine; `case`: the modes of the case, by a law."""
     method: str = "zoa"
-    second_look: bool = True
+    verify_with_sdm: bool = True
     """A chosen speed is looked at by semi-discretisation too."""
     rule_axis: str | None = None
     """Followed by the source's rule; None: the axis that is softer at its resonance."""
@@ -106,7 +106,7 @@ def warm_up(case: StabilityCase, request: WarmUpRequest) -> tuple[WarmUpRun, ...
     operation = operation_of(case, request)
     axis = request.rule_axis or machine.softer_axis
     lobes_of = partial(lobes_over, cut=case.cut(), request=request, feed_deg=float(case.feed_deg))
-    check = StabilityVerification(case.cut(), (float(case.feed_deg),)) if request.second_look else None
+    check = StabilityVerification(case.cut(), (float(case.feed_deg),)) if request.verify_with_sdm else None
     strategies: dict[str, SpeedStrategy] = {
         "programmed": ProgrammedSpeed(operation),
         "rule": ResonanceRule(operation, axis=axis, offset_hz=request.offset_hz),

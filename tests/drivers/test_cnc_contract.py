@@ -1,0 +1,118 @@
+"""Every driver of a CNC passes the same checks: the example of the how-to, and OPC UA over its wire."""
+
+import re
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import pytest
+import pytest_asyncio
+from cnc_contract import CHECKS, Bench, Check
+from pydantic import Field, create_model
+from scripted_machine import ScriptedNc, cnc_config
+
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import CncConnection, drivers_of
+from config.schema.displacements import DisplacementsConfig
+from config.schema.temperatures import LineConfig
+from drivers import registry
+from drivers.clock import SystemClock
+from drivers.contract import Cnc
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.opcua_server import SimulatedCncServer
+
+GUIDE = Path(__file__).parents[2] / "docs/how-to/write-a-driver.md"
+
+
+def of_the_guide() -> dict[str, Any]:
+    """Return what the Python of the how-to defines."""
+    defined: dict[str, Any] = {"CncConnection": CncConnection, "ClassVar": ClassVar, "Field": Field}
+    for block in re.findall(r"^```python\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        exec(block, defined)
+    return defined
+
+
+class ExampleBench:
+    """The how-to's driver at a control that takes #500 to #505."""
+
+    def __init__(self) -> None:
+        self._guide = of_the_guide()
+        self._config = create_model(
+            "ExampleCncConfig",
+            __base__=CncConfig,
+            driver=(Literal["example"], "example"),
+            example=(self._guide["ExampleConfig"] | None, None),
+        )
+        self._guide["CONTROLS"]["here"] = dict.fromkeys(range(500, 506))
+
+    def open(self, **changes: Any) -> Cnc:
+        section = self._guide["ExampleConfig"](host="here")
+        macros = cnc_config().macros
+        config = self._config(**{"macros": macros, "example": section, "allow_insecure_writes": True, **changes})
+        driver: Cnc = self._guide["ExampleCnc"](config, SystemClock())
+        return driver
+
+    async def lose(self) -> None:
+        del self._guide["CONTROLS"]["here"]
+
+    def refuse(self, number: int) -> None:
+        del self._guide["CONTROLS"]["here"][number]
+
+
+class OpcUaBench:
+    """The OPC UA driver at the simulated server."""
+
+    def __init__(self) -> None:
+        self._nc = ScriptedNc()
+        self._server = SimulatedCncServer(self._nc, cnc_config(), port=0)
+
+    async def start(self) -> None:
+        await self._server.start()
+        self._endpoint = self._server.endpoint
+
+    async def stop(self) -> None:
+        await self._server.stop()
+
+    def open(self, **changes: Any) -> Cnc:
+        return OpcUaCnc(cnc_config(self._endpoint, **changes), SystemClock())
+
+    async def lose(self) -> None:
+        await self._server.stop()
+
+    def refuse(self, number: int) -> None:
+        del self._nc.macros.values[number]
+
+
+@pytest_asyncio.fixture(params=["example", "opcua"])
+async def bench(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
+    if request.param == "example":
+        yield ExampleBench()
+        return
+    opcua = OpcUaBench()
+    await opcua.start()
+    yield opcua
+    await opcua.stop()
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+async def test_every_driver_does_what_the_daemon_relies_on(bench: Bench, check: Check) -> None:
+    await check(bench)
+
+
+def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:
+    assert set(registry.CNC_DRIVERS) == set(drivers_of(CncConfig))
+    for driver, load in registry.CNC_DRIVERS.items():
+        assert callable(load()), driver
+    for sources, section in (
+        (registry.TEMPERATURE_SOURCES, LineConfig),
+        (registry.DISPLACEMENT_SOURCES, DisplacementsConfig),
+    ):
+        assert set(sources) == {section.driver}
+        assert callable(sources[section.driver]())
+
+
+def test_every_section_with_a_driver_is_the_one_of_its_name() -> None:
+    for driver in drivers_of(CncConfig):
+        (section, _) = CncConfig.model_fields[driver].annotation.__args__  # type: ignore[union-attr]
+        assert section.driver == driver
