@@ -12,6 +12,7 @@ from config.schema.cnc import MacroMapConfig
 from daemon.model_release.loading import read_model
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.files.recording_csv import read_header
+from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.recordings.dataset import Recording
 
@@ -51,6 +52,11 @@ def check_model(path: Path, recording: Recording) -> None:
             raise ValueError(
                 f"{path}: sensor {sensor_id} of the model is {name}, of the recording {names[sensor_id - 1]}"
             )
+
+
+def playing_time_s(recording: Recording) -> float:
+    """Return how long the simulated machine plays it, the lead-in included [s]."""
+    return LEAD_IN_S + float(recording.time_s[-1] - recording.time_s[0])
 
 
 def replay_machine(recording: Recording, model_file: Path, record_file: Path) -> dict[str, Any]:

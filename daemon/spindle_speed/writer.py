@@ -146,6 +146,6 @@ class SpeedWriter:
             return ""
         return (
             f"S{pair.speed_rpm:g} F{pair.feed_mm_min:g} for {pair.made_for} is out of bounds "
-            f"({tuning.lowest_rpm:g} to {highest_rpm - ROUNDING_RPM:g} 1/min, at most {tuning.max_change_percent:g} % of "
-            "change, the feed that belongs to it); nothing was sent"
+            f"({tuning.lowest_rpm:g} to {highest_rpm - ROUNDING_RPM:g} 1/min, at most "
+            f"{tuning.max_change_percent:g} % of change, the feed that belongs to it); nothing was sent"
         )

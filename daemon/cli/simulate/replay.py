@@ -11,10 +11,9 @@ from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_configuration
-from daemon.simulation.replaying import check_model, map_of, replay_machine
+from daemon.simulation.replaying import check_model, map_of, playing_time_s, replay_machine
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
-from drivers.sim.machine.recorded import LEAD_IN_S
 
 FASTEST = 600.0
 """Faster than this the wires cannot keep the machine's time [simulated s per s]."""
@@ -84,7 +83,7 @@ def replay(
             path, _ = write_rehearsal_configuration(machine, folder, speed=speed, http=False)
         except (ConfigurationError, ValueError) as error:
             refuse(str(error))
-        until_s = LEAD_IN_S + float(part.time_s[-1] - part.time_s[0])
+        until_s = playing_time_s(part)
         arguments = ["--recording", str(recording.resolve()), "--hours", f"{hours[0]!r}-{hours[1]!r}"]
         arguments += ["--until-s", repr(until_s), "--report-s", "60"]
         if map_path is not None:

@@ -5,6 +5,7 @@ the tool is always at a safe point, so that the NC applies what it is given once
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from drivers.sim.nc.nc import NumericalControl, RunCode
 from drivers.sim.nc.nc_programs import NcPrograms
 from drivers.sim.nc.program import Block
 from drivers.sim.nc.safe_point import SafePointApplication
-from models.recordings.dataset import Recording
 from models.records import FloatArray
 
 LEAD_IN_S = 120.0
@@ -27,12 +27,39 @@ PROGRAM, POSITIONING, SAFE = 3000, 100, 900
 ROOM_DEGC = 25.0
 
 
+class PlayedRecording(Protocol):
+    """What is played: a row per time."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times, increasing [s], shape (n,)."""
+        ...
+
+    @property
+    def temperatures_degc(self) -> FloatArray:
+        """Temperatures [degC], shape (n, n_sensors), NaN where missing."""
+        ...
+
+    @property
+    def displacement_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def displacements_um(self) -> FloatArray:
+        """Displacements [um], shape (n, n_channels), NaN where missing."""
+        ...
+
+    @property
+    def speed_rpm(self) -> FloatArray | None:
+        """Spindle speed [1/min], shape (n,); None when it was not recorded."""
+        ...
+
+
 class RecordedMachine:
     """Implements `drivers.sim.contract.SimulatedMachine` for one recording; every channel is an axis."""
 
     def __init__(
         self,
-        recording: Recording,
+        recording: PlayedRecording,
         sensors: Sequence[SensorConfig],
         macro_map: MacroMapConfig,
         axes: Mapping[str, AxisConfig],
@@ -40,10 +67,8 @@ class RecordedMachine:
         *,
         block_s: float,
     ) -> None:
-        if len(sensors) != len(recording.temperature_names):
-            raise ValueError(
-                f"the recording has {len(recording.temperature_names)} temperatures, the machine {len(sensors)} sensors"
-            )
+        if len(sensors) != (columns := recording.temperatures_degc.shape[1]):
+            raise ValueError(f"the recording has {columns} temperatures, the machine {len(sensors)} sensors")
         self._recording = recording
         self._time_s = recording.time_s - recording.time_s[0]
         first = self._time_s < block_s
