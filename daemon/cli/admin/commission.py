@@ -107,7 +107,7 @@ def _readings(
     "secrets_path",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     default=None,
-    help="Folder of the files that cnc.opcua.security names, when the service's credentials are not there.",
+    help="Folder of the CNC's password and key files, when the service's credentials are not there.",
 )
 @click.option(
     "--record",
