@@ -10,11 +10,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import yaml
 from installation import Installation
 from other_user import OTHER, as_root
 
 from config.loader import load_configuration
-from daemon.backup.making import existing_backups, remove_old
+from daemon.backup.making import existing_backups, make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history import HistoryReader
@@ -41,6 +42,23 @@ def elsewhere(installation: Installation) -> Path:
 
 
 # --- making ----------------------------------------------------------------------------------
+
+
+def test_the_manifest_names_the_secrets_that_are_not_in_it(installation):
+    content = yaml.safe_load(installation.config_path.read_text(encoding="utf-8"))
+    content["cnc"]["opcua"]["security"] = {
+        "user_name": "toolpoint",
+        "password_file": "/run/credentials/password",
+        "certificate": "/etc/own.der",
+        "private_key": "/run/credentials/own.pem",
+        "server_certificate": "/etc/cnc.der",
+    }
+    installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path = installation.folder / "secured.tar"
+    make_backup(load_configuration(installation.config_path), installation.config_path, path)
+    left_out = read_manifest(path).left_out
+    assert "cnc.opcua.security.password_file: /run/credentials/password" in left_out
+    assert "cnc.opcua.security.private_key: /run/credentials/own.pem" in left_out
 
 
 def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):
