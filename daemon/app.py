@@ -12,6 +12,7 @@ import structlog
 from config.records.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
+from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.limits import commissioned_factors, echo_slack_um
 from daemon.cnc.link import CncLink
 from daemon.cnc.macro_block import MacroBlock
@@ -269,8 +270,8 @@ class Daemon:
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros
-        limits, last_block = self.control.limits, self._last_block
-        return CncSession(cnc, self._block, self._clock, self._history, self._telemetry, limits, known, last_block)
+        writer = AuditedWriter(cnc, self._block, self._clock, self._history, self._telemetry)
+        return CncSession(writer, self.control.limits, known, self._last_block)
 
     # --- what the tasks call back --------------------------------------------------------
 

@@ -90,15 +90,20 @@ class MacroBlock:
             guard_version=macros.get(self._map.echo_guard_version),
         )
 
-    def differences(self, acceptable: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None]) -> list[str]:
-        """Return what is vacant or foreign among our macros, in words."""
-        problems = self.vacant({number: found.get(number) for number in acceptable})
+    def differences(
+        self, acceptable: Mapping[int, tuple[float | None, ...]], found: Mapping[int, float | None]
+    ) -> list[str]:
+        """Return what is vacant or foreign among our macros, in words; one that may hold None may be vacant."""
+        problems = self.vacant(
+            {number: found.get(number) for number, values in acceptable.items() if None not in values}
+        )
         for number, allowed in acceptable.items():
             value = found.get(number)
             if value is None:
                 continue
-            if not any(self._close(value, expected) for expected in allowed):
-                expected = " or ".join(f"{v:g}" for v in allowed) or "nothing"
+            written = [each for each in allowed if each is not None]
+            if not any(self._close(value, expected) for expected in written):
+                expected = " or ".join(f"{v:g}" for v in written) or "nothing"
                 problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
         return problems
 

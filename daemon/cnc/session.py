@@ -1,4 +1,4 @@
-"""One connected CNC: writing the block, reading it back, and knowing what is ours.
+"""One connected CNC: what its block holds and the guard applies, and what is ours of it.
 
 Owned by the control task alone; it serialises every call to the CNC.
 """
@@ -8,21 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.cnc.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo, MacroBlock
+from daemon.cnc.audited_write import AuditedWriter, Expected, Groups, MacroValues, MacroWrite
+from daemon.cnc.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.history.writer import HistoryWriter
-from daemon.telemetry.metrics import Telemetry
-from drivers.clock import Clock
-from drivers.contract import Cnc, FatalDriverError
+from drivers.contract import FatalDriverError
 from models.control.state import OutputLimits
-from models.records import (
-    CncSample,
-    CompensationCommand,
-    FloatArray,
-    Receipt,
-    Trace,
-    WriteOutcome,
-)
+from models.records import CncSample, CompensationCommand, FloatArray, Receipt, Trace
+
+CLEARED_BY_POWER_OFF = range(100, 200)
+"""Macros that may be found vacant although they have been written."""
 
 
 class CncSession:
@@ -30,22 +24,19 @@ class CncSession:
 
     def __init__(
         self,
-        cnc: Cnc,
-        block: MacroBlock,
-        clock: Clock,
-        history: HistoryWriter,
-        telemetry: Telemetry,
+        writer: AuditedWriter,
         limits: OutputLimits,
         known: dict[int, tuple[float, ...]] | None,
         last_block: WriteAheadRecord,
     ) -> None:
-        self.cnc = cnc
-        self._block = block
-        self._clock = clock
-        self._history = history
-        self._telemetry = telemetry
+        self.cnc = writer.cnc
+        self._writer = writer
+        self._block = block = writer.block
+        self._clock = writer.clock
         self._limits = limits
         self._acceptable = None if known is None else {n: v for n, v in known.items() if n in block.ours}
+        self._apart: dict[int, tuple[float, ...]] = {n: v for n, v in (known or {}).items() if n not in block.ours}
+        """What the macros that are written apart from the block may hold."""
         self._last_block = last_block
         self._sequence = 0
         self._enabled = False
@@ -62,7 +53,7 @@ class CncSession:
     @property
     def known(self) -> dict[int, tuple[float, ...]] | None:
         """What our macros may hold: what was written, and what a lost write may have left."""
-        return self._acceptable
+        return None if self._acceptable is None else {**self._acceptable, **self._apart}
 
     @property
     def enabled(self) -> bool:
@@ -99,6 +90,7 @@ class CncSession:
         if not self._seen:
             return []
         found = {number: self._seen.get(number) for number in self._block.ours}
+        self._apart = {}
         self._acceptable = {number: () if value is None else (value,) for number, value in found.items()}
         bound = replace(self._limits, step_um=np.full(len(self._limits.axes), np.inf))
         return self._block.vacant(found) + self._block.implausible_echo(self._seen, bound)
@@ -126,11 +118,11 @@ class CncSession:
         return self._block.implausible_echo(found, self._limits, after_expiry=True) if self._after_expiry else lagging
 
     async def write(self, command: CompensationCommand, *, validity_s: float, trace: Trace, cause: str) -> Receipt:
-        """Write the block first to last, read it back, and leave intent and outcome in the audit."""
-        assert self.sample is not None
+        """Write the block first to last over what is known to stand there, and read it back."""
+        if self.sample is None or self._acceptable is None:
+            raise FatalDriverError("nobody here knows what the block holds; nothing was sent")
         now = self._clock.now()
         clock_s = self.sample.clock_s + (now.monotonic_s - self.sample.time.monotonic_s)
-        self._after_expiry |= self._block.expires_to_zero and self._block.expired(self._seen, clock_s)
         self._sequence = self._sequence % LAST_SEQUENCE + 1
         stopped = not any(command.enable)
         valid_until_s = 0.0 if stopped else clock_s + validity_s
@@ -138,80 +130,90 @@ class CncSession:
             raise FatalDriverError(f"{command.compensation_um} um is outside the absolute bound; nothing was sent")
         groups = self._block.encode(command, sequence=self._sequence, valid_until_s=valid_until_s)
         macros = tuple(pair for group in groups for pair in group)
-        intent = self._history.write_intent(command, macros, cause)
-        self.last_write_id = int(intent)
-        self._expect_old_or_new(macros)
-        self._last_block.keep(self._acceptable or {})
-        try:
-            await self.cnc.write_macros(groups)
-            trace = replace(trace, written=self._clock.now())
-            found = await self.cnc.read_macros(self._block.read_back)
-            trace = replace(trace, read_back=self._clock.now())
-        except Exception as error:
-            refused = isinstance(error, FatalDriverError)
-            outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
-            self._conclude(intent, macros, outcome, str(error), {}, trace)
-            raise
-        self._acceptable = {number: (value,) for number, value in macros}
-        problems = self._block.differences(self._acceptable, found)
-        problems += self._implausible_echo(found, clock_s)
-        self.echo = self._block.echo(found)
-        self._enabled = self._block.enabled(found)
-        self._seen = found
+
+        def sending(found: MacroValues) -> None:
+            self._after_expiry |= self._block.expires_to_zero and self._block.expired(found, clock_s)
+            self._expect_old_or_new(macros)
+            self._last_block.keep(self._acceptable or {})
+
+        def judge(found: MacroValues) -> list[str]:
+            self._acceptable = {number: (value,) for number, value in macros}
+            self._enabled = self._block.enabled(found)
+            self._seen = found
+            self.echo = self._block.echo(found)
+            return self._implausible_echo(found, clock_s)
+
+        receipt = await self._writer.write(
+            MacroWrite(
+                groups=groups,
+                expected=self._acceptable,
+                cause=cause,
+                trace=trace,
+                sequence=self._sequence,
+                command=command,
+                also_read=self._block.read_back,
+                sending=sending,
+                judge=judge,
+            )
+        )
+        self.last_write_id = self._writer.last_write_id
         self.last_write_s = now.monotonic_s
         self.last_command = command
-        outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
-        return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
+        return receipt
 
     async def write_one(self, number: int, value: float, *, cause: str, trace: Trace | None = None) -> Receipt:
-        """Write one macro that is not of the block, read it back, and leave intent and outcome in the audit."""
+        """Write one macro that is not of the block; see `write_apart`."""
         return await self.write_apart((((number, value),),), cause=cause, trace=trace)
 
     async def write_apart(
-        self, groups: tuple[tuple[tuple[int, float], ...], ...], *, cause: str, trace: Trace | None = None
+        self, groups: Groups, *, cause: str, trace: Trace | None = None, expected: Expected | None = None
     ) -> Receipt:
-        """Write macros that are not of the block, group after group, with read-back and audit as for the block."""
+        """Write macros that are not of the block, group after group, compared, read back and audited as the block is.
+
+        `expected` is what may stand there, where the caller keeps account of it. Otherwise that is what was written
+        here before; a macro that nobody here has written may hold what the latest poll showed, and where it is not
+        polled, anything.
+        """
         now = self._clock.now()
-        trace = trace or Trace(first_byte=now, last_byte=now)
         macros = tuple(pair for group in groups for pair in group)
-        intent = self._history.write_intent(None, macros, cause)
-        try:
-            await self.cnc.write_macros(groups)
-            trace = replace(trace, written=self._clock.now())
-            found = await self.cnc.read_macros(tuple(number for number, _ in macros))
-            trace = replace(trace, read_back=self._clock.now())
-        except Exception as error:
-            refused = isinstance(error, FatalDriverError)
-            outcome = WriteOutcome.REFUSED if refused else WriteOutcome.FAILED
-            self._conclude(intent, macros, outcome, str(error), {}, trace)
-            raise
-        problems = self._block.differences({number: (value,) for number, value in macros}, found)
-        outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
-        return self._conclude(intent, macros, outcome, "; ".join(problems), found, trace)
+        standing = self._standing(macros) if expected is None else expected
+
+        def sending(_found: MacroValues) -> None:
+            if expected is None:
+                self._apart |= {
+                    number: (*(each for each in standing[number] if each is not None), value)
+                    for number, value in macros
+                    if number in standing
+                }
+
+        receipt = await self._writer.write(
+            MacroWrite(
+                groups=groups,
+                expected=standing,
+                cause=cause,
+                trace=trace or Trace(first_byte=now, last_byte=now),
+                sending=sending,
+            )
+        )
+        if expected is None:
+            self._apart |= {number: (value,) for number, value in macros}
+        return receipt
+
+    def _standing(self, macros: Sequence[tuple[int, float]]) -> Expected:
+        """Return what may stand in macros that are not of the block."""
+        polled: MacroValues = {} if self.sample is None else self.sample.macros
+        standing: dict[int, tuple[float | None, ...]] = {}
+        for number, _ in macros:
+            if number in self._apart:
+                standing[number] = self._apart[number]
+            elif number in polled:
+                standing[number] = () if (value := polled[number]) is None else (value,)
+            else:
+                continue
+            if number in CLEARED_BY_POWER_OFF:
+                standing[number] += (None,)
+        return standing
 
     def _expect_old_or_new(self, macros: Sequence[tuple[int, float]]) -> None:
         before = self._acceptable or {}
         self._acceptable = {number: (*before.get(number, ()), value) for number, value in macros}
-
-    def _conclude(
-        self,
-        intent: int,
-        macros: tuple[tuple[int, float], ...],
-        outcome: WriteOutcome,
-        detail: str,
-        found: Mapping[int, float | None],
-        trace: Trace,
-    ) -> Receipt:
-        echo = self._block.echo(found)
-        receipt = Receipt(
-            sequence=self._sequence,
-            macros=macros,
-            outcome=outcome,
-            detail=detail,
-            read_back=tuple(found.get(number) for number, _ in macros),
-            applied_um=echo.applied_um,
-            trace=trace,
-        )
-        self._history.write_outcome(intent, receipt)
-        self._telemetry.write(receipt)
-        return receipt

@@ -105,7 +105,7 @@ class Commissioning:
             await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
             raise
         finally:
-            await self._station.close()
+            await self._station.control.close()
         record = self._record()
         self._event(f"proved: {', '.join(record.axes)}")
         return record
@@ -125,17 +125,20 @@ class Commissioning:
     async def _prepare(self) -> None:
         station, configuration = self._station, self._configuration
         await station.connect()
-        refuse_clock(station.clock, station.identity)
-        self._outcome.identity = station.identity
-        sample = await station.look()
+        refuse_clock(station.clock, station.control.identity)
+        self._outcome.identity = station.control.identity
+        sample = await station.control.look()
         refuse_state(sample, configuration)
-        security = "encrypted and signed" if station.security == "encrypted" else "NOT secure (allow_insecure_writes)"
-        self._say(f"Control {station.identity}, {security}; O{sample.program}, {sample.mode.value}, {sample.run.value}")
+        security = (
+            "encrypted and signed" if station.control.security == "encrypted" else "NOT secure (allow_insecure_writes)"
+        )
+        control = f"Control {station.control.identity}, {security}"
+        self._say(f"{control}; O{sample.program}, {sample.mode.value}, {sample.run.value}")
         await self._agree(f"Is this the control of {configuration.machine!r}?")
         sample = await self._initialise(sample)
         refuse_state(sample, configuration)
         if not self._plan.initialise_only and (number := told_text(configuration)) is not None:
-            told = (await station.read((number,)))[number]
+            told = (await station.control.read((number,)))[number]
             refuse_other_speed_program(configuration, told)
             self._say(f"The speed program is the configuration's: text {told:g}.")
         station.take_over(sample)
@@ -143,7 +146,7 @@ class Commissioning:
 
     async def _initialise(self, sample: CncSample) -> CncSample:
         station = self._station
-        found = station.block_found(sample)
+        found = station.control.block_found(sample)
         if found.foreign:
             await self._overwrite(found)
         elif found.vacant:
@@ -152,12 +155,12 @@ class Commissioning:
         at_rest = {self._configuration.cnc.macros.valid_until, None if speed is None else speed.macros.valid_until}
         numbers = (*found.vacant, *(number for number in found.foreign if number not in at_rest))
         if numbers:
-            await station.initialise(numbers, found, self._plan.person)
+            await station.control.initialise(numbers, found, self._plan.person)
             self._event(f"initialised {_numbers(numbers)}")
             self._say(f"Initialised: {_numbers(numbers)}")
         else:
             self._say("The macro variables of the block are initialised.")
-        return await station.look()
+        return await station.control.look()
 
     async def _overwrite(self, found: BlockFound) -> None:
         self._say(

@@ -13,6 +13,7 @@ from daemon.backup.restoring import give_to_owner_of_folder
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
+from daemon.commissioning.link import CommissioningLink
 from daemon.commissioning.preconditions import refuse_running_daemon
 from daemon.commissioning.procedure import Commissioning, Plan
 from daemon.commissioning.readings import DisplacementLog, Instruments
@@ -69,7 +70,7 @@ async def commission(
     except HistoryError as error:
         raise CommissioningRefusedError(str(error)) from error
     last_block = WriteAheadRecord.beside(configuration.history.path)
-    station = Station(
+    link = CommissioningLink(
         configuration, clock, open_cnc or (lambda: registry.open_cnc(configuration, clock)), history, last_block
     )
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
@@ -78,6 +79,7 @@ async def commission(
     try:
         for number in signals:
             loop.add_signal_handler(number, task.cancel)
+        station = Station(configuration, link)
         work = Commissioning(configuration, plan, station, dialogue, instruments, history, _today, log)
         return await work.run()
     finally:

@@ -1,42 +1,25 @@
-"""The CNC during a commissioning: one session, a heartbeat that never pauses, and offsets that creep.
+"""The CNC while offsets are applied: one session, a heartbeat that never pauses, values that move at the slew rate.
 
 One task owns every call to the CNC. It polls at each tick, moves the value towards its target at the
 slew rate, and renews `valid_until`, however long the person looks at the instrument.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 import numpy as np
 
 from config.schema import Configuration
+from daemon.cnc.audited_write import ForeignValueError
 from daemon.cnc.clock_watch import power_cycled
-from daemon.cnc.limits import echo_slack_um, output_limits
-from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo, MacroBlock
+from daemon.cnc.limits import output_limits
+from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
 from daemon.cnc.session import CncSession
-from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.commissioning.initialising import (
-    BlockFound,
-    CommissioningRefusedError,
-    ForeignWriterError,
-    find_block,
-    ours_to_initialise,
-    zero_groups,
-)
-from daemon.history.writer import HistoryWriter, WriteId
-from daemon.telemetry.metrics import Telemetry
-from drivers.clock import Clock
-from drivers.contract import Cnc, LinkError, Security
-from models.records import (
-    CncSample,
-    CompensationCommand,
-    FloatArray,
-    OutputState,
-    Receipt,
-    Trace,
-    WriteOutcome,
-)
+from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
+from daemon.commissioning.link import CommissioningLink
+from drivers.contract import LinkError
+from models.records import CncSample, CompensationCommand, FloatArray, OutputState, Trace, WriteOutcome
 
 T = TypeVar("T")
 
@@ -46,41 +29,23 @@ SPINDLE_AT_REST_RPM = 1.0
 """A spindle that turns faster tears the instrument off [1/min]."""
 UM_PER_MM = 1000.0
 INCREMENT_SLACK = 1e-6
-COMMIT_S = 10.0
-"""The audit takes the intent within this, or nothing is written [s of the wall clock]."""
 
 
 class Station:
     """One control, from the first look to everything back at zero."""
 
-    def __init__(
-        self,
-        configuration: Configuration,
-        clock: Clock,
-        open_cnc: Callable[[], Cnc],
-        history: HistoryWriter,
-        last_block: WriteAheadRecord,
-    ) -> None:
+    def __init__(self, configuration: Configuration, control: CommissioningLink) -> None:
         self._configuration = configuration
-        self.clock = clock
-        self._open_cnc = open_cnc
-        self._history = history
-        self._last_block = last_block
+        self.control = control
+        self.clock = control.clock
         self.axes = tuple(configuration.compensation.axes)
         self.limits = output_limits(configuration)
-        self._block = MacroBlock(
-            configuration.cnc.macros, self.axes, {}, echo_slack_um(configuration), configuration.cnc.guard
-        )
-        self._speed = configuration.spindle_speed.macros if configuration.spindle_speed is not None else None
-        self._telemetry = Telemetry()
-        self._cnc: Cnc | None = None
+        self._block = control.block
         self._session: CncSession | None = None
         self._previous: CncSample | None = None
         self._stopping = False
         self._beats = asyncio.Condition()
         self._moved_s = 0.0
-        self.identity = ""
-        self.security: Security = "insecure"
         self.target_um: FloatArray = np.zeros(len(self.axes))
         self.command_um: FloatArray = np.zeros(len(self.axes))
         self.enable = [False] * len(self.axes)
@@ -89,117 +54,19 @@ class Station:
         self.touched = False
         """An enable bit has been written, so the machine must be left in order."""
 
-    # --- connection ----------------------------------------------------------------------
-
     async def connect(self) -> None:
         """Connect anew; raises DriverError."""
-        await self.close()
-        cnc = self._cnc = self._open_cnc()
-        await cnc.connect()
-        self.identity, self.security = cnc.identity, cnc.security
+        await self.control.connect()
         if self._session is not None:
             self._session = self._new_session(self._session.known)
 
-    async def close(self) -> None:
-        """Close the connection; never raises."""
-        cnc, self._cnc = self._cnc, None
-        if cnc is not None:
-            await cnc.close()
-
     def _new_session(self, known: dict[int, tuple[float, ...]] | None) -> CncSession:
-        return CncSession(
-            self._connected(),
-            self._block,
-            self.clock,
-            self._history,
-            self._telemetry,
-            self.limits,
-            known,
-            self._last_block,
-        )
-
-    def _connected(self) -> Cnc:
-        if self._cnc is None:
-            raise LinkError("there is no connection to the CNC")
-        return self._cnc
-
-    async def look(self) -> CncSample:
-        """Read state and block once, before there is a heartbeat."""
-        macros = self._configuration.cnc.macros
-        numbers = dict.fromkeys((*self._block.polled, *ours_to_initialise(macros, self._block, self._speed)))
-        return await self._connected().read(tuple(numbers))
-
-    async def read(self, numbers: tuple[int, ...]) -> dict[int, float | None]:
-        """Read other macro variables once, before there is a heartbeat; raises DriverError."""
-        found = await self._connected().read_macros(numbers)
-        return {number: found.get(number) for number in numbers}
-
-    # --- initialising --------------------------------------------------------------------
-
-    def block_found(self, sample: CncSample) -> BlockFound:
-        """Sort the variables of the block by what the last write and the audit say they may hold."""
-        kept = self._last_block.load()
-        known = kept if kept is not None else self._history.last_written_macros()
-        if self._speed is not None:
-            known = {**(known or {}), **(WriteAheadRecord.of_speed(self._history.path).load() or {})}
-        return find_block(self._configuration.cnc.macros, self._block, known, sample.macros, self._speed)
-
-    async def initialise(self, numbers: tuple[int, ...], found: BlockFound, person: str) -> None:
-        """Set these variables to 0, read them back, and leave intent and outcome in the audit."""
-        groups = zero_groups(self._configuration.cnc.macros, numbers, self._speed)
-        pairs = tuple(pair for group in groups for pair in group)
-        if not pairs:
-            return
-        cnc = self._connected()
-        intent = self._history.write_intent(None, pairs, "commission", person)
-        await self._committed(intent)
-        self._last_block.keep(
-            {n: (0.0,) if found.values[n] is None else (found.values[n] or 0.0, 0.0) for n, _ in pairs}
-        )
-        now = self.clock.now()
-        outcome, detail, read_back = WriteOutcome.FAILED, "", dict[int, float | None]()
-        try:
-            await cnc.write_macros(groups)
-            read_back = await cnc.read_macros([number for number, _ in pairs])
-            wrong = [number for number, value in pairs if read_back.get(number) != value]
-            outcome = WriteOutcome.DIFFERS if wrong else WriteOutcome.VERIFIED
-            detail = ", ".join(f"#{number} reads {read_back.get(number)}" for number in wrong)
-        except Exception as error:
-            detail = str(error)
-            raise
-        finally:
-            self._history.write_outcome(
-                intent,
-                Receipt(
-                    sequence=0,
-                    macros=pairs,
-                    outcome=outcome,
-                    detail=detail,
-                    read_back=tuple(read_back.get(number) for number, _ in pairs),
-                    applied_um=np.full(len(self.axes), np.nan),
-                    trace=Trace(first_byte=now, last_byte=now),
-                ),
-            )
-        if detail:
-            raise CommissioningRefusedError(
-                f"initialised variables read back differently: {detail}. Check that nothing else writes them and that "
-                "the CNC's user may; nothing has moved"
-            )
-
-    async def _committed(self, intent: WriteId) -> None:
-        try:
-            async with asyncio.timeout(COMMIT_S):
-                await intent
-        except TimeoutError:
-            problem = self._history.problem or "the store does not answer"
-            raise CommissioningRefusedError(
-                f"the audit cannot be written, and nothing is written to the CNC without it: {problem}"
-            ) from None
+        return CncSession(self.control.writer(), self.limits, known, self.control.last_block)
 
     def take_over(self, sample: CncSample) -> None:
         """Begin a session on the block as it now stands; what is applied is where the command begins."""
         held = {number: sample.macros.get(number) for number in self._block.ours}
-        self._last_block.keep({number: (value,) for number, value in held.items() if value is not None})
+        self.control.last_block.keep({number: (value,) for number, value in held.items() if value is not None})
         self._session = self._new_session({n: () if value is None else (value,) for n, value in held.items()})
         applied_um = self._block.echo(sample.macros).applied_um
         self.command_um = np.where(np.isfinite(applied_um), applied_um, 0.0)
@@ -269,7 +136,7 @@ class Station:
             )
         sample = session.sample
         assert sample is not None
-        self._history.cnc_sample(sample)
+        self.control.history.cnc_sample(sample)
         self._refuse_state(sample)
         changed = self._ramp()
         bits = tuple(self.enable)
@@ -311,12 +178,17 @@ class Station:
         )
         self.touched = self.touched or any(bits)
         now = self.clock.now()
-        receipt = await self.session.write(
-            command,
-            validity_s=self._configuration.compensation.output.validity_s,
-            trace=Trace(first_byte=now, last_byte=now),
-            cause="commission",
-        )
+        try:
+            receipt = await self.session.write(
+                command,
+                validity_s=self._configuration.compensation.output.validity_s,
+                trace=Trace(first_byte=now, last_byte=now),
+                cause="commission",
+            )
+        except ForeignValueError as error:
+            raise ForeignWriterError(
+                f"{error}: something else writes these variables; find it, and begin again"
+            ) from error
         if receipt.outcome is not WriteOutcome.VERIFIED:
             raise ForeignWriterError(f"read-back differs: {receipt.detail}")
 

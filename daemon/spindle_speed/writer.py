@@ -106,10 +106,11 @@ class SpeedWriter:
         groups = self._block.encode(
             pair, after=self._block.sequence(found), valid_until_s=clock_s + self._tuning.validity_s
         )
+        standing = {number: (found.get(number),) for group in groups for number, _ in group}
         self._expect(groups, found)
         verified = False
         try:
-            receipt = await session.write_apart(groups, cause=SPEED_CAUSE)
+            receipt = await session.write_apart(groups, cause=SPEED_CAUSE, expected=standing)
             verified = receipt.outcome is WriteOutcome.VERIFIED
         except FatalDriverError as error:
             raise SpeedWriteError(f"a write of the spindle speed was refused: {error}") from error

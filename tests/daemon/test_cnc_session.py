@@ -8,6 +8,7 @@ import pytest
 from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, HandClock, Z, machine
 from memory_cnc import MemoryNc
 
+from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.limits import output_limits
 from daemon.cnc.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.cnc.session import CncSession
@@ -38,9 +39,8 @@ class Desk:
         self.block = MacroBlock(self.configuration.cnc.macros, AXES, {})
 
     def session(self, known=None) -> CncSession:
-        limits = output_limits(self.configuration)
-        cnc, telemetry = self.nc.open(), Telemetry()
-        return CncSession(cnc, self.block, self.clock, self.history, telemetry, limits, known, self.last_block)
+        writer = AuditedWriter(self.nc.open(), self.block, self.clock, self.history, Telemetry())
+        return CncSession(writer, output_limits(self.configuration), known, self.last_block)
 
     async def write(self, session, z_um=3.0, enable=(False, False, True)):
         now = self.clock.now()

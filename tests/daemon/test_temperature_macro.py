@@ -68,6 +68,16 @@ async def test_a_changed_value_is_written_once_and_audited(rig):
     assert shown == 2.0
 
 
+async def test_a_foreign_value_is_a_fault_and_is_not_written_over(rig):
+    rig.nc.macros.set(MACRO, 5.0)
+    await cycle(rig, 21.5)
+    assert written(rig) == [21.5], "nobody here has written it before, so nobody knows what it held"
+    rig.nc.macros.set(MACRO, 99.0)
+    await cycle(rig, 22.0)
+    assert written(rig) == [21.5] and rig.nc.macros.get(MACRO) == 99.0
+    assert f"a write was refused: macro #{MACRO} holds 99, we wrote 21.5" in rig.control.journal.fault
+
+
 async def test_another_line_is_none_of_it(rig):
     await cycle(rig, 25.0, line="spindle")
     assert written(rig) == []

@@ -16,6 +16,7 @@ from config.schema.cnc_drivers import OpcUaConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
+from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.limits import commissioned_factors
 from daemon.cnc.link import CncLink
 from daemon.cnc.macro_block import MacroBlock
@@ -166,8 +167,8 @@ class Rig:
 
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self.resume.known_macros
-        limits, last_block = self.control.limits, self.last_block
-        return CncSession(cnc, self.block, self.clock, self.history, self.telemetry, limits, known, last_block)
+        writer = AuditedWriter(cnc, self.block, self.clock, self.history, self.telemetry)
+        return CncSession(writer, self.control.limits, known, self.last_block)
 
     async def connected(self, *, timeout_s: float = FOREVER_S) -> None:
         """Return when the supervisor has opened a session."""

@@ -1,6 +1,6 @@
 """A CNC in this process: macro table and safe points of the simulated NC behind the drivers' contract."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from config.schema import Configuration
 from drivers.clock import Clock
@@ -34,6 +34,8 @@ class MemoryNc:
         """Macro variable that takes a write and keeps its old value."""
         self.breaks: Exception | None = None
         """What the next call raises."""
+        self.after_read: Callable[[Sequence[int]], None] | None = None
+        """Called with what was asked for when a read of macros has been answered."""
         self.written: list[tuple[int, float]] = []
         self.opened: list[MemoryCnc] = []
 
@@ -92,7 +94,10 @@ class MemoryCnc:
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         self._answer()
-        return {number: self._nc.macros.get(number) for number in macros}
+        found = {number: self._nc.macros.get(number) for number in macros}
+        if self._nc.after_read is not None:
+            self._nc.after_read(macros)
+        return found
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         self._answer()

@@ -1,0 +1,137 @@
+"""The one place that writes macro variables: intent, comparison, write, read-back, outcome, receipt.
+
+Nothing reaches the CNC without its row in the audit, and nothing is written over a value that is not ours: what
+stands in the macros is read as the last request before the write. What somebody else has put there is left
+alone, and the audit says so.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from daemon.cnc.macro_block import MacroBlock
+from daemon.history.writer import HistoryWriter, WriteId
+from daemon.telemetry.metrics import Telemetry
+from drivers.clock import Clock
+from drivers.contract import Cnc, FatalDriverError
+from models.records import CompensationCommand, Receipt, Trace, WriteOutcome
+
+MacroValues = Mapping[int, float | None]
+Groups = tuple[tuple[tuple[int, float], ...], ...]
+Expected = Mapping[int, tuple[float | None, ...]]
+"""Per macro what may stand in it; None: it may be vacant."""
+
+
+class ForeignValueError(FatalDriverError):
+    """Something that is not ours stands in a macro that was to be written; nothing was sent."""
+
+
+class AuditError(FatalDriverError):
+    """The audit did not take the intent in time; nothing was sent."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MacroWrite:
+    """One write: what, over what, why."""
+
+    groups: Groups
+    """Macro and value, each group sent only after the previous one was accepted."""
+    expected: Expected
+    """What may stand in the macros now; one that is not named here is written over unseen."""
+    cause: str
+    trace: Trace
+    sequence: int = 0
+    command: CompensationCommand | None = None
+    person: str | None = None
+    also_read: tuple[int, ...] = ()
+    """Macros to read back beside those that are written."""
+    commit_s: float | None = None
+    """Wait at most this long for the audit's commit of the intent before anything is sent [s of the wall clock]."""
+    sending: Callable[[MacroValues], None] = lambda _found: None
+    """Called with what stands in the macros, after the comparison and before anything is sent."""
+    judge: Callable[[MacroValues], Sequence[str]] = lambda _found: ()
+    """Called with what was read back; returns what is wrong with it beside the values that were written."""
+
+    @property
+    def macros(self) -> tuple[tuple[int, float], ...]:
+        """Macro and value in the order written."""
+        return tuple(pair for group in self.groups for pair in group)
+
+
+class AuditedWriter:
+    """Writes over one connection; owned by the task that owns the connection."""
+
+    def __init__(self, cnc: Cnc, block: MacroBlock, clock: Clock, history: HistoryWriter, telemetry: Telemetry) -> None:
+        self.cnc, self.block, self.clock = cnc, block, clock
+        self._history = history
+        self._telemetry = telemetry
+        self.last_write_id: int | None = None
+        """Number of the latest write in the audit."""
+
+    async def write(self, write: MacroWrite) -> Receipt:
+        """Compare, write, read back; intent and outcome are in the audit however it ends.
+
+        Raises ForeignValueError with nothing sent, and what the driver raises.
+        """
+        macros, trace = write.macros, write.trace
+        intent = self._history.write_intent(write.command, macros, write.cause, write.person)
+        self.last_write_id = int(intent)
+        try:
+            if write.commit_s is not None:
+                await self._committed(intent, write.commit_s)
+            write.sending(await self._compare(write.expected))
+            await self.cnc.write_macros(write.groups)
+            trace = replace(trace, written=self.clock.now())
+            found = await self.cnc.read_macros(
+                tuple(dict.fromkeys((*(number for number, _ in macros), *write.also_read)))
+            )
+            trace = replace(trace, read_back=self.clock.now())
+        except BaseException as error:
+            outcome = WriteOutcome.REFUSED if isinstance(error, FatalDriverError) else WriteOutcome.FAILED
+            self._conclude(write, intent, outcome, str(error) or type(error).__name__, {}, trace)
+            raise
+        problems = self.block.differences({number: (value,) for number, value in macros}, found)
+        problems += write.judge(found)
+        outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
+        return self._conclude(write, intent, outcome, "; ".join(problems), found, trace)
+
+    async def _committed(self, intent: WriteId, commit_s: float) -> None:
+        try:
+            async with asyncio.timeout(commit_s):
+                await intent
+        except TimeoutError:
+            problem = self._history.problem or "the store does not answer"
+            raise AuditError(
+                f"the audit cannot be written, and nothing is written to the CNC without it: {problem}"
+            ) from None
+
+    async def _compare(self, expected: Expected) -> MacroValues:
+        """Return what stands in the macros; raises ForeignValueError when it is not what may stand there."""
+        if not expected:
+            return {}
+        found = await self.cnc.read_macros(tuple(expected))
+        if problems := self.block.differences(expected, found):
+            raise ForeignValueError(f"{'; '.join(problems)}; nothing was written")
+        return found
+
+    def _conclude(
+        self,
+        write: MacroWrite,
+        intent: WriteId,
+        outcome: WriteOutcome,
+        detail: str,
+        found: MacroValues,
+        trace: Trace,
+    ) -> Receipt:
+        receipt = Receipt(
+            sequence=write.sequence,
+            macros=write.macros,
+            outcome=outcome,
+            detail=detail,
+            read_back=tuple(found.get(number) for number, _ in write.macros),
+            applied_um=self.block.echo(found).applied_um,
+            trace=trace,
+        )
+        self._history.write_outcome(intent, receipt)
+        self._telemetry.write(receipt)
+        return receipt
