@@ -4,6 +4,7 @@ import asyncio
 import gc
 import signal
 from collections.abc import Coroutine, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import structlog
 
 from config.records.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
-from config.schema.temperatures import LineConfig
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.limits import commissioned_factors, echo_slack_um
 from daemon.cnc.link import CncLink
@@ -19,26 +19,30 @@ from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.restart import load_resume_point
+from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
+from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import Message, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.housekeeping.backup_job import BackupJob
-from daemon.housekeeping.retraining_job import RetrainingJob
+from daemon.housekeeping.jobs import scheduled_jobs
+from daemon.links import DisplacementLog, Links
 from daemon.messages import SpindleSpeed
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
+from daemon.model_release.reload import ModelReload
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.monitor.web import serve_metrics
 from daemon.registry import PARTS, Parts
-from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
+from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
 from daemon.telemetry.latency import line_timings
 from daemon.telemetry.metrics import Telemetry
 from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
-from drivers.contract import Cnc, LinkError
+from drivers.contract import Cnc
+from models.records import DisplacementSample
 
 log = structlog.get_logger(__name__)
 
@@ -82,13 +86,7 @@ class Daemon:
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
         )
-        self._backups: BackupJob | None = None
-        if configuration.history.backup is not None and config_path is not None:
-            self._backups = BackupJob(configuration, config_path, configuration.history.backup, self._report)
-        self._retraining: RetrainingJob | None = None
-        if configuration.compensation.retraining is not None and config_path is not None:
-            retraining = configuration.compensation.retraining
-            self._retraining = RetrainingJob(configuration, config_path, retraining, self._report)
+        self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_released(configuration, own_account())
         model, obstacle = self._loaded.model, self._loaded.obstacle
         if obstacle:
@@ -124,21 +122,37 @@ class Daemon:
             on_sample=lambda sample: inbox.put_nowait(
                 SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
             ),
+            on_change=self._publish_output,
         )
         self.thermal = ThermalTask(
-            configuration, clock, self._history, self._telemetry, model, inbox, self.control.deliver
+            configuration,
+            clock,
+            self._history,
+            self._telemetry,
+            model,
+            inbox,
+            self.control.deliver,
+            self._publish_thermal,
         )
-        lines = configuration.temperatures.lines
-        self._line_health = {line.name: LinkHealth(f"latsis {line.name}") for line in lines}
-        self._displacement_health = LinkHealth("displacement files")
-        healths = [*self._line_health.values(), self._link.health]
-        if configuration.displacements is not None:
-            healths.append(self._displacement_health)
-        self._socket_health, self._web_health = LinkHealth("local socket"), LinkHealth("metrics")
-        self._healths = healths
-        self.board = StatusBoard(configuration, clock, self.thermal, self.control, self._telemetry, healths)
-        self.board.model = self._loaded.picture()
-        self._commands = CommandDesk(self.board, self.control, axes)
+        self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
+        self._publish_output()
+        self.snapshots.model = self._loaded.snapshot()
+        if (bearings := self.control.side.speed.worker.model) is not None:
+            self.snapshots.bearing_model = bearings.snapshot()
+        self.acknowledged: dict[str, int] = {}
+        """Line -> number of its last committed cycle."""
+        self._models = ModelReload(
+            self._loaded,
+            lambda: parts.load_model(configuration),
+            take=inbox.put_nowait,
+            report=self._report,
+            publish=self._publish_model,
+        )
+        self._links = Links(configuration, clock, parts, self._link)
+        self._displacements = DisplacementLog(clock, self._on_displacement, self._report, self._publish_displacements)
+        status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
+        actions = output_actions(self.control)
+        self._commands = CommandDesk(status, self.snapshots, actions, configuration.compensation.axes)
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""
@@ -155,14 +169,13 @@ class Daemon:
                 stop = asyncio.Event()
                 for number in (signal.SIGTERM, signal.SIGINT):
                     loop.add_signal_handler(number, stop.set)
-                loop.add_signal_handler(signal.SIGHUP, self.reload_model)
+                loop.add_signal_handler(signal.SIGHUP, self._models.request)
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
                 controlling = tasks.create_task(self.control.run())
-                running = [tasks.create_task(work) for work in (self.thermal.run(), *self._links())]
+                running = [tasks.create_task(work) for work in self._work()]
                 scheduler.start()
-                if self._backups is not None:
-                    self._backups.start()
-                if self._retraining is not None:
-                    self._retraining.start()
+                for job in self._jobs:
+                    job.start()
                 gc.collect()
                 gc.freeze()
                 self._service_manager.ready("running")
@@ -176,97 +189,28 @@ class Daemon:
         finally:
             if scheduler.running:
                 scheduler.shutdown(wait=False)
-            if self._backups is not None:
-                self._backups.stop()
-            if self._retraining is not None:
-                self._retraining.stop()
+            for job in self._jobs:
+                job.stop()
+            self._displacements.flush()
             self._report("daemon", "stopped")
             await asyncio.to_thread(self._history.close)
             self._last_block.close()
             self.control.side.close()
 
-    def reload_model(self) -> None:
-        """Take up a model that was released meanwhile; the old one stays where the new one is refused."""
-        found = load_released(self._configuration, own_account())
-        if found.model is not None and self._loaded.model is None:
-            words = f"{found.in_words()}; the daemon was started without a model: restart it to use this one"
-        elif found.model is not None and found.sha256 == self._loaded.sha256:
-            log.info("model.reload", outcome="unchanged")
-            return
-        elif found.model is not None:
-            words = found.in_words()
-            self._loaded = found
-            self.board.model = found.picture()
-            self.thermal.inbox.put_nowait(found.model)
-        else:
-            words = f"{found.in_words()}; the model in use stays"
-            self.board.model = self._loaded.picture() | {"problem": found.obstacle}
-        log.info("model.reload", outcome=words)
-        self._report("model", words)
-
-    # --- links ---------------------------------------------------------------------------
-
-    def _links(self) -> Iterator[Coroutine[Any, Any, None]]:
-        """Yield the work that keeps each link alive."""
-        configuration, service = self._configuration, self._configuration.service
-        for line in configuration.temperatures.lines:
-            yield self._keep_line(line)
-        yield self._keep(self._link.health, self._link.attempt)
-        if configuration.displacements is not None:
-            yield self._keep(self._displacement_health, self._follow_displacements)
-        yield self._keep(self._socket_health, self._serve_socket)
-        if service.http_port is not None:
-            yield self._keep(self._web_health, self._serve_web)
-
-    async def _serve_socket(self) -> None:
-        service = self._configuration.service
-        try:
-            self._socket_health.up = True
-            await ControlSocket(service.socket, service.socket_group, self._commands.handle).run()
-        except (OSError, KeyError) as error:
-            raise LinkError(f"service.socket {service.socket} cannot be served: {error}") from error
-
-    async def _serve_web(self) -> None:
-        service = self._configuration.service
-        assert service.http_port is not None
-        try:
-            self._web_health.up = True
-            await serve_metrics(self._telemetry.registry, service.http_host, service.http_port)
-        except OSError as error:
-            raise LinkError(f"service.http_port {service.http_port} cannot be served: {error}") from error
-
-    async def _keep(self, health: LinkHealth, attempt: Any) -> None:
-        service = self._configuration.service
-        await run_with_reconnect(health, attempt, Backoff(service.retry_min_s, service.retry_max_s))
-
-    async def _keep_line(self, line: LineConfig) -> None:
-        health = self._line_health[line.name]
-
-        async def attempt() -> None:
-            source = self._parts.open_temperature_source(self._configuration, line, self._clock)
-            try:
-                async for cycle in source.cycles():
-                    health.up = True
-                    self.thermal.inbox.put_nowait(cycle)
-            finally:
-                health.up = False
-                await source.close()
-
-        await self._keep(health, attempt)
-
-    async def _follow_displacements(self) -> None:
-        source = self._parts.open_displacement_source(
-            self._configuration, self._clock, self._history.last_displacement_utc_s()
-        )
-        try:
-            self._displacement_health.up = True
-            async for sample in source.samples():
-                self._history.displacement(sample)
-                self.board.displacement = sample
-                self.control.displacement(sample)
-        finally:
-            self._displacement_health.up = False
-            await source.close()
+    def _work(self) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the work of every task but the control task."""
+        links, service = self._links, self._configuration.service
+        yield self.thermal.run()
+        yield self._models.run()
+        yield from links.temperatures(self.thermal.inbox.put_nowait)
+        yield links.cnc()
+        yield from links.displacements(self._history.last_displacement_utc_s, self._displacements)
+        control_socket = ControlSocket(service.socket, service.socket_group, self._commands.handle)
+        yield links.own("service.socket", service.socket, control_socket.run)
+        if (port := service.http_port) is not None:
+            registry, host = self._telemetry.registry, service.http_host
+            serve = partial(serve_metrics, registry, host, port)
+            yield links.own("service.http_port", port, serve)
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros
@@ -283,19 +227,43 @@ class Daemon:
             self._alive_real_s = now.real_s
             self._history.put_state("alive_utc_s", now.utc_s)
         self._telemetry.report(now.real_s)
-        self._telemetry.links((health.name, health.up) for health in self._healths)
+        self._telemetry.links((health.name, health.up) for health in self._links.shown)
         if self.thermal.latest is not None:
             self._telemetry.sensors_usable(self.thermal.usable)
+        self._publish_output()
+        self.snapshots.links = self._links.snapshots()
+        self.snapshots.jobs = tuple(job.snapshot() for job in self._jobs)
+        self._publish_history(self.snapshots.history.problem)
+
+    def _publish_output(self) -> None:
+        self.snapshots.control = control_snapshot(self.control)
+        self.snapshots.spindle_speed = self.control.side.speed.snapshot()
+
+    def _publish_thermal(self) -> None:
+        self.snapshots.thermal = thermal_snapshot(self.thermal)
+
+    def _publish_model(self, snapshot: ModelSnapshot) -> None:
+        self.snapshots.model = snapshot
+
+    def _publish_displacements(self, snapshot: DisplacementSnapshot) -> None:
+        self.snapshots.displacements = snapshot
+
+    def _publish_history(self, problem: str) -> None:
+        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=problem)
+
+    def _on_displacement(self, sample: DisplacementSample) -> None:
+        self._history.displacement(sample)
+        self.control.displacement(sample)
 
     def _report(self, kind: str, text: str) -> None:
         self._history.event(kind, text, "daemon")
 
     def _on_acknowledged(self, line: str, number: int) -> None:
-        self.board.acknowledged[line] = number
+        self.acknowledged[line] = number
         self._telemetry.acknowledged(line, number)
 
     def _on_history_problem(self, problem: str) -> None:
         if problem:
             log.error("history.problem", problem=problem)
             self._telemetry.history_problem()
-        self.board.history_problem = problem
+        self._publish_history(problem)

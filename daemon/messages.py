@@ -1,14 +1,23 @@
-"""The thermal task: cycles in, cleansed temperatures and the estimate out.
+"""What the tasks say to each other, and what a person may ask of the output."""
 
-One task owns the cleansing state, the one-minute means and the reference temperatures; whoever
-wants something of it puts a message into `inbox`.
-"""
-
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from models.records import (
-    Reference,
-)
+from models.control.state import OperatorRequest
+from models.records import Reference
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputActions:
+    """What a person may ask of the output; each takes the person's name and returns a refusal, '' when it is taken."""
+
+    request: Callable[[OperatorRequest, str], str]
+    request_reference: Callable[[str], str]
+    switch_spindle_speed: Callable[[bool, str], str]
+    record_refusal: Callable[[str, str], None]
+    """Takes what was refused and why, and who asked."""
+    carried_out: Callable[[], Awaitable[None]]
+    """Returns when everything that was asked for before has been decided on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

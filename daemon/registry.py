@@ -1,14 +1,17 @@
 """What a daemon is composed of at its edges: the drivers, and the side process that cleans the store."""
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.housekeeping.side_job import Housekeeping, housekeeping_scheduler
+from daemon.model_release.loading import LoadedModel
+from daemon.model_release.side_load import load_beside
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 from drivers.registry import open_cnc, open_displacement_source, open_temperature_source
+from models.thermal.family import AnyThermalModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +24,8 @@ class Parts:
     )
     open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc
     housekeeping: Housekeeping = housekeeping_scheduler
+    load_model: Callable[[Configuration], Awaitable[LoadedModel[AnyThermalModel]]] = load_beside
+    """Loads the released model anew, off the loop."""
 
 
 PARTS = Parts()

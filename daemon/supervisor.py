@@ -2,12 +2,15 @@
 
 import asyncio
 import random
+import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from typing import Any
 
 import structlog
 
-from drivers.contract import DriverError, FatalDriverError, LinkError
+from daemon.rate_limit import RateLimit
+from daemon.snapshots import LinkSnapshot
+from drivers.contract import DriverError, FatalDriverError
 
 log = structlog.get_logger(__name__)
 
@@ -15,15 +18,59 @@ STEADY_S = 10.0
 """A link that lived this long [s of the wall clock] starts its waits from the beginning."""
 
 
-@dataclass(slots=True)
 class LinkHealth:
-    """How one link fares; written by its supervisor, read by status and telemetry."""
+    """How one link fares: written by its supervisor and by who uses the link, shown by status and telemetry."""
 
-    name: str
-    up: bool = False
-    attempts: int = 0
-    failures: int = 0
-    problem: str = ""
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.up = False
+        self.attempts = 0
+        self.failures = 0
+        """Attempts that ended."""
+        self.losses = 0
+        """Of them, those that had been up."""
+        self.problem = ""
+        """Why the link is down, '' while it is up."""
+        self.last_problem = ""
+        self.last_problem_utc_s: float | None = None
+        self._log = RateLimit[tuple[str, dict[str, Any]]](self._say)
+
+    def came_up(self, **facts: object) -> None:
+        """Note that the link works; said once until it is lost."""
+        if not self.up:
+            self.up, self.problem = True, ""
+            self._log(("link.up", facts))
+
+    def went_down(self, problem: str, utc_s: float) -> None:
+        """Note that the link does not work; every loss is said, a failed attempt when its problem is a new one."""
+        was_up, is_new = self.up, problem != self.problem
+        self.up, self.problem = False, problem
+        self.last_problem, self.last_problem_utc_s = problem, utc_s
+        self.losses += was_up
+        if was_up or is_new:
+            self._log(("link.lost" if was_up else "link.down", {"problem": problem}))
+
+    def flush(self) -> None:
+        """Say what the limit of the log still holds."""
+        self._log.flush()
+
+    def snapshot(self) -> LinkSnapshot:
+        """Return what status shows."""
+        return LinkSnapshot(
+            name=self.name,
+            up=self.up,
+            problem=self.problem,
+            attempts=self.attempts,
+            failures=self.failures,
+            losses=self.losses,
+            last_problem=self.last_problem,
+            last_problem_utc_s=self.last_problem_utc_s,
+        )
+
+    def _say(self, entry: tuple[str, dict[str, Any]], left_out: int) -> None:
+        event, facts = entry
+        say = log.info if event == "link.up" else log.warning
+        say(event, link=self.name, **facts, **({"left_out": left_out} if left_out else {}))
 
 
 class Backoff:
@@ -43,37 +90,42 @@ class Backoff:
         return wait_s
 
 
-async def run_with_reconnect(health: LinkHealth, attempt: Callable[[], Awaitable[None]], backoff: Backoff) -> None:
+async def run_with_reconnect(
+    health: LinkHealth,
+    attempt: Callable[[], Awaitable[None]],
+    backoff: Backoff,
+    *,
+    utc_s: Callable[[], float] = time.time,
+) -> None:
     """Run `attempt` again and again; it returns or raises when its link is gone.
 
     LinkError and FatalDriverError are expected (the second waits longest); any other exception
     is a defect: it is logged with its traceback and retried all the same.
     """
+    try:
+        while True:
+            await _once(health, attempt, backoff, utc_s)
+    finally:
+        health.flush()
+
+
+async def _once(
+    health: LinkHealth, attempt: Callable[[], Awaitable[None]], backoff: Backoff, utc_s: Callable[[], float]
+) -> None:
     loop = asyncio.get_running_loop()
-    while True:
-        health.attempts += 1
-        started_s = loop.time()
-        try:
-            await attempt()
-            health.problem = "ended"
-        except LinkError as error:
-            _note(health, str(error))
-        except FatalDriverError as error:
-            _note(health, str(error))
-            await asyncio.sleep(backoff.draw())
-        except DriverError as error:
-            _note(health, str(error))
-        except Exception as error:
-            health.problem = f"unexpected {type(error).__name__}: {error}"
-            log.exception("link.defect", link=health.name)
-        health.up = False
-        health.failures += 1
-        if loop.time() - started_s > STEADY_S:
-            backoff.reset()
+    health.attempts += 1
+    started_s, problem, must_be_repaired = loop.time(), "ended", False
+    try:
+        await attempt()
+    except DriverError as error:
+        problem, must_be_repaired = str(error), isinstance(error, FatalDriverError)
+    except Exception as error:
+        problem = f"unexpected {type(error).__name__}: {error}"
+        log.exception("link.defect", link=health.name)
+    health.failures += 1
+    health.went_down(problem, utc_s())
+    if must_be_repaired:
         await asyncio.sleep(backoff.draw())
-
-
-def _note(health: LinkHealth, problem: str) -> None:
-    if health.up or problem != health.problem:
-        log.warning("link.lost" if health.up else "link.down", link=health.name, problem=problem)
-    health.problem = problem
+    if loop.time() - started_s > STEADY_S:
+        backoff.reset()
+    await asyncio.sleep(backoff.draw())

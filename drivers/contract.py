@@ -6,7 +6,7 @@ the supervisor owns retry and counts any other exception as retriable, loudly.
 """
 
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Literal, Protocol
 
 from config.schema.cnc import CncConfig
@@ -50,8 +50,14 @@ class DisplacementSource(Protocol):
 
     name: str
 
-    def samples(self) -> AsyncIterator[DisplacementSample]:
-        """Follow the file and yield each new row once, in file order; raises LinkError."""
+    def samples(
+        self, on_problem: Callable[[str], None] = ..., on_reached: Callable[[], None] = ...
+    ) -> AsyncIterator[DisplacementSample]:
+        """Follow the file and yield each new row once, in file order; raises LinkError.
+
+        `on_problem` takes each row, field or file that cannot be read, in words that name file, line and
+        column; `on_reached` is called whenever a look at the files has succeeded.
+        """
         ...
 
     async def close(self) -> None:

@@ -3,13 +3,9 @@
 import asyncio
 from collections.abc import Callable
 
-import structlog
-
 from daemon.cnc.session import CncSession
 from daemon.supervisor import LinkHealth
 from drivers.contract import Cnc, LinkError
-
-log = structlog.get_logger(__name__)
 
 
 class CncLink:
@@ -32,8 +28,7 @@ class CncLink:
             await cnc.connect()
             self._lost = asyncio.get_running_loop().create_future()
             self.session = self._last = self._open_session(cnc, self._last)
-            self.health.up = True
-            log.info("link.up", link="cnc", identity=cnc.identity, security=cnc.security)
+            self.health.came_up(identity=cnc.identity, security=cnc.security)
             raise await self._lost
         finally:
             self.session = None

@@ -74,6 +74,7 @@ class ControlTask:
         ask_reference: Callable[[ReferenceRequest | ReferenceEnded | Reference], None],
         on_tick: Callable[[], None],
         on_sample: Callable[[CncSample], None] = lambda _sample: None,
+        on_change: Callable[[], None] = lambda: None,
     ) -> None:
         self._configuration = configuration
         self._clock = clock
@@ -84,6 +85,7 @@ class ControlTask:
         self._permission = Interlocks(configuration, clock, commissioning, model_obstacle)
         self._on_tick = on_tick
         self._on_sample = on_sample
+        self.on_change = on_change
         self.limits = output_limits(
             configuration, commissioned_factors(commissioning, tuple(configuration.compensation.axes))
         )
@@ -161,6 +163,7 @@ class ControlTask:
         refusal = self._permission.objection(request, self.session, unknown=self._beginning.unknown)
         if refusal:
             self.journal.event("refused", f"{in_words(request)}: {refusal}", person)
+            self.on_change()
             return refusal
         self.requests.put(request, person)
         self._wake.set()
@@ -172,6 +175,7 @@ class ControlTask:
         if sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
         self._asked_by_hand = self._references.ask_for(f"hand: {person}", sample, positioning=False)
+        self.on_change()
         return ""
 
     @property
@@ -338,6 +342,7 @@ class ControlTask:
         if session is not None and self.session is session and inputs.link and not self.journal.fault:
             await self._answer(session, self.memory)
         self._telemetry.output(command, inputs.applied_um)
+        self.on_change()
         self.requests.decided()
 
     async def _answer(self, session: CncSession, memory: OutputMemory) -> None:

@@ -58,12 +58,14 @@ class ThermalTask:
         model: AnyThermalModel | None,
         inbox: "asyncio.Queue[Message]",
         deliver: Callable[[Delivery], None],
+        on_change: Callable[[], None] = lambda: None,
     ) -> None:
         temperatures = configuration.temperatures
         self._clock = clock
         self._history = history
         self._telemetry = telemetry
         self._deliver = deliver
+        self._on_change = on_change
         self._temperature_is_shown = configuration.cnc.temperature_macro is not None or (
             configuration.spindle_speed is not None
         )
@@ -113,6 +115,7 @@ class ThermalTask:
             except Exception:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
+            self._on_change()
 
     async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):

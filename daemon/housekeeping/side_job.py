@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import sys
 import time
 from abc import ABC, abstractmethod
@@ -14,6 +15,7 @@ from apscheduler.schedulers.asyncio import AsyncIOScheduler
 
 from config.schema.service import HistoryConfig
 from daemon.history.writer import HistoryWriter
+from daemon.snapshots import JobSnapshot
 
 log = structlog.get_logger(__name__)
 
@@ -36,7 +38,7 @@ class ScheduledProcess(ABC):
         self._event = event
         self._failure = failure
         self._report = report
-        self._problem = ""
+        self._problem = self._outcome = ""
         self.attempted_utc_s = float("-inf")
         """When the command was last started; -inf: not since the daemon began."""
         self._scheduler = AsyncIOScheduler(
@@ -76,8 +78,18 @@ class ScheduledProcess(ABC):
         except OSError as error:
             self._complain(f"{self._failure}: {error}")
             return
-        self._problem = ""
+        self._problem, self._outcome = "", text
         self._report(self._event, text)
+
+    def snapshot(self) -> JobSnapshot:
+        """Return what status shows."""
+        attempted = math.isfinite(self.attempted_utc_s)
+        return JobSnapshot(
+            name=self._event,
+            attempted_utc_s=self.attempted_utc_s if attempted else None,
+            outcome=self._outcome,
+            problem=self._problem,
+        )
 
     async def _run(self) -> str:
         """Return what was made; raises OSError with the words of the process that failed."""

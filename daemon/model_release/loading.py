@@ -4,13 +4,14 @@ import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.file_access import Account, how_it_could_change
 from daemon.model_release.gate import training_obstacle
 from daemon.model_release.repository import released, sha256_of
+from daemon.snapshots import ModelSnapshot
 from models.thermal.artifact import model_to_json
 from models.thermal.family import AnyThermalModel
 from models.thermal.lagged_artifact import any_model_from_json, lagged_model_to_json
@@ -58,18 +59,18 @@ class LoadedModel(Generic[AnyModel]):
             words += f"release {self.record.number} by {self.record.person} on {self.record.released}"
         return f"{words}; WARNING: {self.warning}" if self.warning else words
 
-    def picture(self) -> dict[str, Any]:
-        """Return the same for status, as JSON."""
+    def snapshot(self) -> ModelSnapshot:
+        """Return the same for status."""
         record = self.record
-        return {
-            "model_id": self.model.model_id if self.model is not None else None,
-            "sha256": self.sha256 or None,
-            "release": record.number if record is not None else None,
-            "released_by": record.person if record is not None else None,
-            "released": record.released if record is not None else None,
-            "problem": self.obstacle,
-            "warning": self.warning,
-        }
+        return ModelSnapshot(
+            model_id=self.model.model_id if self.model is not None else None,
+            sha256=self.sha256 or None,
+            release=record.number if record is not None else None,
+            released_by=record.person if record is not None else None,
+            released=record.released if record is not None else None,
+            problem=self.obstacle,
+            warning=self.warning,
+        )
 
 
 def load_released(configuration: Configuration, account: Account) -> LoadedModel[AnyThermalModel]:

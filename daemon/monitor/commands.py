@@ -1,12 +1,15 @@
 """What a person may ask of the running daemon over its local socket."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
-from daemon.compensation.task import ControlTask
+from config.schema.compensation import AxisConfig
+from daemon.messages import OutputActions
 from daemon.monitor.control_socket import RequestError
 from daemon.monitor.status import StatusBoard
+from daemon.snapshots import SnapshotBoard
 from models.control.state import OperatorRequest
 
 DECISION_S = 3.0
@@ -16,12 +19,20 @@ KEYS = {"enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindl
 
 
 class CommandDesk:
-    """Turns requests from the socket into requests to the tasks."""
+    """Turns requests from the socket into requests to the output; what came of them is read from the snapshots."""
 
-    def __init__(self, board: StatusBoard, control: ControlTask, axes: Sequence[str]) -> None:
-        self._board = board
-        self._control = control
-        self._axes = tuple(axes)
+    def __init__(
+        self,
+        status: StatusBoard,
+        snapshots: SnapshotBoard,
+        actions: OutputActions,
+        axes: Mapping[str, AxisConfig],
+    ) -> None:
+        self._status = status
+        self._snapshots = snapshots
+        self._actions = actions
+        self._axes = frozenset(axes)
+        self._modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
 
     async def handle(self, request: dict[str, Any], person: str) -> dict[str, Any]:
         """Answer one request; raises RequestError with the reason for a refusal."""
@@ -30,7 +41,7 @@ class CommandDesk:
             return await self._turn_spindle_speed(on=request["command"] == "enable", person=person)
         match request.get("command"):
             case "status":
-                return self._board.picture()
+                return self._status.picture()
             case "enable":
                 self._submit(OperatorRequest(enable=self._named(request)), person)
             case "disable":
@@ -38,7 +49,7 @@ class CommandDesk:
             case "acknowledge":
                 self._submit(OperatorRequest(acknowledge=True), person)
             case "reference":
-                if refusal := self._control.request_reference(person):
+                if refusal := self._actions.request_reference(person):
                     raise self._refusal("reference", refusal, person)
                 await self._reference_by_hand()
             case other:
@@ -49,8 +60,8 @@ class CommandDesk:
         """Wait until the reference is in force; raises RequestError with the reason when it is refused."""
         try:
             async with asyncio.timeout(DECISION_S):
-                while (refusal := self._control.reference_by_hand) is None:
-                    await self._control.requests.carried_out()
+                while (refusal := self._snapshots.control.reference_by_hand) is None:
+                    await self._actions.carried_out()
         except TimeoutError:
             return
         if refusal:
@@ -58,46 +69,51 @@ class CommandDesk:
 
     async def _turn_spindle_speed(self, *, on: bool, person: str) -> dict[str, Any]:
         """Switch the tuning of the spindle speed; what is switched off is waited for until the NC cannot take it."""
-        speed, what = self._control.side.speed, "enable" if on else "disable"
-        if refusal := speed.turn(on=on, person=person):
+        what = "enable" if on else "disable"
+        if refusal := self._actions.switch_spindle_speed(on, person):
             raise self._refusal(f"{what} the tuning of the spindle speed", refusal, person)
         try:
             async with asyncio.timeout(DECISION_S):
-                while not (on or speed.stands_off):
-                    await self._control.requests.carried_out()
+                while not (on or self._speed_stands_off()):
+                    await self._actions.carried_out()
         except TimeoutError:
             return {"decided": False}
-        picture = speed.picture() or {}
+        speed = self._snapshots.spindle_speed
+        picture = asdict(speed) if speed is not None else {}
         return {"decided": True, **{key: picture.get(key, "") for key in ("state", "reason", "alarm")}}
+
+    def _speed_stands_off(self) -> bool:
+        speed = self._snapshots.spindle_speed
+        return speed is None or speed.stands_off
 
     def _refusal(self, what: str, why: str, person: str) -> RequestError:
         """Record a refusal of the desk itself; the control task records its own."""
-        self._control.journal.event("refused", f"{what}: {why}", person)
+        self._actions.record_refusal(f"{what}: {why}", person)
         return RequestError(why)
 
     async def _outcome(self) -> dict[str, Any]:
         """Return where the output stands when the request has been decided on, or that it has not been yet."""
         try:
             async with asyncio.timeout(DECISION_S):
-                await self._control.requests.carried_out()
+                await self._actions.carried_out()
         except TimeoutError:
             return {"decided": False}
-        memory = self._control.memory
+        control = self._snapshots.control
         return {
             "decided": True,
-            "state": memory.state.value if memory is not None else "OFF",
-            "reason": memory.reason if memory is not None else "the CNC has not been reached yet",
-            "alarm": self._control.journal.alarm,
+            "state": control.state.value,
+            "reason": control.reason,
+            "alarm": control.alarm,
         }
 
     def _submit(self, request: OperatorRequest, person: str) -> None:
-        if refusal := self._control.request(request, person):
+        if refusal := self._actions.request(request, person):
             raise RequestError(refusal)
 
     def _named(self, request: dict[str, Any]) -> frozenset[str]:
         axes = request.get("axes")
         if axes is None:
-            return frozenset(self._control.modelled if request["command"] == "enable" else self._axes)
+            return self._modelled if request["command"] == "enable" else self._axes
         if not isinstance(axes, list) or not all(isinstance(axis, str) for axis in axes):
             raise RequestError("axes must be a list of axis names")
         if not axes:

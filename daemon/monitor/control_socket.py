@@ -77,8 +77,8 @@ class ControlSocket:
         self._handle = handle
         self._connections: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
-    async def run(self) -> None:
-        """Serve until cancelled."""
+    async def run(self, on_serving: Callable[[], None] = lambda: None) -> None:
+        """Serve until cancelled; `on_serving` is called when people can connect."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         await asyncio.to_thread(clear_the_way, self._path)
         old_mask = os.umask(0o177)
@@ -92,6 +92,7 @@ class ControlSocket:
             self._path.chmod(0o660)
         try:
             async with server:
+                on_serving()
                 await server.serve_forever()
         finally:
             if made is not None and identity(self._path) == made:

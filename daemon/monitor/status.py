@@ -1,21 +1,16 @@
-"""What the daemon tells people and programs about itself: one JSON-able picture."""
+"""What the daemon tells people and programs about itself: one picture, ready for JSON, made from the snapshots."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
 from config.schema import Configuration
-from daemon.compensation.task import ControlTask
-from daemon.estimation.task import ThermalTask
-from daemon.supervisor import LinkHealth
-from daemon.telemetry.metrics import Telemetry
+from daemon.snapshots import ControlSnapshot, ModelSnapshot, SnapshotBoard, ThermalSnapshot
 from drivers.clock import Clock
 from models.quality import Quality, describe
-from models.records import DisplacementSample
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 SHOWN_SENSORS = 20
 """At most so many sensors that are not good are named."""
@@ -24,111 +19,88 @@ SHOWN_FAULTS = 5
 
 
 class StatusBoard:
-    """Reads the tasks' latest frozen records; owns nothing."""
+    """Makes the picture from the latest snapshots; knows no task."""
 
     def __init__(
         self,
         configuration: Configuration,
         clock: Clock,
-        thermal: ThermalTask,
-        control: ControlTask,
-        telemetry: Telemetry,
-        links: "Sequence[LinkHealth]",
+        snapshots: SnapshotBoard,
+        latency: Callable[[], dict[str, object]],
     ) -> None:
+        """`latency` returns the percentiles of the delays."""
         self._configuration = configuration
         self._clock = clock
-        self._thermal = thermal
-        self._control = control
-        self._telemetry = telemetry
-        self._links = links
-        self.displacement: DisplacementSample | None = None
-        self.acknowledged: dict[str, int] = {}
-        self.history_problem = ""
-        self.model: dict[str, Any] = {}
+        self._snapshots = snapshots
+        self._latency = latency
 
     def picture(self) -> dict[str, Any]:
         """Return everything at once, with None where a number is not known."""
-        now = self._clock.now()
-        thermal, control = self._thermal, self._control
+        now, board = self._clock.now(), self._snapshots
+        thermal, control = board.thermal, board.control
         picture = {
             "machine": self._configuration.machine,
             "time_utc_s": now.utc_s,
             "clock_speed": self._clock.speed,
-            "output": self._output(now.monotonic_s),
-            "axes": self._axes(),
-            "reference": self._reference(now.monotonic_s),
-            "tools_set": sorted(control.memory.tools) if control.memory else [],
-            "model": self.model,
-            "estimate": self._estimate(),
-            "cnc": self._cnc(),
-            "spindle_speed": control.side.speed.picture(),
-            "bearing_model": None if (bearings := control.side.speed.worker.model) is None else bearings.picture(),
-            "links": [
-                {"name": h.name, "up": h.up, "problem": h.problem, "attempts": h.attempts, "failures": h.failures}
-                for h in self._links
-            ],
-            "temperatures": self._temperatures(),
+            "output": self._output(control, now.monotonic_s),
+            "axes": self._axes(control),
+            "reference": _reference(control, now.monotonic_s),
+            "tools_set": list(control.tools_set),
+            "model": _model(board.model) or {},
+            "estimate": self._estimate(thermal),
+            "cnc": _cnc(control),
+            "spindle_speed": self._spindle_speed(),
+            "bearing_model": _model(board.bearing_model),
+            "links": [asdict(link) for link in board.links],
+            "temperatures": self._temperatures(thermal),
             "displacements": self._displacements(),
+            "displacement_rows": self._displacement_rows(),
             "cycles": {"received": thermal.cycles_received, "incomplete": thermal.cycles_incomplete},
             "estimates": thermal.estimates,
-            "writes": dict(control.writer.counts),
-            "written_axes": sorted(control.writer.axes),
-            "latency_s": self._telemetry.picture(),
-            "history": {"acknowledged": dict(self.acknowledged), "problem": self.history_problem},
+            "writes": asdict(control.writes),
+            "written_axes": list(control.written_axes),
+            "latency_s": self._latency(),
+            "history": {"acknowledged": dict(board.history.acknowledged), "problem": board.history.problem},
+            "jobs": [asdict(job) for job in board.jobs],
         }
         cleaned = without_nan(picture)
         assert isinstance(cleaned, dict)
         return cleaned
 
-    def _output(self, now_s: float) -> dict[str, Any]:
-        control, memory = self._control, self._control.memory
+    def _output(self, control: ControlSnapshot, now_s: float) -> dict[str, Any]:
+        since_s = control.since_monotonic_s
         return {
-            "state": memory.state.value if memory else "OFF",
-            "reason": memory.reason if memory else control.not_begun,
-            "since_s": now_s - memory.since_s if memory else None,
-            "alarm": control.journal.alarm,
+            "state": control.state.value,
+            "reason": control.reason,
+            "since_s": now_s - since_s if since_s is not None else None,
+            "alarm": control.alarm,
             "phase": control.phase.value,
-            "limits_hit": list(memory.limits_hit) if memory else [],
-            "weight": memory.weight if memory else None,
+            "limits_hit": list(control.limits_hit),
+            "weight": control.weight,
             "guard_silent_s": control.guard_silent_s,
-            "notices": control.journal.notices[-5:],
+            "notices": list(control.notices),
             "insecure_writes": self._configuration.cnc.allow_insecure_writes,
             "writable_model_directory": self._configuration.compensation.allow_writable_model_directory,
         }
 
-    def _axes(self) -> dict[str, Any]:
-        control = self._control
-        memory, command, limits = control.memory, control.command, control.limits
-        errors = control.thermal_error_um()
-        applied = control.applied_um()
+    def _axes(self, control: ControlSnapshot) -> dict[str, Any]:
         return {
             axis: {
                 "estimate_from": self._configuration.compensation.axes[axis].estimate,
-                "wanted": memory.wanted[i] if memory else False,
-                "enabled": command.enable[i] if command else False,
-                "thermal_error_um": errors[i],
-                "requested_um": command.requested_um[i] if command else None,
-                "written_um": command.compensation_um[i] if command else None,
-                "applied_um": applied[i],
-                "bound_um": limits.absolute_bound_um[i],
-                "slew_um_per_min": limits.slew_um_per_min[i],
+                "wanted": control.wanted[i],
+                "enabled": control.enabled[i],
+                "thermal_error_um": control.thermal_error_um[i],
+                "requested_um": control.requested_um[i],
+                "written_um": control.written_um[i],
+                "applied_um": control.applied_um[i],
+                "bound_um": control.bound_um[i],
+                "slew_um_per_min": control.slew_um_per_min[i],
             }
-            for i, axis in enumerate(limits.axes)
+            for i, axis in enumerate(control.axes)
         }
 
-    def _reference(self, now_s: float) -> dict[str, Any] | None:
-        reference = self._control.reference
-        if reference is None:
-            return None
-        return {
-            "id": reference.reference_id,
-            "source": reference.source,
-            "age_s": now_s - reference.time.monotonic_s,
-            "set_utc_s": reference.time.utc_s,
-        }
-
-    def _estimate(self) -> dict[str, Any] | None:
-        estimate = self._thermal.latest_estimate
+    def _estimate(self, thermal: ThermalSnapshot) -> dict[str, Any] | None:
+        estimate = thermal.estimate
         if estimate is None:
             return None
         return {
@@ -141,29 +113,16 @@ class StatusBoard:
             "filter_delay_s": self._configuration.compensation.reference.mean_s / 2.0,
         }
 
-    def _cnc(self) -> dict[str, Any] | None:
-        session = self._control.session
-        if session is None or session.sample is None:
+    def _spindle_speed(self) -> dict[str, Any] | None:
+        speed = self._snapshots.spindle_speed
+        if speed is None:
             return None
-        sample = session.sample
-        return {
-            "identity": session.cnc.identity,
-            "secure": session.cnc.security == "encrypted",
-            "mode": sample.mode.value,
-            "run": sample.run.value,
-            "alarm": sample.alarm,
-            "program": sample.program,
-            "sequence_number": sample.sequence_number,
-            "spindle_speed_rpm": sample.spindle_speed_rpm,
-            "motor_temperature_degc": sample.motor_temperature_degc,
-            "tool_number": sample.tool_number,
-            "work_offset": sample.work_offset,
-            "power_on_count": sample.power_on_count,
-            "echo_status": session.echo.status if session.echo else None,
-        }
+        picture = asdict(speed)
+        del picture["stands_off"]
+        return picture
 
-    def _temperatures(self) -> dict[str, Any] | None:
-        latest = self._thermal.latest
+    def _temperatures(self, thermal: ThermalSnapshot) -> dict[str, Any] | None:
+        latest = thermal.temperatures
         if latest is None:
             return None
         ids = self._configuration.temperatures.sensor_ids
@@ -179,21 +138,71 @@ class StatusBoard:
             "not_good": {str(ids[i]): describe(int(latest.reason[i])) for i in bad[:SHOWN_SENSORS]},
             "not_good_count": int(bad.size),
             "line_faults": {
-                line: list(faults[:SHOWN_FAULTS]) for line, faults in self._thermal.line_faults.items() if faults
+                line: list(faults[:SHOWN_FAULTS]) for line, faults in thermal.line_faults.items() if faults
             },
         }
 
     def _displacements(self) -> dict[str, Any] | None:
-        sample, displacements = self.displacement, self._configuration.displacements
+        sample, displacements = self._snapshots.displacements.latest, self._configuration.displacements
         if sample is None or displacements is None:
             return None
         names = [channel.name for channel in displacements.channels]
         return {"utc_s": sample.utc_s, "um": dict(zip(names, sample.um, strict=True))}
 
+    def _displacement_rows(self) -> dict[str, Any] | None:
+        """Return how many rows of the logger's files were read, and what could not be; None without displacements."""
+        if self._configuration.displacements is None:
+            return None
+        found = self._snapshots.displacements
+        return {
+            "read": found.rows_read,
+            "problems": found.problems,
+            "last_problem": found.last_problem,
+            "last_problem_utc_s": found.last_problem_utc_s,
+        }
+
+
+def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
+    reference = control.reference
+    if reference is None:
+        return None
+    return {
+        "id": reference.reference_id,
+        "source": reference.source,
+        "age_s": now_s - reference.time.monotonic_s,
+        "set_utc_s": reference.time.utc_s,
+    }
+
+
+def _cnc(control: ControlSnapshot) -> dict[str, Any] | None:
+    cnc = control.cnc
+    if cnc is None:
+        return None
+    sample = cnc.sample
+    return {
+        "identity": cnc.identity,
+        "secure": cnc.secure,
+        "mode": sample.mode.value,
+        "run": sample.run.value,
+        "alarm": sample.alarm,
+        "program": sample.program,
+        "sequence_number": sample.sequence_number,
+        "spindle_speed_rpm": sample.spindle_speed_rpm,
+        "motor_temperature_degc": sample.motor_temperature_degc,
+        "tool_number": sample.tool_number,
+        "work_offset": sample.work_offset,
+        "power_on_count": sample.power_on_count,
+        "echo_status": cnc.echo_status,
+    }
+
+
+def _model(model: ModelSnapshot | None) -> dict[str, Any] | None:
+    return None if model is None else asdict(model)
+
 
 def without_nan(value: "Mapping[str, Any] | Sequence[Any] | Any") -> Any:
     """Return plain JSON values: numpy numbers as Python's, NaN and infinities as None."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]

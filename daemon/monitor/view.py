@@ -183,6 +183,10 @@ def _links(picture: Mapping[str, Any]) -> Text:
             text.append(f"({link['problem'][:70]})  ", style="red")
     for line, faults in ((picture["temperatures"] or {}).get("line_faults", {})).items():
         text.append(f"\nline {line}: {faults[0]}", style="yellow")
+    if (rows := picture.get("displacement_rows")) and rows["problems"]:
+        text.append(
+            f"\n{rows['problems']} problems in displacement files, the latest: {rows['last_problem']}", "yellow"
+        )
     cycles = picture["cycles"]
     text.append(f"\n{cycles['received']} line cycles, {cycles['incomplete']} incomplete", style="dim")
     return text

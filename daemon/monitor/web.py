@@ -2,7 +2,7 @@
 
 import contextlib
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import uvicorn
 from prometheus_client import CollectorRegistry, generate_latest
@@ -33,9 +33,12 @@ class _EmbeddedServer(uvicorn.Server):
         yield
 
 
-async def serve_metrics(registry: CollectorRegistry, host: str, port: int) -> None:
+async def serve_metrics(
+    registry: CollectorRegistry, host: str, port: int, on_serving: Callable[[], None] = lambda: None
+) -> None:
     """Serve until cancelled; raises OSError when the port is taken."""
     listener = socket.create_server((host, port), reuse_port=False)
+    on_serving()
     config = uvicorn.Config(
         metrics_application(registry), log_config=None, access_log=False, lifespan="off", loop="none", ws="none"
     )

@@ -7,17 +7,17 @@ speed program runs, at a safe block, and only for the operation that it was made
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
+from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.memory import KEPT_S, OperationMemories, SpeedSwitch
-from daemon.spindle_speed.snapshot import speed_picture
+from daemon.spindle_speed.snapshot import speed_snapshot
 from daemon.spindle_speed.worker import PlannedSpeed, SpeedWorker
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
@@ -99,9 +99,9 @@ class SpindleSpeedOutput:
         if self._follower is not None:
             self._follower.writer.close()
 
-    def picture(self) -> dict[str, Any] | None:
+    def snapshot(self) -> SpindleSpeedSnapshot | None:
         """Return what status shows; None where the tuning is off."""
-        return None if self._follower is None else self._follower.picture()
+        return None if self._follower is None else self._follower.snapshot(stands_off=self.stands_off)
 
 
 class _Follower:
@@ -384,17 +384,20 @@ class _Follower:
         """The NC may follow the pair in the block."""
         return self.writer.valid(self._clock.now().monotonic_s)
 
-    def picture(self) -> dict[str, Any]:
+    def snapshot(self, *, stands_off: bool) -> SpindleSpeedSnapshot:
         """Return what status shows; the command only while the NC may follow it."""
         state, reason = self._state()
         alarm = self._standing.alarm if self._standing is not None else ""
         followed = not self._obstacle and self.followed
-        return {
-            "state": state.value,
-            "reason": reason,
-            "alarm": self._obstacle or alarm or self._worker.obstacle,
-            "switched_on": not self.switch.obstacle,
-            "applied_rpm": self._block.applied_rpm(self._found),
-            "nc_status": self._block.status(self._found),
-            **speed_picture(self._calls.under_way, self._worker.latest, self.writer.pair if followed else None),
-        }
+        return speed_snapshot(
+            state=state.value,
+            reason=reason,
+            alarm=self._obstacle or alarm or self._worker.obstacle,
+            switched_on=not self.switch.obstacle,
+            stands_off=stands_off,
+            applied_rpm=self._block.applied_rpm(self._found),
+            nc_status=self._block.status(self._found),
+            operation=self._calls.under_way,
+            planned=self._worker.latest,
+            followed=self.writer.pair if followed else None,
+        )

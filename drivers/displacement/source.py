@@ -26,6 +26,10 @@ ROWS_PER_TURN = 50
 Answer = TypeVar("Answer")
 
 
+def _ignore(*_: object) -> None:
+    """Tell nobody."""
+
+
 class _File:
     """How far the rows of one file have been read."""
 
@@ -44,7 +48,7 @@ class DisplacementCsvSource:
     """The files of one A/D logger (`drivers.contract.DisplacementSource`), to be used once.
 
     Each row is given once: rows up to `after_utc_s` are skipped, and so are those that a rewritten file
-    repeats. Bad rows are counted in `problems` and skipped. Files are read in threads that nobody waits
+    repeats. Bad rows are counted in `problems`, reported and skipped. Files are read in threads that nobody waits
     for at shut-down, because a network share may take minutes to answer.
     """
 
@@ -71,9 +75,14 @@ class DisplacementCsvSource:
         self._unreachable = 0
         self._threaded = in_thread
         self._closed = asyncio.Event()
+        self._on_problem: Callable[[str], None] = _ignore
+        self._on_reached: Callable[[], None] = _ignore
 
-    async def samples(self) -> AsyncIterator[DisplacementSample]:
+    async def samples(
+        self, on_problem: Callable[[str], None] = _ignore, on_reached: Callable[[], None] = _ignore
+    ) -> AsyncIterator[DisplacementSample]:
         """Follow the file and yield each new row once, in file order; raises LinkError."""
+        self._on_problem, self._on_reached = on_problem, on_reached
         while not self._closed.is_set():
             look, cause = await self._in_thread(self._follower.look) if self._threaded else self._follower.look()
             if look is None:
@@ -87,6 +96,8 @@ class DisplacementCsvSource:
                     yield sample
                 if row % ROWS_PER_TURN == 0:
                     await asyncio.sleep(0)
+            if self._refusal(file) is None:
+                self._on_reached()
 
     async def close(self) -> None:
         """End `samples`. May be called in any state, more than once; never raises. No file is open between looks."""
@@ -95,12 +106,14 @@ class DisplacementCsvSource:
     def _report(self, problem: str) -> None:
         self.problems += 1
         self.last_problem = problem
+        self._on_problem(problem)
 
     def _unreachable_for(self, cause: str | None) -> None:
         if cause is None and self._files:
             cause = self._refusal(list(self._files.values())[-1])
         if cause is None:
             self._unreachable = 0
+            self._on_reached()
             return
         self._unreachable += 1
         if self._unreachable == 1 and cause != self.last_problem:

@@ -65,8 +65,8 @@ async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):
     installation.config_path.write_text(text.replace(path_line, more), encoding="utf-8")
     daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
     daemon._history.start()
-    assert daemon._backups is not None
-    await daemon._backups.run_if_due()
+    (job,) = daemon._jobs
+    await job.run_if_due()
     await daemon._history.flushed()
     daemon._history.close()
     (made,) = existing_backups(installation.folder / "backups", "Mill 7 (hall)")

@@ -7,23 +7,14 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from control_rig import Bench, Z, running
 from other_user import OTHER, as_root
 
 from daemon.history import HistoryReader
-from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlClient, ControlSocket, DaemonUnreachableError
 
 PATIENCE_S = 60.0
-
-
-class NoBoard:
-    """Nobody asks for the status here."""
-
-    def picture(self) -> dict[str, Any]:
-        return {}
 
 
 def when_there(path: Path, ask: Callable[[ControlClient], object]) -> str:
@@ -80,7 +71,7 @@ async def test_the_group_decides_who_may_and_the_kernel_says_who_it_was(tmp_path
             bench.nc.macros.set(Z, 0.002)
             await rig.turn()
             assert rig.state == "FAULT"
-            desk = CommandDesk(NoBoard(), rig.control, ("x", "y", "z"))  # type: ignore[arg-type]
+            desk = rig.desk()
             serving = asyncio.create_task(ControlSocket(path, group.gr_name, desk.handle).run())
             hearing = asyncio.create_task(asyncio.to_thread(answer_of, *member))
             while not hearing.done():  # the answer may wait for the output to decide

@@ -168,8 +168,7 @@ async def test_the_programmed_speed_counts_as_taken_also_where_the_nc_refuses_it
 
 
 def desk(bench: SpeedRig) -> CommandDesk:
-    board: Any = None
-    return CommandDesk(board, bench.rig.control, ["z"])
+    return bench.rig.desk()
 
 
 async def test_a_person_switches_it_off_and_on(tmp_path: Path) -> None:

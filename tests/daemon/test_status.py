@@ -8,10 +8,11 @@ import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
+from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import ThermalTask
-from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import RequestError
 from daemon.monitor.status import StatusBoard, without_nan
+from daemon.snapshots import HistorySnapshot
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle, Trace
 
@@ -22,7 +23,7 @@ async def board(tmp_path):
     rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
     thermal = ThermalTask(configuration, clock, rig.history, rig.telemetry, None, asyncio.Queue(), rig.control.deliver)
     async with running(rig):
-        board = StatusBoard(configuration, clock, thermal, rig.control, rig.telemetry, [rig.link.health])
+        board = StatusBoard(configuration, clock, rig.snapshots, rig.telemetry.picture)
         yield board, rig, thermal
 
 
@@ -54,7 +55,9 @@ async def test_everything_at_once(board):
             trace=Trace(first_byte=now, last_byte=now),
         )
     )
-    board.acknowledged["spindle"] = 1
+    rig.snapshots.thermal = thermal_snapshot(thermal)
+    rig.snapshots.links = (rig.link.health.snapshot(),)
+    rig.snapshots.history = HistorySnapshot(acknowledged={"spindle": 1})
     picture = strict(board.picture())
     assert picture["output"]["state"] == "ACTIVE" and picture["output"]["insecure_writes"] is True
     z = picture["axes"]["z"]
@@ -67,7 +70,12 @@ async def test_everything_at_once(board):
     assert picture["writes"]["sent"] == picture["writes"]["verified"]
     assert picture["cnc"]["identity"] == "urn:toolpoint:simulated-cnc"
     assert picture["latency_s"]["feedback"]["samples"] > 0
-    assert picture["links"] == [{"name": "cnc", "up": True, "problem": "", "attempts": 1, "failures": 0}]
+    (link,) = picture["links"]
+    assert {key: link[key] for key in ("name", "up", "problem", "attempts", "failures", "last_problem")} == {
+        **{"name": "cnc", "up": True, "problem": "", "attempts": 1, "failures": 0, "last_problem": ""}
+    }
+    assert picture["history"] == {"acknowledged": {"spindle": 1}, "problem": ""}
+    assert picture["displacements"] is None and picture["displacement_rows"] is None
 
 
 async def test_without_the_link_the_applied_value_is_not_known(board):
@@ -87,7 +95,7 @@ def test_numbers_become_plain():
 
 async def test_commands_are_taken_or_refused_in_words(board):
     board, rig, _ = board
-    desk = CommandDesk(board, rig.control, ("x", "y", "z"))
+    desk = rig.desk()
     await rig.turn()
     rig.set_reference()
 

@@ -26,7 +26,7 @@ async def run_attempts(outcomes):
 
     async def attempt():
         if not left:
-            health.up = True
+            health.came_up()
             reached.set()
             await asyncio.Event().wait()
         outcome = left.pop(0)
@@ -59,8 +59,87 @@ async def test_whatever_is_raised_is_tried_again():
 async def test_the_same_problem_is_logged_once_and_shown_as_it_is():
     with structlog.testing.capture_logs() as logs:
         health = await run_attempts([LinkError("no such port")] * 20)
-    assert health.problem == "no such port"
+    assert (health.problem, health.last_problem) == ("", "no such port")
     assert len([entry for entry in logs if entry["event"] == "link.down"]) == 1
+
+
+async def flap(times, problem, **kwargs):
+    """Let a link come up and be lost with the same words again and again, and stay up in the end."""
+    health, left, reached = LinkHealth("made up"), times, asyncio.Event()
+
+    async def attempt():
+        nonlocal left
+        health.came_up()
+        if not left:
+            reached.set()
+            await asyncio.Event().wait()
+        left -= 1
+        raise LinkError(problem)
+
+    keeping = run_with_reconnect(health, attempt, Backoff(0.0001, 0.001), utc_s=lambda: 1_760_000_000.0)
+    with structlog.testing.capture_logs() as logs:
+        task = asyncio.create_task(keeping)
+        async with asyncio.timeout(30):
+            await reached.wait()
+        shown = (health.up, health.problem, health.last_problem, health.last_problem_utc_s, health.losses)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    return shown, logs
+
+
+async def test_every_loss_and_every_return_is_logged_though_the_words_are_the_same():
+    _, logs = await flap(3, "the node does not answer")
+    said = [entry["event"] for entry in logs]
+    assert said == ["link.up", "link.lost"] * 3 + ["link.up"]
+
+
+async def test_a_link_that_is_up_has_no_problem_and_keeps_its_last_one():
+    shown, _ = await flap(2, "the node does not answer")
+    assert shown == (True, "", "the node does not answer", 1_760_000_000.0, 2)
+
+
+async def test_a_link_that_flaps_fills_no_log_and_leaves_nothing_out_uncounted():
+    shown, logs = await flap(200, "the node does not answer")
+    assert shown[-1] == 200
+    assert len(logs) <= 11
+    assert sum(1 + entry.get("left_out", 0) for entry in logs) == 401, "200 losses and 201 times up"
+
+
+async def test_an_attempt_that_merely_ends_is_a_loss_too():
+    health, ends, reached = LinkHealth("made up"), [True], asyncio.Event()
+
+    async def attempt():
+        health.came_up()
+        if ends:
+            ends.pop()
+            return
+        reached.set()
+        await asyncio.Event().wait()
+
+    with structlog.testing.capture_logs() as logs:
+        task = asyncio.create_task(run_with_reconnect(health, attempt, Backoff(0.0001, 0.001)))
+        async with asyncio.timeout(30):
+            await reached.wait()
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert [entry["event"] for entry in logs] == ["link.up", "link.lost", "link.up"]
+
+
+async def test_a_link_that_a_person_must_repair_is_down_while_it_waits():
+    health, lost = LinkHealth("made up"), asyncio.Event()
+
+    async def attempt():
+        health.came_up()
+        lost.set()
+        raise FatalDriverError("wrong password")
+
+    task = asyncio.create_task(run_with_reconnect(health, attempt, Backoff(3600.0, 3600.0)))
+    async with asyncio.timeout(30):
+        await lost.wait()
+    await asyncio.sleep(0)
+    assert (health.up, health.problem) == (False, "wrong password")
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 async def test_cancelling_ends_it():

@@ -24,10 +24,14 @@ from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.references import _Asked
 from daemon.compensation.restart import ResumePoint, load_resume_point
+from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceEnded, ReferenceRequest
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.status import StatusBoard
+from daemon.snapshots import SnapshotBoard, ThermalSnapshot
 from daemon.supervisor import Backoff, run_with_reconnect
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
@@ -43,6 +47,9 @@ BLOCK = (SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, SEQUENCE_B)
 EPOCH_S = 1_760_000_400.0
 TURN_S = 0.5
 FOREVER_S = 30.0
+NO_TEMPERATURES = ThermalSnapshot(
+    temperatures=None, estimate=None, line_faults={}, cycles_received=0, cycles_incomplete=0, estimates=0
+)
 
 
 class HandClock:
@@ -160,7 +167,20 @@ class Rig:
             resume=self.resume,
             ask_reference=self.asked.append,
             on_tick=self._tick,
+            on_change=self._publish,
         )
+        self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=NO_TEMPERATURES)
+        self._publish()
+
+    def _publish(self) -> None:
+        self.snapshots.control = control_snapshot(self.control)
+        self.snapshots.spindle_speed = self.control.side.speed.snapshot()
+
+    def desk(self) -> CommandDesk:
+        """The commands of a person, without the picture of the status."""
+        status = StatusBoard(self.configuration, self.clock, self.snapshots, self.telemetry.picture)
+        axes = self.configuration.compensation.axes
+        return CommandDesk(status, self.snapshots, output_actions(self.control), axes)
 
     def _tick(self) -> None:
         self.ticks += 1

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -112,9 +113,9 @@ class MillingWires:
 
     def picture(self) -> dict[str, Any]:
         assert self.daemon is not None
-        picture = self.daemon.control.side.speed.picture()
-        assert picture is not None
-        return picture
+        snapshot = self.daemon.control.side.speed.snapshot()
+        assert snapshot is not None
+        return asdict(snapshot)
 
     def macro(self, number: int) -> float | None:
         return self.machine.nc.macros.get(number)

@@ -1,5 +1,6 @@
 """The tuning of the spindle speed on a CNC in this process that runs the shipped speed program."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,6 @@ class SpeedRig:
         return [value for number, value in self.nc.written if number == MACROS.speed]
 
     def picture(self) -> dict[str, Any]:
-        picture = self.speed.picture()
-        assert picture is not None
-        return picture
+        snapshot = self.speed.snapshot()
+        assert snapshot is not None
+        return asdict(snapshot)

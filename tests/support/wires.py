@@ -69,11 +69,16 @@ class Wires:
         switch_on(self.running, FOREVER_S)
         return self.wait_for_state("ACTIVE")
 
-    def start_daemon(self) -> None:
+    def start_daemon(self, preexec_fn: Callable[[], None] | None = None) -> None:
         """Start the daemon anew, as it was started first, and connect."""
         arguments = self.running.daemon.args
         with (self.directory / "daemon.log").open("ab") as log:
-            self.running.daemon = subprocess.Popen(arguments, stdout=log, stderr=log)  # type: ignore[arg-type]
+            self.running.daemon = subprocess.Popen(  # type: ignore[call-overload]
+                arguments,
+                stdout=log,
+                stderr=log,
+                preexec_fn=preexec_fn,  # noqa: PLW1509 - it only sets signals
+            )
         end_s = time.monotonic() + FOREVER_S
         while True:
             try:

@@ -1,6 +1,7 @@
 """`toolpoint run`: the daemon in the foreground, as systemd starts it."""
 
 import asyncio
+import signal
 import sys
 from pathlib import Path
 
@@ -30,6 +31,18 @@ def parse_simulated_clock(text: str) -> ScaledClock:
         raise click.BadParameter(f"expected EPOCH_REAL:EPOCH_UTC:SPEED, got {text!r} ({error})") from error
 
 
+def hold_reload_back() -> None:
+    """Keep SIGHUP waiting while nobody can serve it: without a handler it would end the daemon."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+
+
+async def _live(daemon: Daemon) -> None:
+    try:
+        await daemon.run()
+    finally:
+        hold_reload_back()
+
+
 @click.command()
 @config_option
 @click.option(
@@ -40,6 +53,7 @@ def parse_simulated_clock(text: str) -> ScaledClock:
 )
 def run(config_path: Path, simulated_clock: str | None) -> None:
     """Run the daemon until SIGTERM or Ctrl-C."""
+    hold_reload_back()
     configuration, warnings = read_with_warnings(config_path)
     configure_logging(configuration.service.log_level)
     for warning in warnings:
@@ -48,6 +62,6 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     sys.setswitchinterval(THREAD_TURN_S)
     import_drivers(configuration)
     try:
-        asyncio.run(Daemon(configuration, clock, config_path=config_path).run())
+        asyncio.run(_live(Daemon(configuration, clock, config_path=config_path)))
     except HistoryError as error:
         refuse(str(error))

@@ -24,6 +24,8 @@ from daemon.app import Daemon
 from daemon.compensation.task import ControlTask
 from daemon.history.rows import utc_ms
 from daemon.history.writer import HistoryWriter
+from daemon.model_release.file_access import own_account
+from daemon.model_release.loading import load_released
 from daemon.registry import Parts
 from daemon.simulation.faults.virtual_cnc import VirtualCnc
 from daemon.simulation.faults.virtual_time import VirtualClock, VirtualLoop
@@ -121,9 +123,10 @@ class CampaignDaemon:
             open_displacement_source=self._open_displacements,
             open_cnc=lambda configuration, _: VirtualCnc(configuration.cnc, self._world, self._clock),
             housekeeping=self._housekeeping,
+            load_model=lambda configuration: asyncio.to_thread(load_released, configuration, own_account()),
         )
         self._daemon = Daemon(self._configuration, self._clock, parts)
-        self._daemon.board.acknowledged = Reported(self._acknowledged, self._cycles)
+        self._daemon.acknowledged = Reported(self._acknowledged, self._cycles)
         await self._daemon.run()
 
     def _open_line(self, configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:

@@ -1,0 +1,82 @@
+"""What status shows of the control task, and what a person may ask of it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daemon.cnc.session import CncSession
+from daemon.messages import OutputActions
+from daemon.snapshots import CncSnapshot, ControlSnapshot, WriteCounts
+from models.records import OutputState
+
+if TYPE_CHECKING:
+    from daemon.compensation.task import ControlTask
+
+NOTICES_SHOWN = 5
+"""Latest notices that status shows."""
+
+
+def control_snapshot(control: "ControlTask") -> ControlSnapshot:
+    """Return where the output stands now."""
+    memory, command, limits = control.memory, control.command, control.limits
+    count = len(limits.axes)
+    unknown = np.full(count, np.nan)
+    none = (False,) * count
+    return ControlSnapshot(
+        state=memory.state if memory is not None else OutputState.OFF,
+        reason=memory.reason if memory is not None else control.not_begun,
+        since_monotonic_s=memory.since_s if memory is not None else None,
+        alarm=control.journal.alarm,
+        notices=tuple(control.journal.notices[-NOTICES_SHOWN:]),
+        phase=control.phase,
+        limits_hit=memory.limits_hit if memory is not None else (),
+        weight=memory.weight if memory is not None else None,
+        guard_silent_s=control.guard_silent_s,
+        axes=limits.axes,
+        wanted=memory.wanted if memory is not None else none,
+        enabled=command.enable if command is not None else none,
+        thermal_error_um=control.thermal_error_um(),
+        requested_um=command.requested_um if command is not None else unknown,
+        written_um=command.compensation_um if command is not None else unknown,
+        applied_um=control.applied_um(),
+        bound_um=limits.absolute_bound_um,
+        slew_um_per_min=limits.slew_um_per_min,
+        reference=control.reference,
+        reference_by_hand=control.reference_by_hand,
+        tools_set=tuple(sorted(memory.tools)) if memory is not None else (),
+        cnc=_cnc(control.session),
+        writes=WriteCounts(**control.writer.counts),
+        written_axes=tuple(sorted(control.writer.axes)),
+    )
+
+
+def _cnc(session: CncSession | None) -> CncSnapshot | None:
+    if session is None or session.sample is None:
+        return None
+    return CncSnapshot(
+        identity=session.cnc.identity,
+        secure=session.cnc.security == "encrypted",
+        sample=session.sample,
+        echo_status=session.echo.status if session.echo is not None else None,
+    )
+
+
+def output_actions(control: "ControlTask") -> OutputActions:
+    """Return what a person may ask of the output."""
+
+    def switch_spindle_speed(on: bool, person: str) -> str:
+        refusal = control.side.speed.turn(on=on, person=person)
+        control.on_change()
+        return refusal
+
+    def record_refusal(text: str, person: str) -> None:
+        control.journal.event("refused", text, person)
+        control.on_change()
+
+    return OutputActions(
+        request=control.request,
+        request_reference=control.request_reference,
+        switch_spindle_speed=switch_spindle_speed,
+        record_refusal=record_refusal,
+        carried_out=control.requests.carried_out,
+    )

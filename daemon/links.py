@@ -1,0 +1,148 @@
+"""Keeps every link alive: temperature lines, CNC, displacement files, local socket, metrics."""
+
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from dataclasses import replace
+from typing import Any
+
+import structlog
+
+from config.schema import Configuration
+from config.schema.temperatures import LineConfig
+from daemon.cnc.link import CncLink
+from daemon.rate_limit import RateLimit
+from daemon.registry import Parts
+from daemon.snapshots import DisplacementSnapshot, LinkSnapshot
+from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
+from drivers.clock import Clock
+from drivers.contract import LinkError
+from models.records import DisplacementSample, TemperatureCycle
+
+log = structlog.get_logger(__name__)
+
+PROBLEM_BURST = 3
+"""So many problems of displacement files are told one by one; then the latest once a minute, with their number."""
+
+Serve = Callable[[Callable[[], None]], Awaitable[None]]
+"""Serves until cancelled; calls what it gets when it can be connected to."""
+
+
+class Links:
+    """Opens each link anew when it is lost, and knows how each one fares."""
+
+    def __init__(self, configuration: Configuration, clock: Clock, parts: Parts, cnc: CncLink) -> None:
+        self._configuration = configuration
+        self._clock = clock
+        self._parts = parts
+        self._cnc = cnc
+        self._lines = {line.name: LinkHealth(f"latsis {line.name}") for line in configuration.temperatures.lines}
+        self._displacements = LinkHealth("displacement files")
+        self._own = {"service.socket": LinkHealth("local socket"), "service.http_port": LinkHealth("metrics")}
+        self.shown = [*self._lines.values(), cnc.health]
+        """Those to the machine."""
+        if configuration.displacements is not None:
+            self.shown.append(self._displacements)
+
+    def snapshots(self) -> tuple[LinkSnapshot, ...]:
+        """Return how the links to the machine fare."""
+        return tuple(health.snapshot() for health in self.shown)
+
+    def temperatures(self, take: Callable[[TemperatureCycle], None]) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the work that keeps each line alive."""
+        for line in self._configuration.temperatures.lines:
+            yield self._line(line, take)
+
+    def cnc(self) -> Coroutine[Any, Any, None]:
+        """Return the work that keeps the session with the CNC alive."""
+        return self._keep(self._cnc.health, self._cnc.attempt)
+
+    def displacements(self, after_utc_s: Callable[[], float | None], log_: "DisplacementLog") -> Iterator[Any]:
+        """Yield the work that follows the logger's files, where there are any; rows up to `after_utc_s` are skipped."""
+        if self._configuration.displacements is None:
+            return
+
+        async def attempt() -> None:
+            source = self._parts.open_displacement_source(self._configuration, self._clock, after_utc_s())
+            try:
+                async for sample in source.samples(log_.problem, self._displacements.came_up):
+                    log_.row(sample)
+            finally:
+                await source.close()
+
+        yield self._keep(self._displacements, attempt)
+
+    def own(self, key: str, place: object, serve: Serve) -> Coroutine[Any, Any, None]:
+        """Return the work that serves people or programs at a configured place."""
+        health = self._own[key]
+
+        async def attempt() -> None:
+            try:
+                await serve(health.came_up)
+            except (OSError, KeyError) as error:
+                raise LinkError(f"{key} {place} cannot be served: {error}") from error
+
+        return self._keep(health, attempt)
+
+    def _line(self, line: LineConfig, take: Callable[[TemperatureCycle], None]) -> Coroutine[Any, Any, None]:
+        health = self._lines[line.name]
+
+        async def attempt() -> None:
+            source = self._parts.open_temperature_source(self._configuration, line, self._clock)
+            try:
+                async for cycle in source.cycles():
+                    health.came_up()
+                    take(cycle)
+            finally:
+                await source.close()
+
+        return self._keep(health, attempt)
+
+    def _keep(self, health: LinkHealth, attempt: Callable[[], Awaitable[None]]) -> Coroutine[Any, Any, None]:
+        service = self._configuration.service
+        backoff = Backoff(service.retry_min_s, service.retry_max_s)
+        return run_with_reconnect(health, attempt, backoff, utc_s=lambda: self._clock.now().utc_s)
+
+
+class DisplacementLog:
+    """Hands rows of the A/D logger on and tells log, audit and status what could not be read."""
+
+    def __init__(
+        self,
+        clock: Clock,
+        take: Callable[[DisplacementSample], None],
+        report: Callable[[str, str], None],
+        publish: Callable[[DisplacementSnapshot], None],
+    ) -> None:
+        """`report` takes the kind of an event and its text."""
+        self._clock = clock
+        self._take = take
+        self._report = report
+        self._publish = publish
+        self._snapshot = DisplacementSnapshot()
+        self._limit = RateLimit[str](self._tell, burst=PROBLEM_BURST)
+
+    def row(self, sample: DisplacementSample) -> None:
+        """Take a row that was read."""
+        self._take(sample)
+        self._change(replace(self._snapshot, latest=sample, rows_read=self._snapshot.rows_read + 1))
+
+    def problem(self, problem: str) -> None:
+        """Take what could not be read."""
+        now_utc_s, before = self._clock.now().utc_s, self._snapshot
+        self._change(replace(before, problems=before.problems + 1, last_problem=problem, last_problem_utc_s=now_utc_s))
+        self._limit(problem)
+
+    def flush(self) -> None:
+        """Tell what is still held back; call it when nothing more comes."""
+        self._limit.flush()
+
+    def _change(self, snapshot: DisplacementSnapshot) -> None:
+        self._snapshot = snapshot
+        self._publish(snapshot)
+
+    def _tell(self, problem: str, left_out: int) -> None:
+        """Say one problem, how many before it were left out, and whether any row was ever read."""
+        words = problem if not left_out else f"{problem} ({left_out} more since the last report)"
+        if not self._snapshot.rows_read:
+            words += "; no row has been read since the daemon started: check `displacements` in the configuration"
+        log.warning("displacements.unreadable", problem=words, problems=self._snapshot.problems)
+        self._report("displacements", words)
