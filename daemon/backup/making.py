@@ -2,7 +2,6 @@
 
 import io
 import os
-import re
 import tarfile
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -28,27 +27,12 @@ from daemon.backup.manifest import (
     last_block_beside,
     sha256_of_stream,
 )
+from daemon.backup.names import existing_backups
 from daemon.history.database import HistoryError, schema_version
 from daemon.history.retention import backup as copy_store
 from daemon.model_release.repository import released
 
-SUFFIX = ".tar"
 BACKUP_MODE = 0o640
-
-
-def backup_name(machine: str, now: datetime) -> str:
-    """Return the name that a back-up gets in a folder of back-ups."""
-    return f"{_prefix(machine)}{now.astimezone(UTC):%Y%m%dT%H%M%SZ}{SUFFIX}"
-
-
-def _prefix(machine: str) -> str:
-    return f"toolpoint-{re.sub(r'[^A-Za-z0-9]+', '-', machine).strip('-').lower() or 'machine'}-"
-
-
-def existing_backups(folder: Path, machine: str) -> list[Path]:
-    """Return the machine's back-ups in a folder, the oldest first; other files there are none of them."""
-    form = re.compile(re.escape(_prefix(machine)) + r"\d{8}T\d{6}Z" + re.escape(SUFFIX))
-    return sorted(path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
 
 
 def remove_old(folder: Path, machine: str, keep: int, spare: Path | None = None) -> list[Path]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from config.schema import Configuration
 from config.schema.service import BackupConfig
-from daemon.backup.making import existing_backups
+from daemon.backup.names import existing_backups
 from daemon.housekeeping.side_job import Report, ScheduledProcess
 
 FIRST_LOOK_S = 60

@@ -7,7 +7,7 @@ from typing import Any
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
 from daemon.housekeeping.side_job import Report, ScheduledProcess
-from daemon.model_release.releasing import proposals_folder
+from daemon.model_release.repository import proposals_folder
 
 FIRST_LOOK_S = 300
 

@@ -2,7 +2,7 @@
 
 from config.problems import ConfigurationError
 from config.schema import Configuration
-from daemon.model_release.loading import bearings_from_text
+from daemon.model_release.bearing_loading import bearings_from_text
 from daemon.model_release.releasing import Kind
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
 from daemon.spindle_speed.planning import planned_with

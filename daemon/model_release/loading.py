@@ -17,8 +17,6 @@ from models.thermal.family import AnyThermalModel
 from models.thermal.lagged_artifact import any_model_from_json, lagged_model_to_json
 from models.thermal.lagged_model import LaggedModel
 from models.thermal.model import ModelError
-from models.thermomechanics.artifact import model_from_json
-from models.thermomechanics.regression import ThermomechanicalModel
 
 
 class Named(Protocol):
@@ -85,34 +83,11 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
         model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
         return model, obstacle, "" if model is None else training_obstacle(model)
 
-    return _load(_Wanted(kind="thermal model", option=""), path, configuration, account, read)
-
-
-def load_released_bearings(configuration: Configuration, account: Account) -> LoadedModel[ThermomechanicalModel]:
-    """Return the bearing model of the spindle-speed tuning as this account may use it; deny by default."""
-    tuning = configuration.spindle_speed
-    if tuning is None:
-        return LoadedModel(model=None, obstacle="no bearing model is configured (there is no section spindle_speed)")
-    wanted = _Wanted(kind="bearing model", option="--bearings ")
-    return _load(wanted, tuning.thermomechanical_model, configuration, account, _read_bearings)
-
-
-def bearings_from_text(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str]:
-    """Return the bearing model that a file's bytes hold, or why they hold none."""
-    try:
-        return model_from_json(content.decode("utf-8"), source), ""
-    except UnicodeDecodeError as error:
-        return None, f"{source}: this is no bearing model: byte {error.start} is not UTF-8 text"
-    except ModelError as error:
-        return None, str(error)
-
-
-def _read_bearings(content: bytes, source: str) -> tuple[ThermomechanicalModel | None, str, str]:
-    return (*bearings_from_text(content, source), "")
+    return load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
+class WantedModel:
     """How sentences name the kind of model."""
 
     kind: str
@@ -120,9 +95,10 @@ class _Wanted:
     """Of `toolpoint model release`."""
 
 
-def _load(
-    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+def load_checked(
+    wanted: WantedModel, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
 ) -> LoadedModel[AnyModel]:
+    """Return a model as this account may use it: out of its reach, released, unchanged, and read without objection."""
     try:
         return _loaded(wanted, path, configuration, account, read)
     except OSError as error:
@@ -130,7 +106,7 @@ def _load(
 
 
 def _loaded(
-    wanted: _Wanted, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
+    wanted: WantedModel, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
 ) -> LoadedModel[AnyModel]:
     lenient = configuration.compensation.allow_writable_model_directory
     real = Path(os.path.realpath(path))
@@ -155,7 +131,7 @@ def _loaded(
     return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(content), warning=warning)
 
 
-def _doubt(wanted: _Wanted, path: Path, account: Account, record: ReleaseRecord | None) -> str:
+def _doubt(wanted: WantedModel, path: Path, account: Account, record: ReleaseRecord | None) -> str:
     """Return what stands against a model whose release is not in order, '' when nothing does."""
     if how := how_it_could_change(path, account):
         return (

@@ -13,7 +13,7 @@ from config.schema import Configuration
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
 from daemon.model_release.gate import channels_in_use, gate_obstacle, policy_obstacle
 from daemon.model_release.loading import Named, model_from_text
-from daemon.model_release.repository import ReleaseError, ReleaseRepository, sha256_of
+from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder, sha256_of
 from models.thermal.family import AnyThermalModel
 
 LARGEST_MODEL = 64 * 2**20
@@ -65,11 +65,6 @@ def _named(uid: int) -> str:
         return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
     except KeyError:
         return f"unknown (uid {uid})"
-
-
-def proposals_folder(configuration: Configuration) -> Path:
-    """Return where the daemon and its jobs put models that somebody may release."""
-    return configuration.history.path.parent / "proposals"
 
 
 def shelf_of(configuration: Configuration) -> ReleaseRepository:

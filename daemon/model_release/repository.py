@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record
+from config.schema import Configuration
 
 MODEL_NAME = "model.json"
 RECORD_NAME = "release.json"
@@ -168,3 +169,8 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def proposals_folder(configuration: Configuration) -> Path:
+    """Return where the daemon and its jobs put models that somebody may release."""
+    return configuration.history.path.parent / "proposals"

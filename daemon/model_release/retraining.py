@@ -14,8 +14,7 @@ from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.model_release.loading import model_text
 from daemon.model_release.past_recordings import recordings_from_history
-from daemon.model_release.releasing import proposals_folder
-from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER
+from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER, proposals_folder
 from models.thermal.family import AnyThermalModel
 from models.thermal.training.train_family import train_family
 

@@ -10,8 +10,9 @@ from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase, load_st
 from config.problems import ConfigurationError
 from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
+from daemon.model_release.bearing_loading import load_released_bearings
 from daemon.model_release.file_access import Account
-from daemon.model_release.loading import LoadedModel, load_released_bearings
+from daemon.model_release.loading import LoadedModel
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.errors import IdentificationError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits

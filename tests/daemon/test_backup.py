@@ -15,8 +15,9 @@ from installation import Installation
 from other_user import OTHER, as_root
 
 from config.loader import load_configuration
-from daemon.backup.making import existing_backups, make_backup, remove_old
+from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
+from daemon.backup.names import existing_backups
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history import HistoryReader
 from daemon.model_release.releasing import rollback

@@ -12,7 +12,7 @@ from installation import Installation
 from config.loader import load_configuration
 from config.schema.service import BackupConfig
 from daemon.app import Daemon
-from daemon.backup.making import existing_backups
+from daemon.backup.names import existing_backups
 from daemon.backup.restoring import read_manifest
 from daemon.cli import main
 from daemon.history import HistoryReader

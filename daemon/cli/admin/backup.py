@@ -27,8 +27,9 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
     DESTINATION is a new file, or a folder, in which the back-up gets a name of its own; without it,
     history.backup.directory. The daemon may run. Passwords and keys are not in it.
     """
-    from daemon.backup.making import backup_name, make_backup, remove_old
+    from daemon.backup.making import make_backup, remove_old
     from daemon.backup.manifest import BackupError
+    from daemon.backup.names import backup_name
 
     configuration = read_configuration(config_path)
     folder_wanted = destination is None or keep is not None

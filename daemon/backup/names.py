@@ -1,0 +1,22 @@
+"""Names of back-ups in a folder, and which of them are a machine's."""
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+SUFFIX = ".tar"
+
+
+def backup_name(machine: str, now: datetime) -> str:
+    """Return the name that a back-up gets in a folder of back-ups."""
+    return f"{_prefix(machine)}{now.astimezone(UTC):%Y%m%dT%H%M%SZ}{SUFFIX}"
+
+
+def _prefix(machine: str) -> str:
+    return f"toolpoint-{re.sub(r'[^A-Za-z0-9]+', '-', machine).strip('-').lower() or 'machine'}-"
+
+
+def existing_backups(folder: Path, machine: str) -> list[Path]:
+    """Return the machine's back-ups in a folder, the oldest first; other files there are none of them."""
+    form = re.compile(re.escape(_prefix(machine)) + r"\d{8}T\d{6}Z" + re.escape(SUFFIX))
+    return sorted(path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
