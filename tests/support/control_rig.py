@@ -139,6 +139,7 @@ class Rig:
         record: CommissioningRecord | None,
         model_obstacle: str = "",
         resume: ResumePoint | None = None,
+        model_id: str = "made-up",
     ) -> None:
         self.configuration, self.nc, self.clock = configuration, nc, clock
         self.telemetry = Telemetry()
@@ -162,7 +163,7 @@ class Rig:
             self.history,
             self.telemetry,
             commissioning=record,
-            model_id="made-up",
+            model_id=model_id,
             model_obstacle=lambda: model_obstacle,
             resume=self.resume,
             ask_reference=self.asked.append,

@@ -107,7 +107,7 @@ class WholeLoop(Bench):
 
     async def start(self) -> None:
         """Start the daemon."""
-        self.rig = Rig(self.configuration, self.nc, self.clock, record=record_for(self.configuration))
+        self.rig = self.new_rig()
         self._open = contextlib.AsyncExitStack()
         await self._open.enter_async_context(running(self.rig, connect=self.nc.reachable))
         inbox: asyncio.Queue[Message] = asyncio.Queue()
@@ -120,6 +120,9 @@ class WholeLoop(Bench):
             inbox,
             self.rig.control.deliver,
         )
+
+    def new_rig(self) -> Rig:
+        return Rig(self.configuration, self.nc, self.clock, record=record_for(self.configuration))
 
     async def end(self) -> None:
         """End the daemon without a word, as a crash does; what it has handed to the store is there."""
