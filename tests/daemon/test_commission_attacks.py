@@ -43,10 +43,18 @@ class Obedient(Person):
 
     until_um = float("inf")
 
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.calls: list[asyncio.Task[None]] = []
+
+    async def call_guard_soon(self) -> None:
+        await self.bench.clock.sleep(4.0)
+        self.bench.call_guard()
+
     def say(self, text: str) -> None:
         super().say(text)
         if "Call the guard" in text and self.bench.machine.guard.applied_um["z"] < self.until_um:
-            asyncio.get_running_loop().call_later(0.1, self.bench.call_guard)
+            self.calls.append(asyncio.create_task(self.call_guard_soon()))
 
 
 # --- what the readings show ------------------------------------------------------------
@@ -105,7 +113,7 @@ async def test_without_a_reading_nothing_is_proved(bench):
 
 
 async def log_rows(bench: Bench, path: Path, noise_um: float) -> None:
-    """Write a logger's file: a row every 50 ms, in the layout of the configuration."""
+    """Write a logger's file: a row a second, in the layout of the configuration."""
     rng = np.random.default_rng(3)
     with path.open("w", encoding="utf-8") as file:
         file.write("time,Y1,Y2,Z1,Z2,Z3\n")
@@ -116,7 +124,7 @@ async def log_rows(bench: Bench, path: Path, noise_um: float) -> None:
             fields = [f"{um + noise_um * rng.standard_normal():.3f}" for um in values]
             file.write(f"{moment:.3f}," + ",".join(fields) + "\n")
             file.flush()
-            await asyncio.sleep(0.02)
+            await bench.clock.sleep(1.0)
 
 
 def with_log(path: Path):
@@ -135,7 +143,7 @@ def with_log(path: Path):
 async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, noise_um, words):
     path = tmp_path / "logger.csv"
     writing = asyncio.create_task(log_rows(bench, path, noise_um))
-    await asyncio.sleep(0.1)
+    await bench.clock.sleep(4.0)
     work = {
         "axes": ("z",),
         "sources": Sources(channels={"z": "Z1", "y": "Y1"}, samples=8),
@@ -262,7 +270,7 @@ async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench)
 
     async def cut() -> None:
         await bench.relay.stop()
-        await asyncio.sleep(0.5)
+        await bench.clock.sleep(20.0)
         await bench.relay.start()
 
     cuts = []
@@ -274,7 +282,7 @@ async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench)
 
     async def slowly(question: str) -> float | None:
         number = await Person.number(person, question)
-        await asyncio.sleep(0.5 if cuts else 0.0)
+        await bench.clock.sleep(20.0 if cuts else 0.0)
         return number
 
     person.eyes, person.number = read, slowly
@@ -338,7 +346,7 @@ async def test_a_second_writer_ends_everything_without_another_write(bench):
 
     async def slowly(question: str) -> float | None:
         answer = await Person.number(person, question)
-        await asyncio.sleep(0.2)
+        await bench.clock.sleep(8.0)
         return answer
 
     person.eyes, person.number = read, slowly
@@ -366,7 +374,7 @@ async def test_what_happens_at_the_control_in_the_middle_takes_the_offset_back(b
 
     async def slowly(question: str) -> float | None:
         answer = await Person.number(person, question)
-        await asyncio.sleep(0.2)
+        await bench.clock.sleep(8.0)
         return answer
 
     person.eyes, person.number = read, slowly

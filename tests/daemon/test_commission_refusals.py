@@ -53,7 +53,8 @@ async def test_a_running_daemon_is_left_alone(bench):
         return {}
 
     serving_socket = asyncio.create_task(ControlSocket(bench.directory / "control.sock", None, handle).run())
-    await asyncio.sleep(0.2)
+    while not (bench.directory / "control.sock").exists():
+        await bench.clock.sleep(1.0)
     try:
         assert "the daemon is running" in await refused(bench)
     finally:

@@ -4,12 +4,12 @@ import asyncio
 import contextlib
 import json
 import re
-import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from loop_clock import LoopClock
 
 from config.loader import load_configuration
 from config.machines import shipped_file
@@ -22,7 +22,6 @@ from daemon.commissioning.procedure import Plan
 from daemon.commissioning.session import Sources, commission
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
-from drivers.clock import ScaledClock
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import Block, PartProgram, standing_program
@@ -30,8 +29,8 @@ from drivers.sim.nc.wiring import STRAIGHT, Wiring
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 from drivers.sim.wires.tcp_relay import TcpRelay
 
-SPEED = 40.0
-FOREVER_S = 60.0
+SPEED = 80.0
+FOREVER_S = 600.0
 EVER = (0.0, 1e11)
 STOPPED = PartProgram(number=9101, blocks=(Block(sequence_number=10, kind="idle", duration_s=3600.0),))
 """Nothing runs: a person calls the guard by hand, or nobody does."""
@@ -90,7 +89,7 @@ class Bench:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self.clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=time.time(), speed=SPEED)
+        self.clock = LoopClock(SPEED)
         self._described = load_configuration(shipped_file("cfrpmt.yaml"))
         self._content = self._described.model_dump_json()
         self.stores = 0
@@ -186,7 +185,7 @@ class Bench:
         while True:
             if not self.frozen:
                 self.machine.advance(self.clock.now().monotonic_s - self._origin_s)
-            await asyncio.sleep(0.01)
+            await self.clock.turn()
 
 
 @contextlib.asynccontextmanager

@@ -2,19 +2,18 @@
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from control_rig import record_for
+from loop_clock import LoopClock
 from speed_machine import MACROS, bearing_model, speed_machine
 
 from config.records.commissioning import save_commissioning
 from config.schema import Configuration
 from daemon.app import Daemon
-from drivers.clock import ScaledClock
 from drivers.guard.speed_text import SpeedStatus, speed_program
 from drivers.sim.contract import AxisTruth
 from drivers.sim.nc.custom_macro import Interpreter, compile_programs
@@ -27,8 +26,7 @@ from models.thermomechanics.artifact import model_to_json
 
 CUT, SAFE = 200, 900
 SPEED = 20.0
-FOREVER_S = 60.0
-STEP_S = 0.005
+FOREVER_S = 600.0
 DEGC_PER_CODE = 0.0625
 
 
@@ -78,7 +76,7 @@ class MillingWires:
         self.folder = folder
         self.configuration = speed_machine(folder, **changes)
         self.machine = MillingMachine(self.configuration)
-        self.clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=time.time(), speed=SPEED)
+        self.clock = LoopClock(SPEED)
         self.server = SimulatedCncServer(self.machine.nc, self.configuration.cnc, port=0, readable=MACROS.numbers)
         self.relay = TcpRelay(port=0, target_port=0)
         self.wires = LatsisWires(self.machine, self.configuration.temperatures, folder)
@@ -104,7 +102,7 @@ class MillingWires:
         while True:
             self.machine.advance(self.clock.now().monotonic_s - origin_s)
             self.wires.step(self.machine.time_s, None)
-            await asyncio.sleep(STEP_S)
+            await self.clock.turn()
 
     async def stop(self) -> None:
         self.wires.close()
@@ -122,10 +120,10 @@ class MillingWires:
 
     async def until(self, what: str, condition: Callable[[], bool]) -> None:
         """Return when the condition holds."""
-        end = time.monotonic() + FOREVER_S
+        end_s = self.clock.elapsed_s + FOREVER_S
         while not condition():
-            assert time.monotonic() < end, f"waited in vain for {what}: {self.picture()}"
-            await asyncio.sleep(0.01)
+            assert self.clock.elapsed_s < end_s, f"waited in vain for {what}: {self.picture()}"
+            await self.clock.sleep(0.1)
 
     async def operation(self, **arguments: float) -> tuple[float, float, SpeedStatus]:
         """Call at a safe block, wait for the daemon's answer, and call again."""

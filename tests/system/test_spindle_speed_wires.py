@@ -1,6 +1,5 @@
 """The spindle speed over real wires: sensors on lines, the CNC over OPC UA, the NC program as it is shipped."""
 
-import asyncio
 from pathlib import Path
 
 import pytest
@@ -24,7 +23,7 @@ async def cut(wires: MillingWires, seconds: float) -> set[float]:
     held, end_s = set(), wires.machine.time_s + seconds
     while wires.machine.time_s < end_s:
         held.add(wires.macro(MACROS.speed) or 0.0)
-        await asyncio.sleep(0.01)
+        await wires.clock.sleep(0.2)
     return held
 
 
