@@ -1,4 +1,4 @@
-# Two commands matter to a newcomer: `make run` and `make test`.
+# Two commands matter to a newcomer: `make run` and `make test`. What `make test` leaves out, `make test-all` adds.
 # Everything is installed into .venv; a fresh machine needs python3 (3.11 or newer) with venv, and make.
 
 PYTHON ?= python3
@@ -14,15 +14,23 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run test install lint types layers docs bundle simulated-model clean
+.PHONY: run test test-slow test-all install lint types layers docs bundle simulated-model clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
 
 install: $(VENV)/.installed
 
+# A process per core; the tests of one file stay in one process, so that they share what they set up.
+PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadfile
+
 test: $(VENV)/.installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+	$(PYTEST) -m "not slow"
+
+test-slow: $(VENV)/.installed-dev
+	$(PYTEST) -m slow
+
+test-all: test test-slow
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

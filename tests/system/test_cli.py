@@ -31,6 +31,7 @@ def told(*arguments, config):
     return finished.stdout
 
 
+@pytest.mark.slow
 def test_a_whole_shift_of_commands(tmp_path):
     with on_wires(tmp_path, speed=60.0) as wires:
         config = tmp_path / "toolpoint.yaml"

@@ -83,6 +83,7 @@ def test_nothing_is_violated_and_nothing_acknowledged_is_lost(played: tuple[Path
     assert never <= IN_WORK, "a part of a day checks every invariant"
 
 
+@pytest.mark.slow
 def test_a_part_with_requests_another_model_and_another_policy(tmp_path: Path) -> None:
     result = run(tmp_path, WORK, end_s=WORK_END_S)
     assert failures(result) == []

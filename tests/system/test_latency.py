@@ -33,6 +33,7 @@ def outcome(tmp_path_factory):
     return json.loads(done.stdout), page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_contract(outcome):
     numbers, _ = outcome
     assert {"measurement_s", "feedback_s", "total_s", "parts_s", "published"} <= set(numbers)
@@ -47,6 +48,7 @@ def test_the_contract(outcome):
         assert 0.0 < block["p50"] <= block["max"]
 
 
+@pytest.mark.slow
 def test_parts_are_what_the_wires_and_the_cycle_allow(outcome):
     numbers, _ = outcome
     parts = numbers["parts_s"]
@@ -59,6 +61,7 @@ def test_parts_are_what_the_wires_and_the_cycle_allow(outcome):
     assert numbers["seen_by_machine_s"]["mean"] < numbers["parts_s"]["product"]["mean"] + 1.0
 
 
+@pytest.mark.slow
 def test_the_picture_shows_both_distributions_and_what_they_are_compared_with(outcome):
     _, page = outcome
     assert "<svg" in page and "24.7" in page and "another rig" in page

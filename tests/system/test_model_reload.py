@@ -18,7 +18,7 @@ from daemon.history import HistoryReader
 from models.thermal.artifact import model_from_json, model_to_json
 from models.thermal.model import ThermalModel, make_test_vectors
 
-pytestmark = pytest.mark.wires
+pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
 
 def toolpoint(*arguments: str, config: Path) -> Any:

@@ -8,7 +8,7 @@ from wires import FIRST_REFERENCE_S, check_audit, on_wires
 
 from daemon.history import HistoryReader
 
-pytestmark = pytest.mark.wires
+pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
 
 def patient(content):

@@ -17,6 +17,7 @@ from models.stability.semi_discretisation import chatter_frequency_hz, semi_disc
 from models.stability.state_space import state_space
 
 
+@pytest.mark.slow
 def test_stable_and_unstable_agree_off_the_boundary() -> None:
     agreed, disagreed, stable = 0, [], 0
     for teeth in (2, 3):
@@ -103,6 +104,7 @@ def test_a_helix_of_one_pitch_cuts_evenly() -> None:
     assert spread["helical"] < 0.1 * spread["straight"]
 
 
+@pytest.mark.slow
 def test_more_depth_than_the_limit_leaves_the_material() -> None:
     cuts = benchmark_cut(1.0, 15962.8, "slot", 10.0)
     forces = np.array([sample.force_n[0] for sample in mill(cuts, 100, 160)])[-1600:]

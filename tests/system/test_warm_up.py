@@ -50,6 +50,7 @@ def milled(path: Path, seed: int) -> dict[str, WarmUpRun]:
     return {run.strategy: run for run in warm_up(load_stability_case(path), request)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_tuning_is_never_stable_for_less_of_the_time_than_the_rule(
     runs: dict[int, dict[str, WarmUpRun]], seed: int
@@ -61,10 +62,12 @@ def test_tuning_is_never_stable_for_less_of_the_time_than_the_rule(
     assert removed["tuned"] >= removed["programmed"]
 
 
+@pytest.mark.slow
 def test_without_tuning_warming_brings_chatter(runs: dict[int, dict[str, WarmUpRun]]) -> None:
     assert min(run["programmed"].share_stable for run in runs.values()) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_tuner_sees_an_estimate_and_not_the_truth(runs: dict[int, dict[str, WarmUpRun]], seed: int) -> None:
     minutes = runs[seed]["tuned"].minutes
@@ -86,6 +89,7 @@ def test_a_cross_receptance_is_refused(tmp_path: Path) -> None:
         warm_up(load_stability_case(path), request)
 
 
+@pytest.mark.slow
 def test_the_command_prints_shares_and_draws(tmp_path: Path) -> None:
     path, picture = tmp_path / "case.yaml", tmp_path / "warm.png"
     path.write_text(CASE, encoding="utf-8")

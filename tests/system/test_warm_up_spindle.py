@@ -48,6 +48,7 @@ def runs(case: StabilityCase) -> dict[str, WarmUpRun]:
     return {run.strategy: run for run in warm_up(case, request())}
 
 
+@pytest.mark.slow
 def test_tuning_is_never_stable_for_less_of_the_time_and_removes_more(runs: dict[str, WarmUpRun]) -> None:
     assert runs["programmed"].share_stable < 1.0
     assert runs["tuned"].share_stable >= runs["rule"].share_stable
@@ -55,6 +56,7 @@ def test_tuning_is_never_stable_for_less_of_the_time_and_removes_more(runs: dict
     assert removed["tuned"] > max(removed["programmed"], removed["rule"])
 
 
+@pytest.mark.slow
 def test_the_user_sees_an_estimate_that_follows_the_truth(runs: dict[str, WarmUpRun]) -> None:
     minutes = runs["tuned"].minutes
     true = np.array([minute.true_hz["x"] for minute in minutes])
