@@ -53,10 +53,6 @@ ALIVE_PERIOD_S = 10.0
 """The store is told this often that the daemon lives [s of the wall clock]; a restart measures its outage by it."""
 
 
-class StartError(Exception):
-    """The daemon cannot start; the text says why and what to do."""
-
-
 def load_record(path: Path | None) -> CommissioningRecord | None:
     """Return the commissioning record, or None with the reason in the log."""
     if path is None:

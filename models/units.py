@@ -14,11 +14,6 @@ MLX90615_K_PER_LSB = 0.02
 ZERO_CELSIUS_K = 273.15
 
 
-def mm_from_um(um: float) -> float:
-    """Return micrometres [um] as millimetres [mm]."""
-    return um * 1e-3
-
-
 def um_from_mm(mm: float) -> float:
     """Return millimetres [mm] as micrometres [um]."""
     return mm * 1e3

@@ -131,20 +131,6 @@ class _opened:
         self._file.close()
 
 
-def read_metadata(path: Path) -> dict[str, str]:
-    """Return what the lines `# key: value` before the header say; raises `RecordingFileError`."""
-    place = _Place(path)
-    found: dict[str, str] = {}
-    with _opened(place) as lines:
-        for line in lines:
-            if not line.startswith(METADATA_MARK):
-                break
-            key, _, value = line.removeprefix(METADATA_MARK).partition(":")
-            if key.strip():
-                found[key.strip()] = value.strip()
-    return found
-
-
 def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping[str, tuple[FloatArray, int]]) -> None:
     """Write a recording in the form that `read_recording` reads, in one step; raises OSError.
 

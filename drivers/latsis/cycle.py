@@ -6,8 +6,7 @@ opened is discarded and counted.
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.frames import Frame, FrameError, FrameFault, FrameParser, frame_bytes
@@ -28,28 +27,6 @@ NAMED_REJECTS = 8
 """How many rejected pieces a cycle's faults quote before they are counted."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LineStatistics:
-    """What a line has delivered since its port was opened."""
-
-    bytes: int
-    frames: int
-    rejected: Mapping[str, int]
-    """Rejected pieces by `FrameFault`."""
-    cycles_complete: int
-    cycles_incomplete: int
-    passes_discarded: int
-    """Passes that were under way when the port was opened."""
-    out_of_place: int
-    """Frames that came twice, out of order, or after the end of their cycle."""
-    resets: int
-    """Values refused as node resets."""
-    silent_ids: tuple[int, ...]
-    """IDs on the wire that are not waited for any more."""
-    quarantined: bool
-    alarm: str | None
-
-
 class CycleAssembler:
     """Turns the bytes of one line, with their time of arrival, into temperature cycles."""
 
@@ -67,11 +44,10 @@ class CycleAssembler:
         self._ended_at: int | None = None
         self._synchronised = False
         self._number = 0
+        self._frames = 0
         self._last_end = 0
         self.last_error: FrameError | None = None
         self._missed: Counter[int] = Counter()
-        self._counts: Counter[str] = Counter()
-        self._rejected: Counter[FrameFault] = Counter()
         self._await_all_but(frozenset())
         self._forget_pass()
 
@@ -95,26 +71,9 @@ class CycleAssembler:
         self._below: set[int] = set()
 
     @property
-    def statistics(self) -> LineStatistics:
-        """A snapshot of the counters."""
-        return LineStatistics(
-            bytes=self._parser.bytes_fed,
-            frames=self._counts["frames"],
-            rejected={str(kind): count for kind, count in self._rejected.items()},
-            cycles_complete=self._counts["complete"],
-            cycles_incomplete=self._counts["incomplete"],
-            passes_discarded=self._counts["discarded"],
-            out_of_place=self._counts["out of place"],
-            resets=self._counts["resets"],
-            silent_ids=tuple(sorted(self._silent, reverse=True)),
-            quarantined=self._watch.quarantined,
-            alarm=self._watch.alarm,
-        )
-
-    @property
     def frames(self) -> int:
         """Count of the frames so far."""
-        return self._counts["frames"]
+        return self._frames
 
     @property
     def quiet_since(self) -> Instant | None:
@@ -124,7 +83,7 @@ class CycleAssembler:
     @property
     def earliest_end(self) -> int:
         """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
-        if not self._counts["frames"]:
+        if not self._frames:
             return 0
         if self._pass is None:
             return self._last_end + self._bytes_per_pass
@@ -176,7 +135,6 @@ class CycleAssembler:
         return Arrival(frame, first, last)
 
     def _on_error(self, error: FrameError) -> None:
-        self._rejected[error.kind] += 1
         self.last_error = error
         self._reject_count += 1
         if self._reject_count <= NAMED_REJECTS:
@@ -198,12 +156,12 @@ class CycleAssembler:
             return False
         if not self._pass.go_on(frame, arrived):
             return False
-        self._counts["frames"] += 1
+        self._frames += 1
         self._last_end = frame.end
         return True
 
     def _on_frame(self, frame: Frame) -> list[TemperatureCycle]:
-        self._counts["frames"] += 1
+        self._frames += 1
         self._last_end = frame.end
         if frame.wire_id in self._silent:
             self._await_all_but(frozenset(i for i in self._silent if i > frame.wire_id))
@@ -215,7 +173,6 @@ class CycleAssembler:
                 cycles += self._close()
                 self._open(successors[0]).take(successors[1])
         elif self._ended_at is not None and frame.wire_id < self._ended_at:
-            self._counts["out of place"] += 1
             if frame.wire_id < self._chain.lowest:
                 self._below.add(frame.wire_id)
             return []
@@ -252,16 +209,11 @@ class CycleAssembler:
         line_pass.finish()
         self._pass = None
         self._ended_at = None
-        self._counts["out of place"] += sum(len(offsets) for offsets in line_pass.displaced.values())
         joined_under_way = not self._synchronised and line_pass.announced != self._chain.highest
         self._synchronised = True
-        if joined_under_way:
-            self._counts["discarded"] += 1
-            self._forget_pass()
-            return []
-        cycle = self._cycle(line_pass)
+        cycles = [] if joined_under_way else [self._cycle(line_pass)]
         self._forget_pass()
-        return [cycle]
+        return cycles
 
     def _cycle(self, line_pass: LinePass) -> TemperatureCycle:
         numbering = self._numbering(line_pass)
@@ -274,8 +226,6 @@ class CycleAssembler:
         if assigned:
             self._count_missing(line_pass, values)
         self._number += 1
-        self._counts["complete" if complete else "incomplete"] += 1
-        self._counts["resets"] += values.resets
         return TemperatureCycle(
             line=self._line.name,
             number=self._number,

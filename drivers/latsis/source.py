@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock
 from drivers.contract import LinkError
-from drivers.latsis.cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler, LineStatistics
+from drivers.latsis.cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler
 from drivers.latsis.reader import LineReader, PortReader
 from models.records import Instant, TemperatureCycle
 
@@ -55,11 +55,6 @@ class LatsisSerialSource:
         self._reader = PortReader(line, clock) if reader is None else reader
         self._started = False
         self._closed = False
-
-    @property
-    def statistics(self) -> LineStatistics:
-        """A snapshot of what the line has delivered since it was opened."""
-        return self._assembler.statistics
 
     async def cycles(self) -> AsyncIterator[TemperatureCycle]:
         """Open the line and yield each cycle as it completes; raises LinkError when the line is lost."""

@@ -59,8 +59,6 @@ class ChainValues:
     """IDs on the wire that did not arrive."""
     duplicate: frozenset[int]
     """IDs on the wire that came twice or took another's place."""
-    resets: int
-    """Values refused as node resets."""
     faults: tuple[str, ...]
 
 
@@ -177,6 +175,5 @@ class ChainDecoder:
             reason=reason,
             missing=frozenset(self._ids(reasons, _NOT_RECEIVED)),
             duplicate=frozenset(self._ids(reasons, _DUPLICATE_ID)),
-            resets=reasons.count(_RESET),
             faults=tuple(faults),
         )

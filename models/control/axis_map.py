@@ -95,22 +95,3 @@ def tool_terms_um(
     since = {label: value - label_begin_degc.get(label, 0.0) for label, value in label_increment_degc.items()}
     terms = (0.0 if s.tool_term is None else tool_expansion_um(s.tool_term, since) for s in sources)
     return np.array(list(terms), dtype=np.float64)
-
-
-def axis_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
-    """Return the thermal error of the tool point per axis since the reference, with the tool of the reference.
-
-    Parameters
-    ----------
-    sources
-        One per axis, in the machine's order.
-    estimate
-        Thermal error per model channel [um], labels' increments [degC].
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_axes,)
-        Actual minus nominal [um]; NaN for an axis without a channel in the estimate.
-
-    """
-    return nose_errors_um(sources, estimate) + tool_terms_um(sources, estimate.label_increment_degc, {})

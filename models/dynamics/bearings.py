@@ -122,10 +122,6 @@ class CondensedShaft:
         a, b, d = self.nose_stiffness(properties)
         return np.asarray(d / (a * d - b * b), dtype=np.complex128)
 
-    def nose_receptance_matrix(self, properties: BearingProperties) -> ComplexArray:
-        """Return H, L (= N) and P at the nose as rows, shape (3, n) [m/N, m/(Nm) = rad/N, rad/(Nm)]."""
-        return inverse_rows(self.nose_stiffness(properties))
-
     def nose_stiffnesses(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
         """Return `nose_stiffness` for several sets of bearing properties at some of the frequencies.
 

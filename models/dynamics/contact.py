@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.dynamics.beam import ComplexArray
+from models.dynamics.chain import Chain, chain_span
+from models.dynamics.modes import dense_stiffness
 from models.dynamics.response_fit import Identified, levenberg_marquardt, nelder_mead, report
 from models.records import FloatArray
 
@@ -46,6 +48,26 @@ class Interface:
         by_sliding, by_turning = -back_y * y / sliding**2, -back_theta * theta / turning**2
         slopes = {"kt": by_sliding, "ct": 1j * omega * by_sliding, "kr": by_turning, "cr": 1j * omega * by_turning}
         return computed, slopes
+
+
+def chain_receptance(chain: Chain, frequency_hz: FloatArray) -> ComplexArray:
+    """Return the receptance matrix of the two ends of a chain with its supports, shape (n, 4, 4)."""
+    if not chain.supports:
+        front, cross, rear = chain_span(list(chain.parts), frequency_hz, damped=True)
+        stiffness = np.empty((len(frequency_hz), 4, 4), dtype=np.complex128)
+        stiffness[:, 0, 0], stiffness[:, 0, 1], stiffness[:, 1, 1] = front
+        stiffness[:, 0, 2], stiffness[:, 0, 3], stiffness[:, 1, 2], stiffness[:, 1, 3] = cross
+        stiffness[:, 2, 2], stiffness[:, 2, 3], stiffness[:, 3, 3] = rear
+        for row, column in ((1, 0), (2, 0), (3, 0), (2, 1), (3, 1), (3, 2)):
+            stiffness[:, row, column] = stiffness[:, column, row]
+        return np.asarray(np.linalg.inv(stiffness), dtype=np.complex128)
+    each = []
+    for at in frequency_hz:
+        dense, _ = dense_stiffness(chain, float(at), 0.0, damped=True)
+        ends = np.zeros((len(dense), 4))
+        ends[[0, 1, -2, -1], [0, 1, 2, 3]] = 1.0
+        each.append(ends.T @ np.linalg.solve(dense, ends))
+    return np.array(each, dtype=np.complex128)
 
 
 def identify_contact(

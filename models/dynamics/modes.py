@@ -51,8 +51,6 @@ class Mode:
     """Points from the front of the chain [m], shape (n,)."""
     displacement: FloatArray
     """Transverse displacement, largest value 1, positive at the front (where it is not zero), shape (n,)."""
-    rotation_per_m: FloatArray
-    """Rotation of the section belonging to that displacement [1/m], shape (n,)."""
 
 
 def rigid_body_modes(chain: Chain) -> int:
@@ -120,44 +118,11 @@ def _mode(chain: Chain, frequency_hz: float, step_m: float) -> Mode:
     stiffness, position_m = dense_stiffness(chain, frequency_hz, step_m, damped=False)
     lever = np.tile([1.0, 1.0 / _gyration_m(chain)], len(position_m))
     vector = _null_vector(stiffness * lever[:, None] * lever) * lever
-    displacement, rotation = vector[::2], vector[1::2]
+    displacement = vector[::2]
     scale = displacement[np.argmax(np.abs(displacement))]
     if abs(displacement[0]) > NODE * abs(scale):
         scale = abs(scale) * np.sign(displacement[0])
-    return Mode(
-        frequency_hz=frequency_hz,
-        position_m=position_m,
-        displacement=displacement / scale,
-        rotation_per_m=rotation / scale,
-    )
-
-
-def deflection_shape(
-    chain: Chain, frequency_hz: float, step_m: float = SHAPE_STEP_M
-) -> tuple[FloatArray, npt.NDArray[np.complex128]]:
-    """Return how a damped chain moves when its front is hit at one frequency: H_i1 of all points.
-
-    The source's mode shapes are this at the peak of the response (Figs. 4-10, 4-13, 5-15).
-
-    Parameters
-    ----------
-    chain
-        The chain with its supports and its damping.
-    frequency_hz
-        One frequency [Hz].
-    step_m
-        Largest distance between two points [m].
-
-    Returns
-    -------
-    tuple[ndarray, ndarray]
-        Positions from the front [m] and receptances to them from the front [m/N], shape (m,) each.
-
-    """
-    stiffness, position_m = dense_stiffness(chain, frequency_hz, step_m, damped=True)
-    force = np.zeros(len(stiffness))
-    force[0] = 1.0
-    return position_m, np.asarray(np.linalg.solve(stiffness, force)[::2], dtype=np.complex128)
+    return Mode(frequency_hz=frequency_hz, position_m=position_m, displacement=displacement / scale)
 
 
 def _null_vector(matrix: Values) -> FloatArray:

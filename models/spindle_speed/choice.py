@@ -1,7 +1,7 @@
 """Which spindle speed to take: the source's rule (5-9), and a choice among all pockets by limiting depth."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -236,36 +236,6 @@ def rule_candidates_rpm(
         first, last = max(math.ceil(fastest / range_rpm[1]), 1), math.floor(fastest / range_rpm[0])
         found += [fastest / lobe for lobe in range(first, last + 1)]
     return tuple(sorted(found))
-
-
-def speed_change_per_step_rpm(
-    speed_of: Callable[[FloatArray], float], temperatures_degc: FloatArray, resolution_k: float
-) -> FloatArray:
-    """Return how far the speed moves when one sensor moves by one step of its resolution.
-
-    Parameters
-    ----------
-    speed_of
-        Temperatures [degC] -> wanted speed [1/min].
-    temperatures_degc
-        Shape (n_sensors,) [degC].
-    resolution_k
-        One step (least significant bit) of a sensor [K].
-
-    Returns
-    -------
-    FloatArray
-        Shape (n_sensors,), the larger of a step up and a step down [1/min].
-
-    """
-    here = speed_of(temperatures_degc)
-    changes = np.zeros(len(temperatures_degc))
-    for sensor in range(len(temperatures_degc)):
-        for step_k in (resolution_k, -resolution_k):
-            moved = temperatures_degc.copy()
-            moved[sensor] += step_k
-            changes[sensor] = max(changes[sensor], abs(speed_of(moved) - here))
-    return changes
 
 
 def _worst_within(lobes: StabilityLobes, fraction: float) -> FloatArray:

@@ -122,11 +122,6 @@ def initial_memory(programmed_rpm: float) -> SpeedTuningMemory:
     return SpeedTuningMemory(programmed_rpm=programmed_rpm, commanded_rpm=programmed_rpm)
 
 
-def not_written(memory: SpeedTuningMemory, applied_rpm: float) -> SpeedTuningMemory:
-    """Return the memory after a write that failed: the command is what the CNC applies [1/min]."""
-    return replace(memory, commanded_rpm=applied_rpm)
-
-
 def step(
     memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings
 ) -> tuple[SpindleSpeedCommand, SpeedTuningMemory]:

@@ -316,11 +316,6 @@ class ChatterMonitor:
         """Whether the last frames in a row showed chatter, as many as a verdict needs."""
         return self._run >= self._rules.frames_in_a_row
 
-    def change_speed(self, speed_rpm: float) -> None:
-        """Begin anew at another spindle speed [1/min]: no window may span the change."""
-        self._start += len(self._held)
-        self._speed_rpm, self._held, self._run = speed_rpm, np.zeros(0), 0
-
     def push(self, acceleration_m_s2: FloatArray) -> list[FrameVerdict]:
         """Take samples [m/s^2], any number, and return the verdicts of the windows that they complete.
 

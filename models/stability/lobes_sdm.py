@@ -3,9 +3,8 @@
 import numpy as np
 
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_range, lowest_of
-from models.stability.milling import Cut, directional_matrix, tooth_passing_hz
+from models.stability.milling import Cut, directional_matrix
 from models.stability.response import ModalResponse
 from models.stability.semi_discretisation import (
     SemiDiscretisation,
@@ -38,47 +37,6 @@ def typical_depth_mm(response: ModalResponse, cut: Cut) -> float:
     moved = np.square(np.abs(receptances)).sum(axis=2)
     gain_m_per_n = float(np.sqrt(moved @ coupled.T).mean(axis=1).max()) * min(arc / pitch, 1.0)
     return mm_from_m(1.0 / (cut.tangential_n_per_m2 * gain_m_per_n))
-
-
-def spectral_radius_chart(
-    response: ModalResponse,
-    cut: Cut,
-    speed_rpm: FloatArray,
-    depth_mm: FloatArray,
-    *,
-    steps: int | None = None,
-    feed_deg: float = 0.0,
-) -> FloatArray:
-    """Return the spectral radius at every speed and depth.
-
-    Parameters
-    ----------
-    response
-        Modes of the structure, in machine axes.
-    cut
-        Engagement and cutting coefficients.
-    speed_rpm
-        Shape (n,) [1/min].
-    depth_mm
-        Shape (m,) [mm].
-    steps
-        Steps per tooth passing; None chooses them at each speed.
-    feed_deg
-        Direction of the feed against X [deg].
-
-    Returns
-    -------
-    FloatArray
-        Shape (n, m).
-
-    Raises
-    ------
-    StabilityError
-        When nothing can move, or a speed or depth is not above 0.
-
-    """
-    methods = _Methods(state_space(response, feed_deg), cut, steps)
-    return np.array([spectral_radius(methods.at(speed), speed, depth_mm) for speed in speed_rpm.tolist()])
 
 
 def semi_discretised_lobes(
@@ -239,27 +197,3 @@ def _minimum(
         found.append(best)
     depth_mm, speed = min(found)
     return LobeMinimum(speed_rpm=speed, depth_mm=depth_mm, chatter_hz=_chatter_hz(methods, speed, depth_mm))
-
-
-def lobe_kind(chatter_hz: float, speed_rpm: float, teeth: int) -> str:
-    """Return `flip` where the vibration repeats every second tooth, else `hopf`.
-
-    Parameters
-    ----------
-    chatter_hz
-        Chatter frequency [Hz].
-    speed_rpm
-        Spindle speed [1/min].
-    teeth
-        Number of teeth.
-
-    Raises
-    ------
-    StabilityError
-        When the speed is not above 0.
-
-    """
-    if not speed_rpm > 0.0:
-        raise StabilityError("the speed must be above 0 1/min")
-    turns = chatter_hz / tooth_passing_hz(speed_rpm, teeth)
-    return "flip" if abs(turns % 1.0 - 0.5) < 1e-6 else "hopf"

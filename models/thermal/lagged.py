@@ -32,7 +32,7 @@ MOST_EXCLUSIONS_KEPT = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagState:
-    """What a model with lags remembers from one sample to the next; `lagged_state` makes JSON of it."""
+    """What a model with lags remembers from one sample to the next."""
 
     time_min: float
     """Time of the latest sample [min], on the caller's clock."""

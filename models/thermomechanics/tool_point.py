@@ -200,27 +200,6 @@ class AxisTracker:
         self._ends = (now_hz, found)
         return found
 
-    def resonance_per_kelvin_hz(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> FloatArray:
-        """Return how the followed resonance changes when one signal reads another value [Hz/K], shape (m,).
-
-        A reading that changes at once also changes the difference terms; this is the slope that an error of a
-        sensor, or one step of its resolution, has.
-        """
-        slopes = np.zeros(len(degc))
-        here = self.parameters(self.regression.estimate(degc, differences_k))
-        known = self._follower.reached(here, self._follower.follow(here), here)
-        for index in range(len(degc)):
-            step = np.zeros(len(degc))
-            step[index] = STEP_K
-            moved = {minutes: change + step for minutes, change in differences_k.items()}
-            there = self.parameters(self.regression.estimate(degc + step, moved))
-            slopes[index] = (self._follower.reached(here, known, there).frequency_hz - known.frequency_hz) / STEP_K
-        return slopes
-
-
-STEP_K = 0.0625
-"""Step of the slopes [K]: the resolution of the contact sensors."""
-
 
 class ToolPointTracker:
     """Renews the tool point's dynamics with every cycle of the sensors."""

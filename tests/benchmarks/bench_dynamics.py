@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from receptance_coupling import ground_stiffness
 
 from config.machine.spindle import SpindleDescription, load_spindle, spindle_folder
 from config.machine.spindle_chain import build_spindle
@@ -23,7 +24,6 @@ from daemon.workbench.dynamics.responses import frequencies, properties
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.chain import Chain
-from models.dynamics.coupling import ground_stiffness
 from models.dynamics.identification import FIXED, identify_bearings
 from models.dynamics.modes import dense_stiffness, natural_frequencies
 from models.records import FloatArray

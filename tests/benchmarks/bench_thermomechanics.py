@@ -61,7 +61,6 @@ def main() -> None:
     timed("renew, flagged", lambda k: hot.renew(np.full(4, 21.0) + 0.01 * (k % 100), STILL), repeat)
     far = tracker()
     timed("renew, jump", lambda k: far.renew(np.full(4, 16.5) + 4.0 * (k % 2), STILL), repeat // 10)
-    timed("slope per kelvin (on demand)", lambda _: one.resonance_per_kelvin_hz(np.full(4, 20.0), STILL), repeat // 10)
 
 
 if __name__ == "__main__":

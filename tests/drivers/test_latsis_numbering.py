@@ -18,8 +18,8 @@ def test_a_renumbered_line_is_quarantined_and_released() -> None:
         assert np.isnan(cycle.degc).all()
         assert not cycle.complete
         assert "announce 10 sensors where the chain has 12" in cycle.faults[0]
-        assert line.assembler.statistics.quarantined == (number >= RENUMBERED_AFTER_CYCLES)
-    alarm = line.assembler.statistics.alarm
+        assert line.quarantined == (number >= RENUMBERED_AFTER_CYCLES)
+    alarm = line.alarm
     assert alarm is not None
     assert "line spindle" in alarm
     assert "Restore the chain, or correct `chain`" in alarm
@@ -27,7 +27,7 @@ def test_a_renumbered_line_is_quarantined_and_released() -> None:
         cycle = only(line.one_pass())
         assert (Reason.QUARANTINED in line.reasons(cycle).values()) == (number < RELEASED_AFTER_CYCLES)
     assert line.good(cycle) == line.expected()
-    assert line.assembler.statistics.alarm is None
+    assert line.alarm is None
 
 
 def test_more_nodes_than_configured_are_quarantined() -> None:
@@ -35,7 +35,7 @@ def test_more_nodes_than_configured_are_quarantined() -> None:
     line.one_pass()
     for _ in range(RENUMBERED_AFTER_CYCLES):
         cycle = only(line.one_pass((13, *line.ids)))
-    assert line.assembler.statistics.quarantined
+    assert line.quarantined
     assert "announce 13 sensors" in cycle.faults[0]
 
 
@@ -44,8 +44,8 @@ def test_ids_below_the_chain_are_quarantined() -> None:
     line.one_pass()
     for _ in range(RENUMBERED_AFTER_CYCLES + 1):
         line.one_pass((*line.ids, 1))
-    assert line.assembler.statistics.quarantined
-    assert "IDs below the chain's lowest" in (line.assembler.statistics.alarm or "")
+    assert line.quarantined
+    assert "IDs below the chain's lowest" in (line.alarm or "")
 
 
 def test_sensors_of_another_kind_under_an_id_are_quarantined() -> None:
@@ -57,7 +57,7 @@ def test_sensors_of_another_kind_under_an_id_are_quarantined() -> None:
         cycle = only(line.send(*backwards) + line.rest())
         assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
     assert "another kind of sensor come under the IDs 002h, 001h" in cycle.faults[0]
-    assert line.assembler.statistics.quarantined
+    assert line.quarantined
 
 
 def test_renumbering_is_seen_although_the_first_value_has_the_wrong_width() -> None:
@@ -75,7 +75,7 @@ def test_a_line_that_is_renumbered_from_the_start_is_never_assigned() -> None:
     cycles = [cycle for _ in range(5) for cycle in line.one_pass(line.ids[1:])]
     assert len(cycles) == 4  # the first might have been joined under way
     assert all(set(line.reasons(cycle).values()) == {Reason.QUARANTINED} for cycle in cycles)
-    assert line.assembler.statistics.quarantined
+    assert line.quarantined
 
 
 def test_lost_bytes_at_the_head_of_the_pass_are_no_renumbering() -> None:
@@ -85,7 +85,7 @@ def test_lost_bytes_at_the_head_of_the_pass_are_no_renumbering() -> None:
         cycle = only(line.send(line.frame(12)[1:], line.frame(11)[:-5], *(line.frame(i) for i in line.ids[2:])))
         line.rest()
         assert line.reasons(cycle) == {12: Reason.NOT_RECEIVED, 11: Reason.NOT_RECEIVED}
-    assert not line.assembler.statistics.quarantined
+    assert not line.quarantined
 
 
 def test_a_quarantine_survives_lost_heads_and_ends_only_with_the_expected_count() -> None:
@@ -96,4 +96,4 @@ def test_a_quarantine_survives_lost_heads_and_ends_only_with_the_expected_count(
     for _ in range(2 * RELEASED_AFTER_CYCLES):
         line.send(line.frame(12)[1:], *(line.frame(i) for i in line.ids[1:]))
         line.rest()
-    assert line.assembler.statistics.quarantined
+    assert line.quarantined

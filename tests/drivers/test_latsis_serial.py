@@ -168,11 +168,11 @@ async def test_frames_before_the_unplugging_are_not_lost(wire: Wire) -> None:
     source = source_of(wire.port)
     cycles = source.cycles()
     await opened(wire, cycles)
-    frames_before = source.statistics.frames
+    frames_before = source._assembler.frames
     task = asyncio.ensure_future(following(cycles))
     wire.send(b"05222\r\n04222\r\n")
     async with asyncio.timeout(PATIENCE_S):
-        while source.statistics.frames < frames_before + 2:
+        while source._assembler.frames < frames_before + 2:
             await asyncio.sleep(0.01)
     wire.unplug()
     cycle = await task

@@ -10,7 +10,6 @@ from config.recordings.recording_map import ColumnError, RecordingMap, load_reco
 from drivers.files.recording_csv import (
     RecordingFileError,
     read_header,
-    read_metadata,
     read_recording,
     write_recording,
 )
@@ -150,11 +149,11 @@ def test_a_map_is_yaml_with_errors_by_line_and_key(tmp_path: Path) -> None:
     assert "bad.yaml:5:1: colour" in text
 
 
-def test_metadata_before_the_header_are_read_apart_and_change_nothing(tmp_path: Path) -> None:
+def test_metadata_before_the_header_change_nothing(tmp_path: Path) -> None:
     path = tmp_path / "day.csv"
     columns = {"t": (np.array([0.0, 60.0]), 0), "t1": (np.array([20.5, np.nan]), 2), "c1": (np.array([-1.0, 2.0]), 1)}
     write_recording(path, {"machine": "mill 7", "note": "two\nlines: one", "seed": 3}, columns)
-    assert read_metadata(path) == {"machine": "mill 7", "note": "two lines: one", "seed": "3"}
+    assert path.read_text("utf-8").splitlines()[:3] == ["# machine: mill 7", "# note: two lines: one", "# seed: 3"]
     found = read_recording(path)
     assert found.temperatures_degc[:, 0] == pytest.approx([20.5, np.nan], nan_ok=True)
     assert found.displacements_um[:, 0].tolist() == [-1.0, 2.0]
@@ -169,4 +168,3 @@ def test_metadata_alone_are_no_recording_and_errors_count_their_lines(tmp_path: 
     path.write_text("# machine: mill 7\n# a\nt,t1,c1\n0,20,1\n60,warm,1\n", encoding="utf-8")
     with pytest.raises(RecordingFileError, match=r"day\.csv:5: column t1: 'warm' is not a number"):
         read_recording(path)
-    assert read_metadata(path) == {"machine": "mill 7", "a": ""}

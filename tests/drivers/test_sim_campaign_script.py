@@ -8,7 +8,7 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.simulation.faults.script import DAY_S, HABITS, ON_LINES, Happening, Incident, campaign, wire_faults
 from drivers.sim.faults import FaultKind, check_targets
-from drivers.sim.nc.program import shift_program
+from drivers.sim.nc.program import campaign_program
 
 CONFIGURATION = load_configuration(Path(shipped_file("cfrpmt.yaml")))
 LINES = CONFIGURATION.temperatures.lines
@@ -60,5 +60,5 @@ def test_line_faults_name_a_line() -> None:
 
 
 def test_a_shift_fills_the_day() -> None:
-    _, *day = shift_program().blocks
+    _, *day = campaign_program().blocks
     assert sum(block.duration_s for block in day) == pytest.approx(DAY_S)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from true_resonance import TrueResonance
 
 from config.machine.spindle import spindle_folder
 from config.machine.spindle_files import read_spindle
@@ -17,7 +18,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.heat import INDEX
 from drivers.sim.nc.program import Block, PartProgram
 from drivers.sim.spindle import spindle_beam
-from drivers.sim.spindle.impact_campaign import CampaignPlan, TrueResonance, campaign_plan, run_campaign
+from drivers.sim.spindle.impact_campaign import CampaignPlan, campaign_plan, run_campaign
 from drivers.sim.spindle.spindle_beam import BEARING_PLACES_MM, SpindleBeam, Spring, Stretch
 from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from models.dynamics.assembly import CondensedAssembly

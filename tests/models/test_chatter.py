@@ -13,7 +13,6 @@ from models.stability.chatter import (
     detect_chatter,
     short_time_spectra,
     summarise,
-    window_samples,
 )
 from models.stability.errors import StabilityError
 from models.stability.signal_checks import check_clipping
@@ -96,18 +95,6 @@ def test_the_monitor_says_the_same_whatever_the_pieces() -> None:
         place += size
     assert monitor.alarm
     assert summarise(frames) == whole
-
-
-def test_a_change_of_speed_begins_anew() -> None:
-    monitor = ChatterMonitor(RATE_HZ, 6000.0, 4)
-    monitor.push(forced(6000.0, 3.0) + tone(609.0, 3.0, 3.0))
-    assert monitor.alarm
-    monitor.change_speed(7000.0)
-    assert not monitor.alarm
-    frames = monitor.push(forced(7000.0, 3.0))
-    assert frames
-    assert not any(frame.chatter for frame in frames)
-    assert frames[0].time_s == pytest.approx(3.0 + window_samples(RATE_HZ) / RATE_HZ / 2.0, abs=1e-9)
 
 
 def test_spectra_carry_the_power_of_the_signal() -> None:

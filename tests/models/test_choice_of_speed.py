@@ -11,7 +11,6 @@ from models.spindle_speed.choice import (
     choose_speed,
     resonance_speed_rpm,
     rule_candidates_rpm,
-    speed_change_per_step_rpm,
 )
 from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
@@ -113,11 +112,3 @@ def test_demands_out_of_range_are_refused() -> None:
     ):
         with pytest.raises(StabilityError, match="cannot be met"):
             choose_speed(lobes(), demand)
-
-
-def test_change_per_sensor_step() -> None:
-    weights = np.array([3.0, -80.0, 0.0])
-    changes = speed_change_per_step_rpm(
-        lambda degc: float(9000.0 + weights @ degc), np.array([20.0, 25.0, 30.0]), 0.0625
-    )
-    assert changes == pytest.approx(np.abs(weights) * 0.0625)

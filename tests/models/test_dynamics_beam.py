@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from modal_sum import modal_sum_receptance
+from receptance_coupling import segment_receptance
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from models.dynamics.beam import Segment, segment_span, transfer_matrix
 from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.coupling import segment_receptance
-from models.dynamics.modal_sum import modal_sum_receptance
 from models.dynamics.modes import modes, natural_frequencies, rigid_body_modes, segment_matrix
 from models.dynamics.section import Elasticity, Tube, beam_segment, shear_coefficient
 

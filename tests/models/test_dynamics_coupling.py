@@ -5,18 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-
-from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
-from models.dynamics.beam import Segment
-from models.dynamics.bearings import (
-    PARAMETERS,
-    CondensedShaft,
-    parameters_from_properties,
-    properties_from_parameters,
-)
-from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.coupling import (
-    chain_receptance,
+from receptance_coupling import (
     couple_elastic,
     couple_rigid,
     couple_side_by_side,
@@ -24,9 +13,21 @@ from models.dynamics.coupling import (
     ground_stiffness,
     segment_receptance,
 )
+
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
+from models.dynamics.beam import Segment
+from models.dynamics.bearings import (
+    PARAMETERS,
+    CondensedShaft,
+    inverse_rows,
+    parameters_from_properties,
+    properties_from_parameters,
+)
+from models.dynamics.chain import Chain, SpringDamper, Support
+from models.dynamics.contact import chain_receptance
 from models.dynamics.modes import (
+    SHAPE_STEP_M,
     at_points,
-    deflection_shape,
     dense_stiffness,
     modal_assurance,
     modes,
@@ -173,7 +174,7 @@ def test_condensed_shaft_is_the_literal_formula() -> None:
         start += part.length_m
     assert receptance is not None
     literal = np.linalg.inv(np.linalg.inv(receptance) + ground_stiffness(springs, frequency_hz))
-    assert CondensedShaft(free_with_supports(), frequency_hz).nose_receptance_matrix(PROPERTIES) == pytest.approx(
+    assert inverse_rows(CondensedShaft(free_with_supports(), frequency_hz).nose_stiffness(PROPERTIES)) == pytest.approx(
         np.stack([literal[:, 0, 0], literal[:, 0, 1], literal[:, 1, 1]]), rel=1e-7
     )
 
@@ -247,7 +248,8 @@ def test_no_natural_frequency_is_missed_and_none_is_spurious(inertia: str) -> No
 def test_a_shape_at_the_peak_is_nearly_the_mode() -> None:
     chain = replace(shaft(), supports=())
     (mode,) = modes(chain, 1)
-    position_m, deflection = deflection_shape(chain, mode.frequency_hz)
+    stiffness, position_m = dense_stiffness(chain, mode.frequency_hz, SHAPE_STEP_M, damped=True)
+    deflection = np.linalg.inv(stiffness)[::2, 0]
     assert position_m == pytest.approx(mode.position_m)
     assert modal_assurance(deflection, mode.displacement) > 0.9999
     assert deflection[0] == pytest.approx(CondensedShaft(chain, np.array([mode.frequency_hz])).nose_receptance({})[0])

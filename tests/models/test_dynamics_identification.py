@@ -5,10 +5,9 @@ import pytest
 
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import Segment
-from models.dynamics.bearings import CondensedShaft, properties_from_parameters
+from models.dynamics.bearings import CondensedShaft, inverse_rows, properties_from_parameters
 from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.contact import Interface, identify_contact
-from models.dynamics.coupling import chain_receptance
+from models.dynamics.contact import Interface, chain_receptance, identify_contact
 from models.dynamics.identification import FIXED, identify_bearings
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification, receptance
 from models.dynamics.response_fit import good_fit
@@ -115,7 +114,7 @@ def test_contact_parameters_are_found_again(chain: Chain, method: str) -> None:
     holder = (tube(25, 42, 20), tube(53, 48, 20), tube(26, 63, 20))
     whole = CondensedAssembly(SpindleAssembly(shaft=chain, front=(*holder, joint)), FREQUENCY_HZ)
     measured = whole.receptance(properties)
-    rows = CondensedShaft(chain, FREQUENCY_HZ).nose_receptance_matrix(properties)
+    rows = inverse_rows(CondensedShaft(chain, FREQUENCY_HZ).nose_stiffness(properties))
     rear = np.stack([rows[0], rows[1], rows[1], rows[2]], axis=1).reshape(-1, 2, 2)
     interface = Interface(
         frequency_hz=FREQUENCY_HZ, front=chain_receptance(Chain(parts=holder), FREQUENCY_HZ), rear=rear

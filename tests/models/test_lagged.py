@@ -14,7 +14,6 @@ from models.thermal.json_fields import content_sha256
 from models.thermal.lagged import LaggedEstimator
 from models.thermal.lagged_artifact import any_model_from_json, lagged_model_from_json, lagged_model_to_json
 from models.thermal.lagged_model import LaggedModel
-from models.thermal.lagged_state import state_from_json, state_to_json
 from models.thermal.lags import lag_step, lag_table
 from models.thermal.layout import Design
 from models.thermal.model import ModelError, ThermalModel
@@ -298,32 +297,3 @@ def test_a_changed_or_foreign_file_is_refused(model: LaggedModel) -> None:
         any_model_from_json(text.replace('"format_version": 2', '"format_version": 7'), "m.json")
     with pytest.raises(ModelError, match="this is not JSON"):
         any_model_from_json(text[: len(text) // 2], "m.json")
-
-
-def test_the_state_survives_a_restart(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
-    samples = history(recording)
-    reference = estimator.rebuild(samples[:80])
-    assert reference is not None
-    lost = samples[80][1].copy()
-    lost[1] = np.nan
-    state = estimator.advance(reference, 80.0, lost, 3000.0)
-    again = state_from_json(model, state_to_json(model, state), "state")
-    later = samples[90][1]
-    before, after = (estimator.estimate(estimator.advance(s, 90.0, later, 3000.0), reference) for s in (state, again))
-    assert before is not None and after is not None
-    np.testing.assert_array_equal(before.thermal_error_um, after.thermal_error_um)
-    assert before.imputed == after.imputed
-
-
-def test_the_state_of_another_model_or_a_damaged_one_is_refused(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
-    text = state_to_json(model, estimator.begin(0.0, recording.temperatures_degc[0]))
-    with pytest.raises(ModelError, match="belongs to"):
-        state_from_json(model, text.replace(model.model_id, "other"), "state")
-    with pytest.raises(ModelError, match="this is not JSON"):
-        state_from_json(model, text[:50], "state")
-    content = json.loads(text)
-    content["state"]["lagged"] = [[1.0]]
-    with pytest.raises(ModelError, match=r"state\.lagged: does not have the shape"):
-        state_from_json(model, json.dumps(content), "state")

@@ -16,7 +16,6 @@ from models.spindle_speed.tuning import (
     SpeedTuningSettings,
     SpindleSpeedCommand,
     initial_memory,
-    not_written,
     step,
 )
 from models.stability.errors import StabilityError
@@ -173,8 +172,7 @@ def test_without_a_stable_speed_the_programmed_one_is_taken_however_near_the_com
 
 
 def test_a_failed_write_leaves_what_the_cnc_applies() -> None:
-    memory = not_written(begun(), 8000.0)
-    assert memory.commanded_rpm == 8000.0
+    memory = replace(begun(), commanded_rpm=8000.0)
     memory = step(memory, at(1.0, choice(8600.0, (7900.0, 9000.0))), SETTINGS)[1]
     assert step(memory, at(30.0, choice(8600.0, (7900.0, 9000.0))), SETTINGS)[0].speed_rpm == 8100.0
 

@@ -293,16 +293,6 @@ def test_a_flagged_property_is_taken_to_both_ends_of_its_range() -> None:
     assert min(abs(peak.frequency_hz - ends.at_lowest_hz) for peak in peaks(FREQUENCY_HZ, at_low)) < 1.0
 
 
-def test_the_slope_per_kelvin_is_that_of_the_resonance() -> None:
-    spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
-    tracker = AxisTracker(linear_axis(), spindle.assembly("tool"), FREQUENCY_HZ)
-    degc, still = np.full(4, 25.0), {10.0: np.zeros(4)}
-    slopes = tracker.resonance_per_kelvin_hz(degc, still)
-    low, high = (tracker.renew(np.array([each, 25.0, 25.0, 25.0]), still).resonance_hz for each in (24.5, 25.5))
-    assert slopes[0] == pytest.approx(high - low, rel=0.1)
-    assert slopes[1:] == pytest.approx(0.0, abs=1e-6)
-
-
 def test_a_signal_without_sensor_and_an_axis_without_regression_are_refused() -> None:
     spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
     with pytest.raises(ValueError, match="no sensor carries the label F"):

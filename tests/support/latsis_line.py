@@ -35,6 +35,19 @@ class Line:
         self.ids = tuple(range(self.offset + count, self.offset, -1))
         self.at_s = 0.0
 
+    @property
+    def silent_ids(self) -> frozenset[int]:
+        """IDs on the wire that are not waited for any more."""
+        return self.assembler._silent
+
+    @property
+    def quarantined(self) -> bool:
+        return self.assembler._watch.quarantined
+
+    @property
+    def alarm(self) -> str | None:
+        return self.assembler._watch.alarm
+
     def frame(self, wire_id: int, code: int | None = None, status: int = 0, digits: int | None = None) -> bytes:
         code = self.codes.get(wire_id, 0x190) if code is None else code
         digits = digits or self.digits.get(wire_id, 3)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from true_resonance import TrueResonance, watched_day
 
 from config.loader import load_configuration
 from config.machine.published_bearings import load_bounds
@@ -21,7 +22,7 @@ from daemon.workbench.dynamics.campaign import CampaignResult, read_run, run_cam
 from daemon.workbench.dynamics.identifying import Band
 from drivers.sim.machine.day import Day
 from drivers.sim.nc.program import MINUTE_S, STANDSTILL, Block, PartProgram, demo_program
-from drivers.sim.spindle.impact_campaign import AXES, TrueResonance, watched_day
+from drivers.sim.spindle.impact_campaign import AXES
 from models.records import FloatArray
 from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracker
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.simulation.faults.script import Happening
-from daemon.simulation.faults.virtual_world import Channel, channel_pair
+from daemon.simulation.faults.virtual_world import channel_pair
 
 FILE_LIMIT_BYTES = 4096
 """On a full disk no file grows beyond this; the store's files are all longer."""
@@ -61,11 +61,6 @@ class DaemonProcess:
         self._rest = b""
         self._log = threading.Thread(target=self._read_log, args=(log_path,), daemon=True)
         self._log.start()
-
-    @property
-    def machine_end(self) -> Channel:
-        """The end on which the daemon asks."""
-        return self.channel
 
     @property
     def pid(self) -> int:

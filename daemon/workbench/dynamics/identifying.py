@@ -14,8 +14,7 @@ from drivers.files.frf_measurement import read_measurements
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.bearings import CondensedShaft, parameters_from_properties
 from models.dynamics.chain import Chain, Part, SpringDamper
-from models.dynamics.contact import Interface, identify_contact
-from models.dynamics.coupling import chain_receptance
+from models.dynamics.contact import Interface, chain_receptance, identify_contact
 from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
 from models.dynamics.plausibility import check_frequencies, check_level
@@ -162,9 +161,6 @@ def _summary(spindle: Spindle, measurement: Measurement, found: Identified, meth
         },
         "implausible": list(found.implausible),
     }
-
-
-JOINTS = ("spindle-holder", "holder-tool", "shaft")
 
 
 def contact_summary(

@@ -91,11 +91,6 @@ class MachineBody:
         return self.program.blocks[self._index]
 
     @property
-    def block_start_s(self) -> float:
-        """When it began [s]."""
-        return self._block_start_s
-
-    @property
     def block_end_s(self) -> float:
         """When it will end [s]."""
         return max(self._block_start_s + self.block.duration_s, self._held_until_s)

@@ -94,14 +94,6 @@ def standing_program() -> PartProgram:
     return PartProgram(number=9100, blocks=(Block(sequence_number=SAFE, kind="safe", duration_s=HOUR_S),))
 
 
-def shift_program() -> PartProgram:
-    """Return O1000 over whole days: 19 parts of the demo's programme, then a night's standstill to 24 h."""
-    start, *part = demo_program().blocks
-    parts_s = SHIFT_PARTS * sum(block.duration_s for block in part)
-    night = Block(sequence_number=STANDSTILL + 20, kind="idle", duration_s=24 * HOUR_S - parts_s)
-    return PartProgram(number=1000, blocks=(start, *part * SHIFT_PARTS, night), repeat_from=1)
-
-
 WORKS: dict[int, tuple[int | None, str | None, str | None]] = {
     6: (None, None, "z"),
     12: (2, None, None),
@@ -119,7 +111,7 @@ RETREAT_S = 240.0
 
 
 def campaign_program() -> PartProgram:
-    """Return O1000 over whole days as `shift_program` has it, with all that an NC program may ask of the daemon.
+    """Return O1000 over whole days: parts with all that an NC program may ask of the daemon, then a night's standstill.
 
     Before each positioning the program waits at a retreat block (N90), where the guard may take the offset out; tools
     change, one is set again, and probes measure.

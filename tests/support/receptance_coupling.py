@@ -2,8 +2,8 @@
 
 Receptance matrices have the shape (n, 2 p, 2 p): n frequencies, p points, at each the displacement [m] and the
 rotation [rad] against the force [N] and the moment [Nm], ordered (y_1, theta_1, y_2, ...). Entries are H, L; N, P
-of 4-18. The fast path of the product condenses stiffness (`models.dynamics.chain`); this is the source's own way,
-for substructures that were measured, and the two are tested against each other.
+of 4-18. The product condenses stiffness (`models.dynamics.chain`); this is the source's own way, and the product is
+tested against it.
 """
 
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from models.dynamics.beam import ComplexArray, Segment
-from models.dynamics.chain import Chain, SpringDamper, chain_span
-from models.dynamics.modes import dense_stiffness, segment_matrix
+from models.dynamics.chain import SpringDamper
+from models.dynamics.modes import segment_matrix
 from models.records import FloatArray
 
 POINT = 2
@@ -39,26 +39,6 @@ def segment_receptance(segment: Segment, frequency_hz: FloatArray, offsets_m: li
 
     """
     each = [np.linalg.inv(segment_matrix(segment, float(at), offsets_m, damped=True)) for at in frequency_hz]
-    return np.array(each, dtype=np.complex128)
-
-
-def chain_receptance(chain: Chain, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the receptance matrix of the two ends of a chain with its supports, shape (n, 4, 4)."""
-    if not chain.supports:
-        front, cross, rear = chain_span(list(chain.parts), frequency_hz, damped=True)
-        stiffness = np.empty((len(frequency_hz), 4, 4), dtype=np.complex128)
-        stiffness[:, 0, 0], stiffness[:, 0, 1], stiffness[:, 1, 1] = front
-        stiffness[:, 0, 2], stiffness[:, 0, 3], stiffness[:, 1, 2], stiffness[:, 1, 3] = cross
-        stiffness[:, 2, 2], stiffness[:, 2, 3], stiffness[:, 3, 3] = rear
-        for row, column in ((1, 0), (2, 0), (3, 0), (2, 1), (3, 1), (3, 2)):
-            stiffness[:, row, column] = stiffness[:, column, row]
-        return np.asarray(np.linalg.inv(stiffness), dtype=np.complex128)
-    each = []
-    for at in frequency_hz:
-        dense, _ = dense_stiffness(chain, float(at), 0.0, damped=True)
-        ends = np.zeros((len(dense), 4))
-        ends[[0, 1, -2, -1], [0, 1, 2, 3]] = 1.0
-        each.append(ends.T @ np.linalg.solve(dense, ends))
     return np.array(each, dtype=np.complex128)
 
 
