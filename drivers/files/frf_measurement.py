@@ -7,7 +7,6 @@ out, for nothing can be integrated there. Everything refused is named with file,
 
 import csv
 import math
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -128,8 +127,10 @@ def _measurement(place: str, quantity: Quantity, frequency_hz: Any, values: Any,
 def _universal(path: Path) -> list[Measurement]:
     if not path.is_file():
         raise MeasurementFileError(f"{path}: cannot be opened (no such file)")
+    from pyuff import UFF
+
     try:
-        sets = import_module("pyuff").UFF(str(path)).read_sets()
+        sets = UFF(str(path)).read_sets()
     except Exception as error:
         raise MeasurementFileError(f"{path}: is no universal file that can be read ({error})") from error
     sets = sets if isinstance(sets, list) else [sets]

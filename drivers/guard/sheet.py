@@ -1,9 +1,8 @@
 """The commissioning sheet of the NC programs: what to load, check and try, and where to sign."""
 
-import html
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
+from config.html_page import Section, html_page
 from config.schema import Configuration
 from config.schema.guard import SHARED_MEMORY
 from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_digest, guard_program
@@ -13,24 +12,9 @@ UNVERIFIED = (
     "This text was run in Toolpoint's own interpreter, never on a FANUC. Everything marked [control] is what the "
     "documentation of such controls says, and has to be seen on this control before the sheet is signed."
 )
-STYLE = (
-    "body{font:11pt sans-serif;max-width:52em;margin:2em auto;padding:0 1em}table{border-collapse:collapse;width:100%}"
-    "th,td{border:1px solid #888;padding:.3em .5em;text-align:left;vertical-align:top}th{background:#eee}"
-    "code{font-family:monospace}@media print{h2{break-after:avoid}tr{break-inside:avoid}}"
-)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetSection:
-    """A heading, a paragraph and a table; each may be empty."""
-
-    title: str
-    text: str = ""
-    head: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-
-
-def guard_sheet(configuration: Configuration) -> tuple[SheetSection, ...]:
+def guard_sheet(configuration: Configuration) -> tuple[Section, ...]:
     """Return the sheet for this machine; raises GuardTextError where the programs cannot be made."""
     text = guard_program(configuration)
     return (
@@ -40,7 +24,7 @@ def guard_sheet(configuration: Configuration) -> tuple[SheetSection, ...]:
         _checks(configuration),
         _loading(configuration),
         _tests(configuration),
-        SheetSection(
+        Section(
             title="Signatures",
             text="The programs are those with the digest above, every row has been seen on this machine.",
             head=("", "name", "date", "signature"),
@@ -66,33 +50,15 @@ def sheet_markdown(configuration: Configuration) -> str:
 
 def sheet_html(configuration: Configuration) -> str:
     """Return the sheet as one HTML page that prints well."""
-    title = html.escape(f"Commissioning sheet of the guard macro: {configuration.machine}")
-    parts = [
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
-        f"<style>{STYLE}</style></head><body>",
-        f"<h1>{title}</h1>",
-    ]
-    for section in guard_sheet(configuration):
-        parts.append(f"<h2>{html.escape(section.title)}</h2>")
-        if section.text:
-            parts.append(f"<p>{html.escape(section.text)}</p>")
-        if section.head:
-            parts.append("<table>")
-            parts.append(_html_row(section.head, "th"))
-            parts += [_html_row(row, "td") for row in section.rows]
-            parts.append("</table>")
-    return "\n".join([*parts, "</body></html>", ""])
+    title = f"Commissioning sheet of the guard macro: {configuration.machine}"
+    return html_page(title, guard_sheet(configuration), paper=True)
 
 
 def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _html_row(cells: Sequence[str], tag: str) -> str:
-    return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-
-def _identity(configuration: Configuration, text: str) -> SheetSection:
+def _identity(configuration: Configuration, text: str) -> Section:
     guard, macros = configuration.cnc.guard, configuration.cnc.macros
     programs = GuardPrograms.of(macros, guard)
     calls = [("guard", programs.guard), ("initialise", programs.initialise), ("request", programs.request)]
@@ -101,14 +67,14 @@ def _identity(configuration: Configuration, text: str) -> SheetSection:
     rows += [("SHA-256 of the text", guard_digest(text))]
     rows += [(name, f"O{number}") for name, number in calls if number is not None]
     rows += [("an expired block", f"{guard.on_expiry} what is applied, {_stop_words(guard.alarm)}")]
-    return SheetSection(title="What this sheet is for", text=UNVERIFIED, head=("", "value"), rows=tuple(rows))
+    return Section(title="What this sheet is for", text=UNVERIFIED, head=("", "value"), rows=tuple(rows))
 
 
 def _stop_words(alarm: str) -> str:
     return "operator message (#3006)" if alarm == "message" else "alarm (#3000)"
 
 
-def _macros(configuration: Configuration) -> SheetSection:
+def _macros(configuration: Configuration) -> Section:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
     memory = guard.memory_of(len(configuration.compensation.axes))
     rows: list[tuple[str, ...]] = [
@@ -116,7 +82,7 @@ def _macros(configuration: Configuration) -> SheetSection:
         ("#" + ", #".join(map(str, sorted(_nc_owned(configuration)))), "NC programs", "echo, request, flag"),
         (f"#{memory[0]} to #{memory[-1]}", "guard alone", "memory: pending axis, planned, before, after, applied"),
     ]
-    return SheetSection(
+    return Section(
         title="Macro variables",
         text="No other program may use one of these.",
         head=("macro", "written by", "what"),
@@ -131,7 +97,7 @@ def _nc_owned(configuration: Configuration) -> set[int]:
     return owned | ({macros.safe_flag} if macros.safe_flag is not None else set())
 
 
-def _limits(configuration: Configuration) -> SheetSection:
+def _limits(configuration: Configuration) -> Section:
     controlled = guard_axes(configuration.compensation.axes, configuration.cnc.guard)
     rows = tuple(
         (
@@ -143,10 +109,10 @@ def _limits(configuration: Configuration) -> SheetSection:
         )
         for name, axis in configuration.compensation.axes.items()
     )
-    return SheetSection(title="Limits", head=("axis", "control", "external offset", "bound um", "step um"), rows=rows)
+    return Section(title="Limits", head=("axis", "control", "external offset", "bound um", "step um"), rows=rows)
 
 
-def _checks(configuration: Configuration) -> SheetSection:
+def _checks(configuration: Configuration) -> Section:
     guard = configuration.cnc.guard
     macros = configuration.cnc.macros
     highest = max(*macros.block, guard.memory_of(len(macros.values))[-1])
@@ -169,14 +135,14 @@ def _checks(configuration: Configuration) -> SheetSection:
         ("offset changes by G10 are not locked", "data protection key, parameter 3290 [control]"),
         ("programs from O9000 are locked after loading", "parameter 3202 bit 4 (NE9) [control]"),
     ]  # fmt: skip
-    return SheetSection(
+    return Section(
         title="Check on the control",
         head=("what", "how", "seen"),
         rows=tuple((*row, "") for row in rows),
     )
 
 
-def _loading(configuration: Configuration) -> SheetSection:
+def _loading(configuration: Configuration) -> Section:
     programs = GuardPrograms.of(configuration.cnc.macros, configuration.cnc.guard)
     steps = [
         "Compensation is off: `toolpoint status` says OFF, or the daemon does not run.",
@@ -186,16 +152,16 @@ def _loading(configuration: Configuration) -> SheetSection:
         "Run `toolpoint commission`, which initialises the daemon's macros.",
         f"Put G65P{programs.guard} into the part programs, only where the tool is clear of the work.",
     ]
-    return SheetSection(
+    return Section(
         title="Load",
         head=("step", "what", "done"),
         rows=tuple((str(number), step, "") for number, step in enumerate(steps, start=1)),
     )
 
 
-def _tests(configuration: Configuration) -> SheetSection:
+def _tests(configuration: Configuration) -> Section:
     rows = tuple((str(number), *row, "") for number, row in enumerate(_test_steps(configuration), start=1))
-    return SheetSection(
+    return Section(
         title="Try, with the tool clear of everything",
         text="The daemon is stopped; macros are set by hand, except #3001. V is a time to come: #3001/1000 plus 60. "
         f"After each setting the guard is called once (MDI: G65P{configuration.cnc.guard.program}).",

@@ -7,7 +7,6 @@ A parameter's kind is what its name begins with: kt, ct, kr or cr.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 import numpy.typing as npt
@@ -283,7 +282,7 @@ def nelder_mead(
     begin: Mapping[str, float],
 ) -> MacroValues:
     """Return the minimum of 4-36 by the simplex method, run twice, the second time from where the first ended."""
-    minimize = import_module("scipy.optimize").minimize
+    from scipy.optimize import minimize
 
     low, high = _limits(free)
     size = float(np.sum(np.abs(measured)))

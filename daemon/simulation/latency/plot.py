@@ -1,6 +1,5 @@
 """Pictures of the delay experiment: both distributions, and the series around the moves (as Figs 2-8 and 2-9)."""
 
-import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from config.html_page import Section, html_page
 from daemon.simulation.latency.experiment import Setting
 from daemon.simulation.latency.result import Account, Move
 
@@ -115,24 +115,20 @@ def _title(numbers: dict[str, Any]) -> str:
     return f"mode {numbers['mode']}, cleansing {cleansing}, {numbers['switches']} moves, speed {numbers['speed']:g}"
 
 
-def _page(picture: str, numbers: dict[str, Any]) -> str:
-    rows = []
-    parts = {f"&nbsp;&nbsp;{name.replace('_', ' ')}": part for name, part in numbers["parts_s"].items()}
+def _page(svg: str, numbers: dict[str, Any]) -> str:
     shown = {name: numbers[f"{name}_s"] for name in ("measurement", "feedback", "total")}
-    for name, part in (shown | parts | {"&nbsp;&nbsp;held back": numbers["held_back_s"]}).items():
-        figures = "".join(
-            f"<td>{'-' if part[key] is None else format(part[key], '.4f')}</td>"
-            for key in ("mean", "p50", "p99", "max")
-        )
-        published = numbers["published"].get(f"{name}_s", "")
-        rows.append(f"<tr><th>{name}</th>{figures}<td>{published}</td></tr>")
-    head = "".join(f"<th>{name}</th>" for name in ("[s]", "mean", "p50", "p99", "max", "published*"))
-    svg = picture[picture.index("<svg") :]
-    return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>Delay from sensor to macro</title>'
-        "<style>body{font-family:sans-serif;max-width:70em;margin:2em auto}td,th{padding:.2em .8em;text-align:right}"
-        "tr>th:first-child{text-align:left}svg{max-width:100%;height:auto}</style></head><body>"
-        f"<h1>Delay from sensor to macro</h1><p>{html.escape(_title(numbers))}</p>{svg}"
-        f"<table><tr>{head}</tr>{''.join(rows)}</table><p>* {html.escape(numbers['published']['note'])}. "
-        "The product's share is wall time; all other parts are the machine's time.</p></body></html>\n"
+    parts = {f"\u2003{name.replace('_', ' ')}": part for name, part in numbers["parts_s"].items()}
+    rows = []
+    for name, part in (shown | parts | {"\u2003held back": numbers["held_back_s"]}).items():
+        figures = ("-" if part[key] is None else f"{part[key]:.4f}" for key in ("mean", "p50", "p99", "max"))
+        rows.append((name, *figures, str(numbers["published"].get(f"{name}_s", ""))))
+    note = (
+        f"* {numbers['published']['note']}. The product's share is wall time; all other parts are the machine's time."
     )
+    sections = (
+        Section(text=_title(numbers)),
+        Section(picture=svg[svg.index("<svg") :]),
+        Section(head=("[s]", "mean", "p50", "p99", "max", "published*"), rows=tuple(rows), kind="numbers"),
+        Section(text=note),
+    )
+    return html_page("Delay from sensor to macro", sections)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun
-from daemon.workbench.figures import Line, Panel, save
+from daemon.workbench.figures import Axes, Curve, Figure, save
 from models.records import FloatArray
 
 NAMES = {"programmed": "programmed speed", "rule": "source's rule (5-9)", "tuned": "tuned"}
@@ -64,28 +64,31 @@ def warm_up_picture(path: Path, runs: Sequence[WarmUpRun], request: WarmUpReques
     depth_mm = request.demand.depth_mm
     times = np.array([minute.time_min for minute in runs[0].minutes])
     limits = [_limits(run) for run in runs]
-    limits.append(
-        Line(x=times[[0, -1]], y=np.array([depth_mm, depth_mm]), label=f"milled {depth_mm:g} mm", dashed=True)
-    )
+    level = np.array([depth_mm, depth_mm])
+    limits.append(Curve(x=times[[0, -1]], y=level, label=f"milled {depth_mm:g} mm", style="dashed"))
     speeds = [
-        Line(x=times, y=np.array([each.pair.speed_rpm for each in run.minutes]), label=NAMES[run.strategy])
+        Curve(x=times, y=np.array([each.pair.speed_rpm for each in run.minutes]), label=NAMES[run.strategy])
         for run in runs
     ]
     chatter = [
-        Line(x=times, y=_share_so_far(run), label=NAMES[run.strategy], dashed=run.strategy == "tuned") for run in runs
+        Curve(
+            x=times, y=_share_so_far(run), label=NAMES[run.strategy],
+            style="dashed" if run.strategy == "tuned" else "solid",
+        )
+        for run in runs
+    ]  # fmt: skip
+    axes = [
+        Axes(y_label="limiting depth [mm]", curves=limits),
+        Axes(y_label="chatter so far", curves=chatter),
+        Axes(y_label="speed [1/min]", curves=speeds),
+        Axes(x_label="time of milling [min]", y_label="resonance [Hz]", curves=_resonances(runs[-1])),
     ]
-    panels = [
-        Panel(lines=limits, x_label="", y_label="limiting depth [mm]"),
-        Panel(lines=chatter, x_label="", y_label="chatter so far"),
-        Panel(lines=speeds, x_label="", y_label="speed [1/min]"),
-        Panel(lines=_resonances(runs[-1]), x_label="time of milling [min]", y_label="resonance [Hz]"),
-    ]
-    save(path, panels, "Milling through warm-up", heights=(3, 2, 3, 3))
+    save(path, Figure(title="Milling through warm-up", axes=axes, heights=(190, 130, 190, 190), shared_x=True))
 
 
-def _limits(run: WarmUpRun) -> Line:
+def _limits(run: WarmUpRun) -> Curve:
     found = [(each.time_min, each.limiting_depth_mm) for each in run.minutes if each.limiting_depth_mm is not None]
-    return Line(
+    return Curve(
         x=np.array([at for at, _ in found]), y=np.array([limit for _, limit in found]), label=NAMES[run.strategy]
     )
 
@@ -96,12 +99,12 @@ def _share_so_far(run: WarmUpRun) -> FloatArray:
     return share
 
 
-def _resonances(run: WarmUpRun) -> list[Line]:
+def _resonances(run: WarmUpRun) -> list[Curve]:
     times = np.array([minute.time_min for minute in run.minutes])
     lines = []
     for axis in run.minutes[0].true_hz:
         true = np.array([minute.true_hz[axis] for minute in run.minutes])
         estimated = np.array([minute.estimated_hz.get(axis, np.nan) for minute in run.minutes])
-        lines.append(Line(x=times, y=true, label=f"{axis.upper()}, true"))
-        lines.append(Line(x=times, y=estimated, label=f"{axis.upper()}, estimated", dashed=True))
+        lines.append(Curve(x=times, y=true, label=f"{axis.upper()}, true"))
+        lines.append(Curve(x=times, y=estimated, label=f"{axis.upper()}, estimated", style="dashed"))
     return lines

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from config.html_page import Section
 from config.machine.spindle_chain import Spindle
 from daemon.workbench.dynamics.campaign import Temperatures
-from daemon.workbench.dynamics.campaign_report import new_figure, write_page
-from daemon.workbench.figures import COLOURS
+from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, report_page
 from models.records import FloatArray
 from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracker
@@ -138,44 +138,42 @@ def _axis_summary(day: TrackedDay, axis: str) -> dict[str, Any]:
 
 def write_tracking_page(path: Path, day: TrackedDay) -> None:
     """Write resonances, responses and bearing properties over time as one page."""
-    axes = list(day.dynamics[0].axes)
-    resonance = new_figure("Followed resonance at the tool point (Fig. 5-19)", "time [min]", "frequency [Hz]")
-    figures = [resonance]
-    for number, axis in enumerate(axes):
-        hz = [each.resonance_hz[axis] for each in day.dynamics]
-        resonance.add_scatter(x=day.time_min, y=hz, mode="lines", name=axis, line={"color": COLOURS[number]})
+    curves: list[Curve] = []
+    figures: list[Figure] = []
+    for number, axis in enumerate(day.dynamics[0].axes):
+        hz = np.array([each.resonance_hz[axis] for each in day.dynamics])
+        curves.append(Curve(x=day.time_min, y=hz, label=axis, colour=COLOURS[number]))
         doubted = [k for k, each in enumerate(day.dynamics) if each.doubt or not each.axes[axis].resonance.continuous]
-        resonance.add_scatter(
-            x=day.time_min[doubted], y=[hz[k] for k in doubted], mode="markers", name=f"{axis}, doubted",
-            marker={"color": COLOURS[number], "symbol": "x-thin-open"},
-        )  # fmt: skip
+        curves.append(_crosses(day.time_min[doubted], hz[doubted], COLOURS[number], f"{axis}, doubted"))
         figures += [_responses(day, axis), _properties(day, axis)]
-    warnings = "".join(f"<p>{each}</p>" for each in day.warnings)
-    write_page(path, f"Tool point over time, model {day.dynamics[0].model_id}", [warnings], figures, [])
+    resonances = Axes(x_label="time [min]", y_label="frequency [Hz]", curves=curves)
+    figures.insert(0, Figure(title="Followed resonance at the tool point (Fig. 5-19)", axes=[resonances]))
+    warnings = [Section(text=warning) for warning in day.warnings]
+    title = f"Tool point over time, model {day.dynamics[0].model_id}"
+    path.write_text(report_page(title, warnings, figures), encoding="utf-8")
 
 
-def _responses(day: TrackedDay, axis: str) -> Any:
-    figure = new_figure(
-        f"Receptance at the tool point, {axis} (Fig. 5-18)", "frequency [Hz]", "receptance [m/N]", logarithmic=True
-    )
+def _crosses(x: FloatArray, y: FloatArray, colour: str, label: str = "") -> Curve:
+    return Curve(x=x, y=y, label=label, colour=colour, style="none", marker="x")
+
+
+def _responses(day: TrackedDay, axis: str) -> Figure:
+    curves = []
     for k in np.unique(np.linspace(0, len(day.dynamics) - 1, SHOWN_RESPONSES).astype(int)).tolist():
         size = np.abs(day.dynamics[k].axes[axis].receptance_m_per_n)
-        figure.add_scatter(x=day.dynamics[k].frequency_hz, y=size, mode="lines", name=f"{day.time_min[k]:.0f} min")
-    return figure
+        curves.append(Curve(x=day.dynamics[k].frequency_hz, y=size, label=f"{day.time_min[k]:.0f} min"))
+    axes = Axes(x_label="frequency [Hz]", y_label="receptance [m/N]", logarithmic=True, curves=curves)
+    return Figure(title=f"Receptance at the tool point, {axis} (Fig. 5-18)", axes=[axes])
 
 
-def _properties(day: TrackedDay, axis: str) -> Any:
-    figure = new_figure(
-        f"Bearing properties, {axis}, beside their first value (Fig. 5-26); crosses: flagged", "time [min]", "ratio"
-    )
+def _properties(day: TrackedDay, axis: str) -> Figure:
     told = [each.axes[axis].properties for each in day.dynamics]
+    curves = []
     for k, first in enumerate(told[0]):
         colour, scale = COLOURS[k % len(COLOURS)], abs(first.value) or abs(first.raw) or 1.0
         ratio = np.array([each[k].value / scale for each in told])
         flagged = [place for place, each in enumerate(told) if each[k].flagged]
-        figure.add_scatter(x=day.time_min, y=ratio, mode="lines", name=first.name, line={"color": colour})
-        figure.add_scatter(
-            x=day.time_min[flagged], y=ratio[flagged], mode="markers", showlegend=False,
-            marker={"color": colour, "symbol": "x-thin-open"},
-        )  # fmt: skip
-    return figure
+        curves.append(Curve(x=day.time_min, y=ratio, label=first.name, colour=colour))
+        curves.append(_crosses(day.time_min[flagged], ratio[flagged], colour))
+    title = f"Bearing properties, {axis}, beside their first value (Fig. 5-26); crosses: flagged"
+    return Figure(title=title, axes=[Axes(x_label="time [min]", y_label="ratio", curves=curves)])

@@ -1,12 +1,12 @@
-"""Pictures of lobes, responses and spectrograms: PNG by matplotlib, HTML by plotly, both imported only here."""
+"""Pictures of lobes, responses and spectrograms."""
 
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from daemon.workbench.figures import COLOURS, DPI, PIXELS, Line, Panel, save
+from daemon.workbench.dynamics.pictures import response_figure
+from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, Heat, save
 from models.records import FloatArray
 from models.stability.chatter import SpectrumFrame
 from models.stability.frf_modal_fit import ModalFit
@@ -31,37 +31,30 @@ def lobes_picture(
     finite = [float(np.min(lobes.limiting_depth_mm)) for _, lobes in diagrams]
     top = SHOWN_OVER_MINIMUM * max(lowest or [depth for depth in finite if np.isfinite(depth)] or [1.0])
     top = max(top, 1.5 * (depth_mm or 0.0))
-    lines = [
-        Line(x=lobes.speed_rpm, y=np.minimum(lobes.limiting_depth_mm, top), label=name) for name, lobes in diagrams
+    curves = [
+        Curve(x=lobes.speed_rpm, y=np.minimum(lobes.limiting_depth_mm, top), label=name) for name, lobes in diagrams
     ]
     speeds = diagrams[0][1].speed_rpm
     if depth_mm is not None:
-        lines.append(
-            Line(x=speeds[[0, -1]], y=np.array([depth_mm, depth_mm]), label=f"programmed {depth_mm:g} mm", dashed=True)
-        )
+        level = np.array([depth_mm, depth_mm])
+        curves.append(Curve(x=speeds[[0, -1]], y=level, label=f"programmed {depth_mm:g} mm", style="dashed"))
     for (name, _), speed in zip(diagrams, commanded, strict=False):
         if speed is not None:
             label = f"commanded, {name}: {speed:.0f} 1/min"
-            lines.append(Line(x=np.array([speed, speed]), y=np.array([0.0, top]), label=label, dashed=True))
-    panel = Panel(lines=lines, x_label="spindle speed [1/min]", y_label="limiting depth of cut [mm]")
-    save(path, [panel], title, heights=(1,))
+            curves.append(Curve(x=np.array([speed, speed]), y=np.array([0.0, top]), label=label, style="dashed"))
+    axes = Axes(x_label="spindle speed [1/min]", y_label="limiting depth of cut [mm]", curves=curves)
+    save(path, Figure(title=title, axes=[axes], heights=(620,)))
 
 
 def responses_picture(
     path: Path, responses: Sequence[tuple[str, FloatArray, ComplexArray, ModalFit]], title: str
 ) -> None:
     """Draw measured receptances and the modes fitted to them, magnitude and phase."""
-    magnitude, phase = [], []
+    curves = []
     for name, frequency_hz, receptance, fit in responses:
-        fitted = modal_receptance(fit.modes, frequency_hz)
-        for values, label, dashed in ((receptance, f"{name}, FRF", False), (fitted, f"{name}, modes", True)):
-            magnitude.append(Line(x=frequency_hz, y=np.abs(values), label=label, dashed=dashed))
-            phase.append(Line(x=frequency_hz, y=np.degrees(np.angle(values)), label=label, dashed=dashed))
-    panels = [
-        Panel(lines=magnitude, x_label="", y_label="receptance [m/N]", logarithmic=True),
-        Panel(lines=phase, x_label="frequency [Hz]", y_label="phase [deg]"),
-    ]
-    save(path, panels, title, heights=(3, 2))
+        curves.append((frequency_hz, receptance, f"{name}, FRF", False))
+        curves.append((frequency_hz, modal_receptance(fit.modes, frequency_hz), f"{name}, modes", True))
+    save(path, response_figure(title, curves))
 
 
 def spectrogram_picture(
@@ -80,59 +73,12 @@ def spectrogram_picture(
     ceiling = float(level_db.max())
     marks = [(order * tooth_passing_hz, COLOURS[5]) for order in range(1, int(frequency_hz[-1] / tooth_passing_hz) + 1)]
     marks += [(chatter_hz, COLOURS[1])] if chatter_hz is not None else []
-    if path.suffix.lower() == ".html":
-        _spectrogram_html(path, times, frequency_hz, level_db, ceiling, marks, title)
-    else:
-        _spectrogram_png(path, times, frequency_hz, level_db, ceiling, marks, title)
-
-
-def _spectrogram_png(
-    path: Path,
-    times: FloatArray,
-    frequency_hz: FloatArray,
-    level_db: FloatArray,
-    ceiling: float,
-    marks: Sequence[tuple[float, str]],
-    title: str,
-) -> None:
-    figure = import_module("matplotlib.figure").Figure(
-        figsize=(PIXELS[0] / DPI, PIXELS[1] / DPI), dpi=DPI, layout="constrained"
-    )
-    axis = figure.subplots()
-    half = 0.5 * (times[1] - times[0]) if len(times) > 1 else 0.5
-    extent = (times[0] - half, times[-1] + half, frequency_hz[0], frequency_hz[-1])
-    image = axis.imshow(
-        level_db, origin="lower", aspect="auto", extent=extent, vmin=ceiling - COLOUR_RANGE_DB, vmax=ceiling
-    )
-    for frequency, colour in marks:
-        axis.axhline(frequency, color=colour, linewidth=0.8, linestyle=":")
-    figure.colorbar(image, label="power density [dB re 1 (m/s²)²/Hz]")
-    axis.set(xlabel="time [s]", ylabel="frequency [Hz]", title=title)
-    figure.savefig(path)
-
-
-def _spectrogram_html(
-    path: Path,
-    times: FloatArray,
-    frequency_hz: FloatArray,
-    level_db: FloatArray,
-    ceiling: float,
-    marks: Sequence[tuple[float, str]],
-    title: str,
-) -> None:
-    figure = import_module("plotly.graph_objects").Figure()
-    figure.add_heatmap(
-        x=np.round(times, 4).tolist(),
-        y=np.round(frequency_hz, 3).tolist(),
-        z=np.round(level_db, 1).tolist(),
-        zmin=ceiling - COLOUR_RANGE_DB,
-        zmax=ceiling,
-        colorscale="Viridis",
-        colorbar={"title": "dB re 1 (m/s²)²/Hz"},
-    )
-    for frequency, colour in marks:
-        figure.add_hline(y=frequency, line={"color": colour, "width": 1, "dash": "dot"})
-    figure.update_layout(
-        title=title, height=PIXELS[1], template="plotly_white", xaxis_title="time [s]", yaxis_title="frequency [Hz]"
-    )
-    path.write_text(figure.to_html(include_plotlyjs=True, full_html=True), encoding="utf-8")
+    curves = [
+        Curve(x=times[[0, -1]], y=np.array([hz, hz]), colour=colour, style="dotted", width=1.0) for hz, colour in marks
+    ]
+    heat = Heat(
+        x=times, y=frequency_hz, values=level_db, lowest=ceiling - COLOUR_RANGE_DB, highest=ceiling,
+        unit="power density [dB re 1 (m/s²)²/Hz]", colours="viridis",
+    )  # fmt: skip
+    axes = Axes(x_label="time [s]", y_label="frequency [Hz]", heat=heat, curves=curves)
+    save(path, Figure(title=title, axes=[axes], heights=(620,)))

@@ -1,10 +1,10 @@
 """The report on a recording as one HTML page."""
 
-import html
 from pathlib import Path
 from typing import Any
 
-from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, save_html
+from config.html_page import Section
+from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, report_page
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from models.recordings.dataset import Recording
 from models.thermal.family import AnyThermalModel
@@ -20,33 +20,29 @@ WORDS = {
 def write_report_page(path: Path, report: dict[str, Any], recording: Recording, model: AnyThermalModel | None) -> None:
     """Write the report with curves of all displacements; raises OSError."""
     drift = report["drift"]
-    save_html(
-        [_figure(recording, model)],
-        path,
-        title=f"Thermal distortion: {recording.name}",
-        introduction=[
-            f"Words of {report['standard']}; {report['hours']:g} h, "
-            f"{len(report['rotations'])} rotations of the spindle. "
-            f"{'Without a model.' if model is None else f'Compensation: {model.model_id}, computed afterwards.'} "
-            f"{'The model was trained on a recording of this name. ' if report['seen_in_training'] else ''}"
-            "Distortion is the range that a displacement covers, raw as it was measured.",
-        ],
-        body=[
-            "<h2>Largest distortion by axis [um]</h2>",
-            _worst_table(
-                {axis: {f"worst_{kind}": axis_[kind] for kind in axis_} for axis, axis_ in report["axes"].items()}
-            ),
-            "<h2>Largest distortion by channel [um]</h2>",
-            _worst_table(report["channels"]),
-            "<h2>Rotations</h2>",
-            _paragraph(f"Stable: drifts less than {drift['tolerance_um']:g} um in {drift['ahead_min']:g} min."),
+    axes = {axis: {f"worst_{kind}": each[kind] for kind in each} for axis, each in report["axes"].items()}
+    introduction = (
+        f"Words of {report['standard']}; {report['hours']:g} h, "
+        f"{len(report['rotations'])} rotations of the spindle. "
+        f"{'Without a model.' if model is None else f'Compensation: {model.model_id}, computed afterwards.'} "
+        f"{'The model was trained on a recording of this name. ' if report['seen_in_training'] else ''}"
+        "Distortion is the range that a displacement covers, raw as it was measured."
+    )
+    stable = f"Stable: drifts less than {drift['tolerance_um']:g} um in {drift['ahead_min']:g} min."
+    page = report_page(
+        f"Thermal distortion: {recording.name}",
+        [
+            Section(text=introduction),
+            _worst_table("Largest distortion by axis [um]", axes),
+            _worst_table("Largest distortion by channel [um]", report["channels"]),
+            Section(title="Rotations", text=stable),
             _rotation_table(report),
-            "<h2>Environment</h2>",
-            _paragraph(report["environment"]["why_not"] or _environment(report["environment"])),
-            "<h2>Energy</h2>",
+            Section(title="Environment", text=report["environment"]["why_not"] or _environment(report["environment"])),
             _energy_table(report["energy"]),
         ],
+        [_figure(recording, model)],
     )
+    path.write_text(page, encoding="utf-8")
 
 
 def _figure(recording: Recording, model: AnyThermalModel | None) -> Figure:
@@ -71,38 +67,31 @@ def _figure(recording: Recording, model: AnyThermalModel | None) -> Figure:
     )
 
 
-def _worst_table(parts: dict[str, Any]) -> str:
+def _worst_table(title: str, parts: dict[str, Any]) -> Section:
     with_model = any(value is not None for part in parts.values() for value in part["worst_with"].values())
     kinds = ("without", "with") if with_model else ("without",)
-    header = ["", *(f"{words}, {kind}" for words in WORDS.values() for kind in kinds)]
-    rows = [
-        [name, *(part[f"worst_{kind}"].get(key) for key in WORDS for kind in kinds)] for name, part in parts.items()
-    ]
-    return _table(header, rows)
+    head = ("", *(f"{words}, {kind}" for words in WORDS.values() for kind in kinds))
+    rows = tuple(
+        (name, *(part[f"worst_{kind}"].get(key) for key in WORDS for kind in kinds)) for name, part in parts.items()
+    )
+    return Section(title=title, head=head, rows=rows, kind="numbers")
 
 
-def _rotation_table(report: dict[str, Any]) -> str:
-    header = ["from [h]", "minutes", "speed [1/min]", "channel", "first 60 min [um]", "whole [um]", "at the end [um]",
-              "stable after [min]", "advised warm-up [min]"]  # fmt: skip
+def _rotation_table(report: dict[str, Any]) -> Section:
+    head = ("from [h]", "minutes", "speed [1/min]", "channel", "first 60 min [um]", "whole [um]", "at the end [um]",
+              "stable after [min]", "advised warm-up [min]")  # fmt: skip
     rows = []
     for place, turn in enumerate(report["rotations"]):
         speeds = sorted({turn["lowest_rpm"], turn["highest_rpm"]} - {None})
         for name, channel in report["channels"].items():
             each = channel["distortion_by_rotating_spindle"][place]
+            without = each["without"]
             rows.append(
-                [
-                    turn["from_h"],
-                    turn["minutes"],
-                    " to ".join(f"{speed:.0f}" for speed in speeds),
-                    name,
-                    each["without"]["first_60_min_um"],
-                    each["without"]["whole_period_um"],
-                    each["without"]["end_um"],
-                    each["without"]["time_to_stability_min"],
-                    each["warm_up"]["wait_min"],
-                ]
-            )
-    return _table(header, rows)
+                (turn["from_h"], turn["minutes"], " to ".join(f"{speed:.0f}" for speed in speeds), name,
+                 without["first_60_min_um"], without["whole_period_um"], without["end_um"],
+                 without["time_to_stability_min"], each["warm_up"]["wait_min"])
+            )  # fmt: skip
+    return Section(head=head, rows=tuple(rows), kind="numbers")
 
 
 def _environment(environment: dict[str, Any]) -> str:
@@ -112,26 +101,10 @@ def _environment(environment: dict[str, Any]) -> str:
     return f"{len(environment['stretches'])} stretches of settled standstill, {minutes:.0f} min in all{air}."
 
 
-def _energy_table(energy: dict[str, Any]) -> str:
-    rows = [["chiller in this recording [kWh]", *energy["chiller_kwh"].values()]]
+def _energy_table(energy: dict[str, Any]) -> Section:
+    rows = [("chiller in this recording [kWh]", *energy["chiller_kwh"].values())]
     if energy["process"] is not None:
-        rows.append(["energy efficiency (1-1)", *energy["process"]["energy_efficiency"].values()])
-        rows.append(["parts per hour (1-2)", *[energy["process"]["productivity_per_h"]] * 3])
-    return _table(["", "chiller always on", "idle reduction", "off"], rows)
-
-
-def _paragraph(text: str) -> str:
-    return f"<p>{html.escape(text)}</p>"
-
-
-def _table(header: list[str], rows: list[list[Any]]) -> str:
-    lines = ["<table border='1' cellpadding='4' style='border-collapse:collapse'>"]
-    lines.append("<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in header) + "</tr>")
-    lines += ["<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table>"])
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+        rows.append(("energy efficiency (1-1)", *energy["process"]["energy_efficiency"].values()))
+        rows.append(("parts per hour (1-2)", *[energy["process"]["productivity_per_h"]] * 3))
+    head = ("", "chiller always on", "idle reduction", "off")
+    return Section(title="Energy", head=head, rows=tuple(rows), kind="numbers")

@@ -86,10 +86,10 @@ def component_figures(campaign: Campaign, found: Components) -> list[Figure]:
 
 def _cumulative(number: str, what: str, parts: Sequence[tuple[str, PrincipalComponents]]) -> Figure:
     curves = []
-    for place, (label, each) in enumerate(parts):
+    for label, each in parts:
         x = np.arange(1.0, 1.0 + len(each.variance_k2))
         counted = f"{label}: {each.dimensions()} at {SHARE:.0%}"
-        curves.append(Curve(x=x, y=each.cumulative, label=counted, colour=COLOURS[place]))
+        curves.append(Curve(x=x, y=each.cumulative, label=counted))
     return Figure(
         number=number,
         title=f"Cumulative contribution ratio of {what}",

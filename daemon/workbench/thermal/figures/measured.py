@@ -103,13 +103,12 @@ def _expansion(campaign: Campaign, sets: list[PublishedSet]) -> Figure:
         lines["Z3 - Z1"] = lines["Z3"] - lines["Z1"]
     lines["Z1 - Z2"] = lines["Z1"] - lines["Z2"]
     expansion = [
-        Curve(x=time_min, y=y, label=label, colour=COLOURS[place], style="dashed" if "-" in label else "solid")
-        for place, (label, y) in enumerate(lines.items())
+        Curve(x=time_min, y=y, label=label, style="dashed" if "-" in label else "solid") for label, y in lines.items()
     ]
     degc = {label: campaign.labelled_degc(shown, label) for label in SHOWN_LABELS}
     warm = [
-        Curve(x=time_min, y=values, label=f"temperature {label}", colour=COLOURS[place % len(COLOURS)])
-        for place, (label, values) in enumerate(degc.items())
+        Curve(x=time_min, y=values, label=f"temperature {label}")
+        for label, values in degc.items()
         if values is not None
     ]
     return Figure(
@@ -153,9 +152,8 @@ def _by_speed(campaign: Campaign) -> Figure:
                         x=each.elapsed_min,
                         y=each.error_um(channel),
                         label=f"{each.speed_rpm:.0f} 1/min (set {each.number})",
-                        colour=COLOURS[place % len(COLOURS)],
                     )
-                    for place, each in enumerate(shown)
+                    for each in shown
                 ],
             )
             for channel in ("Y2", "Z2", "Z1")
@@ -167,10 +165,7 @@ def _tested(number: str, group: str, sets: list[PublishedSet]) -> Figure:
     axes = []
     for each in sets:
         assert each.recording.speed_rpm is not None
-        curves = [
-            Curve(x=each.elapsed_min, y=each.error_um(name), label=name, colour=COLOURS[place])
-            for place, name in enumerate(("Y2", "Z2", "Z1"))
-        ]
+        curves = [Curve(x=each.elapsed_min, y=each.error_um(name), label=name) for name in ("Y2", "Z2", "Z1")]
         axes.append(Axes(title=f"data set {each.number}", x_label=MINUTES, y_label=MICROMETRES, curves=curves))
         speed = Curve(x=each.elapsed_min, y=each.recording.speed_rpm, label="speed", colour=COLOURS[5])
         axes.append(Axes(title="", x_label=MINUTES, y_label="speed [1/min]", curves=[speed]))

@@ -104,9 +104,9 @@ def _by_sets(number: str, group: str, maps: Sequence[dict[Key, ResidualMap]]) ->
     axes = []
     for name, label in PROPERTIES:
         curves = []
-        for place, model in enumerate(MODELS):
+        for model in MODELS:
             values = middle(maps, (model, group), name)[:, -1]
-            curves.append(Curve(x=np.arange(1.0, 1.0 + len(values)), y=values, label=model, colour=COLOURS[place]))
+            curves.append(Curve(x=np.arange(1.0, 1.0 + len(values)), y=values, label=model))
         axes.append(Axes(x_label="number of training sets", y_label=label, curves=curves, y_top=HIGHEST_UM))
     return Figure(
         number=number,

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from daemon.workbench.figures import save_html, save_png
+from config.html_page import Section
+from daemon.workbench.figures import report_page, save_png
 from daemon.workbench.thermal.figures.campaign import Campaign, Progress, read_campaign
 from daemon.workbench.thermal.figures.components import Components, campaign_components, component_figures
 from daemon.workbench.thermal.figures.measured import measured_figures
@@ -34,21 +35,19 @@ def write_figures(folder: Path, output: Path, *, intercept: bool, repeats: int, 
     figures += performance_figures(campaign, performance)
     figures.sort(key=lambda figure: figure.file)
     for done, figure in enumerate(figures, start=1):
-        save_png(figure, output)
+        save_png(output / figure.file, figure)
         progress("drawing", done, len(figures))
     machine = "the simulated machine" if campaign.index.machine == "simulated" else campaign.index.machine
-    save_html(
-        figures,
-        output / REPORT_FILE,
-        title=f"Thermal errors: {campaign.index.name}, {machine}",
-        introduction=[
-            f"{len(campaign.sets)} data sets, {len(campaign.temperature_names)} temperatures, of {machine}. "
-            "Every number here was computed from these recordings; none is a published one. "
-            "Numbers of figures are those of the dissertation whose analysis is repeated.",
-            f"Models by least squares on increments over one minute, {'with' if intercept else 'without'} b0. "
-            "Displacements are cleansed in training sets only.",
-        ],
+    introduction = (
+        f"{len(campaign.sets)} data sets, {len(campaign.temperature_names)} temperatures, of {machine}. "
+        "Every number here was computed from these recordings; none is a published one. "
+        "Numbers of figures are those of the dissertation whose analysis is repeated.",
+        f"Models by least squares on increments over one minute, {'with' if intercept else 'without'} b0. "
+        "Displacements are cleansed in training sets only.",
     )
+    title = f"Thermal errors: {campaign.index.name}, {machine}"
+    page = report_page(title, [Section(text=text) for text in introduction], figures)
+    (output / REPORT_FILE).write_text(page, encoding="utf-8")
     return {
         "campaign": campaign.index.name,
         "machine": campaign.index.machine,
