@@ -1,4 +1,9 @@
-"""What is believed of a measured value: the source's rules, bounded so that they cannot latch for ever."""
+"""Which measured temperatures count: a change is bounded, and what is above the noise counts once readings agree.
+
+One corrupt frame must not move anything, whenever it comes: a first value, and a change above the
+noise, after a gap too, count only after further readings agree with them. A rejected level cannot
+latch for ever either: it counts once enough readings agree.
+"""
 
 from dataclasses import dataclass
 
@@ -18,18 +23,24 @@ IndexArray = npt.NDArray[np.intp]
 class CleansingRules:
     """What is accepted of a temperature; the fields are those of the configuration."""
 
+    noise_degc: float = 0.3
+    """A change within one cycle up to this counts at once [degC]; a larger one when the next sample agrees."""
     max_change_degc: float = 1.0
     """Largest change within one cycle [degC]."""
     max_rate_degc_per_min: float = 6.0
     """Growth of the allowed change with the time that a gap lasts [degC/min]."""
+    max_gap_change_degc: float = 5.0
+    """Largest allowed change after a gap, however long it was [degC]."""
     release_after_samples: int = 3
-    """So many successive rejected samples that agree are a new level."""
+    """So many successive samples that agree are a first value, a value after a gap, or a new level."""
+    far_level_after_samples: int = 9
+    """So many it takes for a level farther from the last accepted value than a gap explains."""
     agree_within_degc: float = 0.5
-    """Largest spread of samples that agree [degC]."""
+    """Largest difference of one sample from the next where they agree [degC]."""
     min_degc: float = -20.0
     max_degc: float = 100.0
     stale_after_s: float = 60.0
-    """A held value that is older is missing [s]."""
+    """A held value that is older is missing [s]; a sensor that comes back after that begins anew."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,21 +51,13 @@ class CleansingState:
     """Last accepted value [degC], NaN where there was none."""
     accepted_at_s: FloatArray
     """Its time [s], -inf where there was none."""
-    rejected_min_degc: FloatArray
-    """Lowest of the rejected samples that agree so far [degC], NaN where there is none."""
-    rejected_max_degc: FloatArray
-    """Highest of them [degC]."""
-    rejected_count: IntArray
+    waiting_degc: FloatArray
+    """Latest of the samples that agree and do not count yet [degC], NaN where there is none."""
+    waiting_count: IntArray
     """How many of them."""
 
     def __post_init__(self) -> None:
-        for array in (
-            self.accepted_degc,
-            self.accepted_at_s,
-            self.rejected_min_degc,
-            self.rejected_max_degc,
-            self.rejected_count,
-        ):
+        for array in (self.accepted_degc, self.accepted_at_s, self.waiting_degc, self.waiting_count):
             array.flags.writeable = False
 
 
@@ -67,16 +70,33 @@ class CleansingResult:
     """Measured where quality is GOOD, the last accepted value where HELD, else NaN [degC]."""
     quality: CodeArray
     reason: CodeArray
+    returned: npt.NDArray[np.bool_]
+    """Which values are accepted for the first time, or after a gap in which the last accepted one grew too old."""
+    new_level: npt.NDArray[np.bool_]
+    """Which values are accepted though they are farther from the last accepted one than the elapsed time allows."""
 
 
-def initial_state(sensor_count: int) -> CleansingState:
-    """Return the state before the first cycle of a machine with `sensor_count` sensors."""
+def initial_state(
+    sensor_count: int, accepted_degc: FloatArray | None = None, accepted_at_s: FloatArray | None = None
+) -> CleansingState:
+    """Return the state before the first cycle of a machine with `sensor_count` sensors.
+
+    Parameters
+    ----------
+    sensor_count
+        Number of the machine's sensors.
+    accepted_degc, accepted_at_s : shape (n_sensors,), optional
+        What a previous run accepted last [degC], NaN where nothing, and when [s]: the past that first values are
+        held against.
+
+    """
+    degc = np.full(sensor_count, np.nan) if accepted_degc is None else np.array(accepted_degc, dtype=np.float64)
+    at_s = np.full(sensor_count, -np.inf) if accepted_at_s is None else np.array(accepted_at_s, dtype=np.float64)
     return CleansingState(
-        accepted_degc=np.full(sensor_count, np.nan),
-        accepted_at_s=np.full(sensor_count, -np.inf),
-        rejected_min_degc=np.full(sensor_count, np.nan),
-        rejected_max_degc=np.full(sensor_count, np.nan),
-        rejected_count=np.zeros(sensor_count, dtype=np.int64),
+        accepted_degc=degc,
+        accepted_at_s=np.where(np.isfinite(degc), at_s, -np.inf),
+        waiting_degc=np.full(sensor_count, np.nan),
+        waiting_count=np.zeros(sensor_count, dtype=np.int64),
     )
 
 
@@ -113,9 +133,20 @@ def cleanse_cycle(
 
     The source (section 3.3.1) keeps the previous value when a temperature changes by more than
     1 degC, which never lets go of it after a real step. Here the allowed change is
-    ``max_change + max_rate * (elapsed - cycle_period)`` since the last accepted value, and a
-    rejected level is believed once `release_after_samples` successive rejected samples lie within
-    `agree_within_degc` of each other. A held value that grows too old is missing.
+    ``min(max_change + max_rate * (elapsed - cycle_period), max_gap_change)`` since the last accepted
+    value. How many samples, each within `agree_within_degc` of the one before, it takes until the
+    latest counts depends on how far it is from that value:
+
+    ================================================================  =======================
+    change up to `noise_degc`, after a gap too                        1
+    change up to the allowed one, no gap                              2
+    change up to `max_change_degc` after more than `stale_after_s`    2
+    first value, or allowed change after more than `stale_after_s`    `release_after_samples`
+    larger, but at most `max_gap_change_degc`, no gap                 `release_after_samples`
+    anything else                                                     `far_level_after_samples`
+    ================================================================  =======================
+
+    Meanwhile the last accepted value is held until it is too old, and then missing.
 
     Parameters
     ----------
@@ -145,23 +176,44 @@ def cleanse_cycle(
     previous_degc, previous_at_s = state.accepted_degc[indices], state.accepted_at_s[indices]
     known = np.isfinite(previous_degc)
     elapsed_s = now_s - previous_at_s
-    gap_s = np.maximum(elapsed_s - cycle_period_s, 0.0)
-    allowed_degc = rules.max_change_degc + rules.max_rate_degc_per_min / 60.0 * gap_s
-    within = in_range & (~known | (np.abs(measured_degc - previous_degc) <= allowed_degc))
-    lowest, highest, count = _count_agreeing(rules, state, indices, measured_degc, in_range & ~within)
-    accepted = within | (in_range & (count >= rules.release_after_samples))
+    returning = ~known | (elapsed_s > rules.stale_after_s)
+    change_degc = np.where(known, np.abs(measured_degc - previous_degc), 0.0)
+    gap_s = np.where(known, np.maximum(elapsed_s - cycle_period_s, 0.0), 0.0)
+    allowed_degc = np.minimum(
+        rules.max_change_degc + rules.max_rate_degc_per_min / 60.0 * gap_s,
+        max(rules.max_gap_change_degc, rules.max_change_degc),
+    )
+    needed = _samples_needed(rules, np.where(known, change_degc, np.inf), allowed_degc, returning)
+    waiting_degc, count = _count_agreeing(rules, state, indices, measured_degc, in_range & (needed > 1))
+    accepted = in_range & ((needed == 1) | (count >= needed))
 
     held = ~accepted & known & (elapsed_s <= rules.stale_after_s)
     why = np.where(reason == Reason.NONE, np.uint8(Reason.NOT_RECEIVED), reason)
-    why = np.where(usable, np.where(in_range, np.uint8(Reason.RATE), np.uint8(Reason.OUT_OF_RANGE)), why)
-    why = np.where(accepted, np.uint8(Reason.NONE), np.where(held | ~known, why, np.uint8(Reason.STALE)))
+    unconfirmed = returning | (change_degc <= allowed_degc)
+    doubted = np.where(unconfirmed, np.uint8(Reason.UNCONFIRMED), np.uint8(Reason.RATE))
+    why = np.where(usable, np.where(in_range, doubted, np.uint8(Reason.OUT_OF_RANGE)), why)
+    keeps_reason = held | ~known | (usable & in_range)
+    why = np.where(accepted, np.uint8(Reason.NONE), np.where(keeps_reason, why, np.uint8(Reason.STALE)))
     verdict = np.where(accepted, np.uint8(Quality.GOOD), np.where(held, np.uint8(Quality.HELD), np.uint8(2)))
     return CleansingResult(
-        state=_updated(state, indices, accepted, measured_degc, now_s, lowest, highest, count),
+        state=_updated(state, indices, accepted, measured_degc, now_s, waiting_degc, count),
         degc=np.where(accepted, measured_degc, np.where(held, previous_degc, np.nan)),
         quality=verdict.astype(np.uint8),
         reason=why.astype(np.uint8),
+        returned=accepted & returning,
+        new_level=accepted & (change_degc > allowed_degc),
     )
+
+
+def _samples_needed(
+    rules: CleansingRules, change_degc: FloatArray, allowed_degc: FloatArray, returning: npt.NDArray[np.bool_]
+) -> IntArray:
+    """Return how many samples that agree each value takes to count."""
+    first = np.isinf(change_degc)
+    near = change_degc <= np.where(returning, rules.max_change_degc, allowed_degc)
+    several = first | (change_degc <= np.where(returning, allowed_degc, rules.max_gap_change_degc))
+    needed = np.where(near, 2, np.where(several, rules.release_after_samples, rules.far_level_after_samples))
+    return np.where(change_degc <= rules.noise_degc, 1, needed).astype(np.int64)
 
 
 def _count_agreeing(
@@ -169,19 +221,14 @@ def _count_agreeing(
     state: CleansingState,
     indices: IndexArray,
     measured_degc: FloatArray,
-    rejected: npt.NDArray[np.bool_],
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Extend, or begin anew, the group of rejected samples that agree; others keep theirs."""
-    old_lowest, old_highest = state.rejected_min_degc[indices], state.rejected_max_degc[indices]
-    old_count = state.rejected_count[indices]
-    lowest, highest = np.fmin(old_lowest, measured_degc), np.fmax(old_highest, measured_degc)
-    agrees = (old_count > 0) & (highest - lowest <= rules.agree_within_degc)
-    lowest, highest = np.where(agrees, lowest, measured_degc), np.where(agrees, highest, measured_degc)
-    count = np.where(agrees, old_count + 1, 1)
+    waits: npt.NDArray[np.bool_],
+) -> tuple[FloatArray, IntArray]:
+    """Extend, or begin anew, the run of samples that agree and do not count yet; other sensors keep theirs."""
+    before_degc, before_count = state.waiting_degc[indices], state.waiting_count[indices]
+    agrees = (before_count > 0) & (np.abs(measured_degc - before_degc) <= rules.agree_within_degc)
     return (
-        np.where(rejected, lowest, old_lowest),
-        np.where(rejected, highest, old_highest),
-        np.where(rejected, count, old_count),
+        np.where(waits, measured_degc, before_degc),
+        np.where(waits, np.where(agrees, before_count + 1, 1), before_count),
     )
 
 
@@ -191,23 +238,16 @@ def _updated(
     accepted: npt.NDArray[np.bool_],
     measured_degc: FloatArray,
     now_s: float,
-    lowest: FloatArray,
-    highest: FloatArray,
+    waiting_degc: FloatArray,
     count: IntArray,
 ) -> CleansingState:
     accepted_degc, accepted_at_s = state.accepted_degc.copy(), state.accepted_at_s.copy()
-    rejected_min_degc, rejected_max_degc = state.rejected_min_degc.copy(), state.rejected_max_degc.copy()
-    rejected_count = state.rejected_count.copy()
+    waiting, waiting_count = state.waiting_degc.copy(), state.waiting_count.copy()
     taken = indices[accepted]
     accepted_degc[taken] = measured_degc[accepted]
     accepted_at_s[taken] = now_s
-    rejected_min_degc[indices] = np.where(accepted, np.nan, lowest)
-    rejected_max_degc[indices] = np.where(accepted, np.nan, highest)
-    rejected_count[indices] = np.where(accepted, 0, count)
+    waiting[indices] = np.where(accepted, np.nan, waiting_degc)
+    waiting_count[indices] = np.where(accepted, 0, count)
     return CleansingState(
-        accepted_degc=accepted_degc,
-        accepted_at_s=accepted_at_s,
-        rejected_min_degc=rejected_min_degc,
-        rejected_max_degc=rejected_max_degc,
-        rejected_count=rejected_count,
+        accepted_degc=accepted_degc, accepted_at_s=accepted_at_s, waiting_degc=waiting, waiting_count=waiting_count
     )

@@ -38,6 +38,8 @@ class Reason(IntEnum):
     """The logger wrote an overflow token."""
     UNREADABLE = 10
     """The field could not be read as a number."""
+    UNCONFIRMED = 11
+    """A first value, a value after a gap or a change above the noise that further readings have not confirmed yet."""
 
 
 def describe(reason: Reason | int) -> str:
@@ -57,4 +59,5 @@ _WORDS = {
     Reason.STALE: "no accepted value for too long",
     Reason.OVERFLOW: "logger overflow",
     Reason.UNREADABLE: "unreadable field",
+    Reason.UNCONFIRMED: "not yet confirmed by further readings",
 }

@@ -118,28 +118,42 @@ class SensorConfig(Section):
 
 
 class CleansingConfig(Section):
-    """The source's rule (hold the previous value), bounded so that it cannot latch for ever."""
+    """Which temperatures count: changes are bounded, and what is above the noise counts once readings agree."""
 
+    noise_degc: float = Field(
+        0.3, gt=0, description="a change up to this counts at once; a larger one when further readings agree"
+    )
     max_change_degc: float = Field(
         1.0, gt=0, description="a larger change from the last accepted value within one cycle is rejected"
     )
     max_rate_degc_per_min: float = Field(
         6.0, gt=0, description="after a gap the allowed change grows by this much per minute of it"
     )
-    release_after_samples: int = Field(
-        3, ge=2, description="a rejected level is believed after so many samples that agree with each other"
+    max_gap_change_degc: float = Field(
+        5.0, gt=0, description="the largest change that is allowed after a gap, however long it was"
     )
-    agree_within_degc: float = Field(0.5, gt=0, description="what 'agree' means for a release")
+    release_after_samples: int = Field(
+        3,
+        ge=2,
+        description="a first value, a value after a gap and a rejected level count after so many samples that agree",
+    )
+    far_level_after_samples: int = Field(
+        9, ge=2, description="the same for a level farther from the last accepted value than a gap explains"
+    )
+    agree_within_degc: float = Field(0.5, gt=0, description="what 'agree' means")
     min_degc: float = Field(-20.0, description="lower values are impossible here")
     max_degc: float = Field(100.0, description="higher values are impossible here")
     stale_after_s: Seconds = Field(
-        60.0, description="a held value older than this is missing, so that nobody lives on memories"
+        60.0, description="a held value older than this is missing, and the sensor begins anew when it comes back"
     )
 
     @model_validator(mode="after")
     def _ordered(self) -> "CleansingConfig":
         if self.min_degc >= self.max_degc:
             raise KeyProblems([(("min_degc",), "min_degc must be below max_degc")])
+        if self.far_level_after_samples < self.release_after_samples:
+            sentence = f"must not be below release_after_samples ({self.release_after_samples})"
+            raise KeyProblems([(("far_level_after_samples",), sentence)])
         return self
 
 

@@ -8,10 +8,13 @@ import numpy as np
 
 from daemon.history import HistoryError, HistoryReader
 from drivers.clock import Clock
+from models.quality import Quality
 from models.records import FloatArray
 
 WINDOW_S = 600.0
 """So much is read at once; an hour of all sensors would leave the daemon 20 MiB larger."""
+RECALL_S = 600.0
+"""A restart holds its first temperatures against what was accepted so shortly before [s]."""
 LEAD_S = 120.0
 """Read a little earlier, so that a value that is held at the window's begin is known [s]."""
 
@@ -40,6 +43,22 @@ class Past:
                 yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
                 begin_s = end_s
         _give_memory_back()
+
+    def last_accepted(self) -> tuple[FloatArray, FloatArray]:
+        """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is."""
+        degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
+        now = self._clock.now()
+        try:
+            reader = HistoryReader(self._store)
+        except HistoryError:
+            return degc, at_s
+        with reader:
+            found = reader.temperatures(self._sensor_ids, now.utc_s - RECALL_S, now.utc_s)
+        good = found.quality == Quality.GOOD
+        for column in np.flatnonzero(good.any(axis=0)):
+            row = np.flatnonzero(good[:, column])[-1]
+            degc[column], at_s[column] = found.degc[row, column], found.time_s[row] - now.utc_s + now.monotonic_s
+        return degc, at_s
 
     def _window(
         self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float, to_utc_s: float

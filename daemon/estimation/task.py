@@ -106,6 +106,7 @@ class ThermalTask:
 
     async def run(self) -> None:
         """Serve the inbox for ever."""
+        await self.recall()
         if self._online is not None:
             await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
         while True:
@@ -116,6 +117,12 @@ class ThermalTask:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
             self._on_change()
+
+    async def recall(self) -> None:
+        """Hold the first temperatures against those that the previous run accepted last."""
+        past = Past(self._history.path, self._sensor_ids, self._clock)
+        degc, at_s = await asyncio.to_thread(past.last_accepted)
+        self._state = initial_state(len(degc), degc, at_s)
 
     async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):

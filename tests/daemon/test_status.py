@@ -44,17 +44,18 @@ async def test_everything_at_once(board):
     await rig.active()
     await rig.follow(2.0, -3.0, 10)
     now = rig.clock.now()
-    await thermal._take(
-        TemperatureCycle(
-            line="spindle",
-            number=1,
-            degc=np.array([20.0, np.nan, 21.0]),
-            quality=np.array([Quality.GOOD, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
-            reason=np.array([Reason.NONE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8),
-            complete=False,
-            trace=Trace(first_byte=now, last_byte=now),
+    for number in (1, 2, 3):
+        await thermal._take(
+            TemperatureCycle(
+                line="spindle",
+                number=number,
+                degc=np.array([20.0, np.nan, 21.0]),
+                quality=np.array([Quality.GOOD, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
+                reason=np.array([Reason.NONE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8),
+                complete=False,
+                trace=Trace(first_byte=now, last_byte=now),
+            )
         )
-    )
     rig.snapshots.thermal = thermal_snapshot(thermal)
     rig.snapshots.links = (rig.link.health.snapshot(),)
     rig.snapshots.history = HistorySnapshot(acknowledged={"spindle": 1})
@@ -66,7 +67,7 @@ async def test_everything_at_once(board):
     assert picture["reference"]["id"] == "r1" and picture["reference"]["age_s"] > 0
     assert picture["temperatures"]["usable"] == 2
     assert picture["temperatures"]["not_good"]["2"] == "not received"
-    assert picture["cycles"] == {"received": 1, "incomplete": 1}
+    assert picture["cycles"] == {"received": 3, "incomplete": 3}
     assert picture["writes"]["sent"] == picture["writes"]["verified"]
     assert picture["cnc"]["identity"] == "urn:toolpoint:simulated-cnc"
     assert picture["latency_s"]["feedback"]["samples"] > 0

@@ -38,7 +38,7 @@ MODEL_UM_PER_K = 0.1
 """Sensitivity of the experiment's model to the moved sensor: 4 um from pack to pack, some of the machine's size."""
 POLL_REAL_S = {"temperature": 0.5, "compensation": 0.05}
 """Between two polls of the CNC in wall time [s]: as on a real machine; compensation has to see the guard in time."""
-BELIEVE_ALL = {"max_change_degc": 1000.0, "max_rate_degc_per_min": 1000.0}
+BELIEVE_ALL = {"noise_degc": 1000.0, "max_change_degc": 1000.0, "max_gap_change_degc": 1000.0}
 """Cleansing rules that hold no step back."""
 
 
