@@ -14,6 +14,8 @@ from config.loader import parse_yaml_model
 from config.machines import machine_names, shipped_file
 from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import drivers_of
 from config.schema.temperatures import LineConfig
 from daemon.cli import main
 
@@ -21,11 +23,13 @@ NOT_IN_USE = re.compile(r"^(\s*)#(?! \S)(?=\s*\S)", re.MULTILINE)
 
 
 def everything_in_use() -> str:
-    """Return the sample with all keys in use, blocks inside blocks too."""
+    """Return the sample with all keys in use, blocks inside blocks too; one driver, as they exclude each other."""
     text = sample_configuration().split("\n\n", 1)[1]
     before = ""
     while before != text:
         before, text = text, NOT_IN_USE.sub(r"\1", text)
+    for driver in drivers_of(CncConfig)[1:]:
+        text = re.sub(rf"^  {driver}:\n(?:    .*\n)*", "", text, flags=re.MULTILINE)
     return text.replace("profile: bare", "profile: custom")
 
 
