@@ -29,8 +29,10 @@ class HandClock(ScaledClock):
     def __init__(self) -> None:
         super().__init__(epoch_real_s=0.0, epoch_utc_s=1.7e9, speed=1.0)
         self.elapsed_s = 0.0
+        self.looks = 0
 
     def now(self) -> Instant:
+        self.looks += 1
         return Instant(monotonic_s=self.elapsed_s, utc_s=self.epoch_utc_s + self.elapsed_s, real_s=time.monotonic())
 
 
@@ -149,7 +151,9 @@ async def test_one_report_a_period_that_misses_no_peak_of_a_cut(tmp_path: Path) 
         async with asyncio.timeout(30):
             while running.machine.time_s < time_s:
                 await asyncio.sleep(0.005)
-            await asyncio.sleep(0.03)
+            looks = running.clock.looks
+            while running.clock.looks < looks + 10:  # what is to be reported of that time has been
+                await asyncio.sleep(0.005)
     assert [report["time_s"] for report in running.reports] == [0.0, 6.0, 21.0, 25.0]
     assert running.reports[-2]["truth"]["Z"] == {
         "uncompensated_um": 2.0,

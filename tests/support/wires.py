@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pace import bearable
 
 from config.schema import Configuration
 from daemon.cli.simulate.demo import demo_machine
@@ -21,7 +22,7 @@ from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_con
 from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)
-FOREVER_S = 45.0
+FOREVER_S = 300.0
 FIRST_REFERENCE_S = 150.0
 """Simulated time of the first work positioning [s]."""
 
@@ -62,7 +63,11 @@ class Wires:
     def wait_until(self, time_s: float) -> None:
         """Return when the simulated time is reached."""
         self.running.check_alive()
-        time.sleep(max(0.0, (time_s - self.running.time_s) / self.running.speed))
+        self.let_pass(time_s - self.running.time_s)
+
+    def let_pass(self, seconds: float) -> None:
+        """Return after so much simulated time."""
+        time.sleep(max(0.0, seconds / self.running.speed))
 
     def switch_on(self) -> dict[str, Any]:
         """Enable every axis with a model; return the status when the output is ACTIVE."""
@@ -122,7 +127,11 @@ def on_wires(
     change: Callable[[dict[str, Any]], None] = lambda content: None,
     arguments: Sequence[str] = (),
 ) -> Iterator[Wires]:
-    """Start simulated machine and daemon; `change` may change the configuration, `faults` is a script."""
+    """Start simulated machine and daemon; `change` may change the configuration, `faults` is a script.
+
+    On a computer that is busy with other things the simulation is as much slower as it must be.
+    """
+    speed = bearable(speed)
     content = demo_machine()
     path, _ = write_rehearsal_configuration(content, directory, speed=speed, http=False)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))

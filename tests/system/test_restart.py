@@ -1,7 +1,6 @@
 """The daemon is killed in the middle and comes back."""
 
 import random
-import time
 
 import pytest
 from wires import FIRST_REFERENCE_S, check_audit, on_wires
@@ -23,7 +22,7 @@ def test_killed_at_any_moment_it_loses_nothing_and_goes_on(tmp_path):
         reference = status["reference"]["id"]
         wires.wait_until(FIRST_REFERENCE_S + 90.0)
         for _ in range(3):
-            time.sleep(moments.uniform(0.05, 0.6))
+            wires.let_pass(moments.uniform(3.0, 36.0))
             acknowledged = wires.status()["history"]["acknowledged"]
             wires.kill_daemon()
             with HistoryReader(wires.configuration.history.path) as reader:
