@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pace import bearable
 
 from config.records.commissioning import load_commissioning
 from daemon.cli.simulate.demo import demo_machine
@@ -17,8 +18,7 @@ from daemon.monitor.control_socket import ControlClient
 from daemon.simulation.processes import write_rehearsal_configuration
 
 TOOLPOINT = [sys.executable, "-P", "-m", "daemon.cli"]
-SPEED = 30.0
-PATIENCE_S = 90.0
+PATIENCE_S = 600.0
 READINGS = ["--reading", "x=0,5,0.1", "--reading", "y=0.3,5.2,0.3", "--reading", "z=-0.1,4.8,0"]
 
 AXES = ["--axis", "x", "--axis", "y", "--axis", "z"]
@@ -28,12 +28,13 @@ class Standing:
     """A simulated machine that stands at a safe point, in a process of its own."""
 
     def __init__(self, directory: Path) -> None:
+        speed = bearable(30.0)
         self.directory = directory
         self.record = directory / "record.json"
         self.config, self.configuration = write_rehearsal_configuration(
-            self._machine(), directory, speed=SPEED, http=False, secure=True
+            self._machine(), directory, speed=speed, http=False, secure=True
         )
-        self.clock = f"{time.monotonic()!r}:{time.time()!r}:{SPEED!r}"
+        self.clock = f"{time.monotonic()!r}:{time.time()!r}:{speed!r}"
 
     def _machine(self) -> dict[str, Any]:
         content = demo_machine()
