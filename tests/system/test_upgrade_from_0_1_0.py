@@ -29,7 +29,8 @@ from daemon.history.layout import MachineLayout
 from daemon.history.reader import TABLES
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.file_access import own_account
-from daemon.model_release.loading import load_released, load_released_bearings, read_model
+from daemon.model_release.bearing_loading import load_released_bearings
+from daemon.model_release.loading import load_released, read_model
 from models.records import Instant, Reference
 from models.thermal.model import ThermalModel
 from models.thermomechanics.artifact import model_from_json
