@@ -17,8 +17,9 @@ from control_rig import EPOCH_S, SENSOR_IDS, HandClock, Rig, running
 from memory_cnc import MemoryNc
 from whole_loop import WholeLoop
 
-from config.loader import load_configuration
+from config.loader import load_configuration, load_with_warnings
 from config.records.commissioning import commissioning_obstacle, load_commissioning, macro_map_digest
+from config.renamed import RENAMED
 from config.schema import Configuration
 from daemon.cli import main
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -28,8 +29,8 @@ from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import TABLES
 from daemon.history.writer import HistoryWriter
-from daemon.model_release.file_access import own_account
 from daemon.model_release.bearing_loading import load_released_bearings
+from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released, read_model
 from models.records import Instant, Reference
 from models.thermal.model import ThermalModel
@@ -39,8 +40,6 @@ OLD = Path(__file__).parents[1] / "fixtures/version_0_1_0"
 EVER = (0.0, 1e11)
 PLACES = {"/var/lib/toolpoint-models": "models", "/var/lib/toolpoint": "state", "/etc/toolpoint": "etc"}
 """Folders of the old installation, and where they lie here."""
-RENAMED: dict[str, str] = {}
-"""Configuration keys whose name is another one since."""
 STORES = ("store", "store_fault")
 
 
@@ -157,6 +156,11 @@ def spindle_names(content: Any) -> Any:
         if "spindles" in content:
             content["spindles"] = {axis: Path(path).name for axis, path in content["spindles"].items()}
     return [spindle_names(each) for each in content] if isinstance(content, list) else content
+
+
+def test_a_key_with_a_new_name_is_told() -> None:
+    _, warnings = load_with_warnings(OLD / "config/toolpoint.yaml")
+    assert {warning.key for warning in warnings} == set(RENAMED), "the file holds every key of 0.1.0 that has one"
 
 
 def test_every_configuration_is_tried() -> None:
@@ -326,8 +330,8 @@ async def test_a_latched_fault_and_a_switch_survive(tmp_path: Path) -> None:
     async with running(rig):
         await rig.turn()
         assert rig.state == "FAULT" and rig.control.journal.fault == wanted["state"]["fault"]
-        picture = rig.control.side.speed.picture()
-        assert picture is not None and picture["switched_on"] is False
+        snapshot = rig.control.side.speed.snapshot()
+        assert snapshot is not None and snapshot.switched_on is False
 
 
 # --- models ----------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ STILL_TO_GO = {
     "blame",
     "doubt",
     "hinder",
-    "look_ahead_s",
     "objection",
     "obstacle",
     "permission",
@@ -24,7 +23,6 @@ STILL_TO_GO = {
     "second_look",
     "shelf",
     "wish",
-    "within_percent",
 }
 """Words of the second table that the program still has; this list may only get shorter."""
 
