@@ -1,8 +1,6 @@
 """Bad usage of the commands that start a simulated machine: refused in a sentence before anything starts."""
 
 import math
-import subprocess
-import sys
 
 import pytest
 from click.testing import CliRunner
@@ -16,15 +14,9 @@ from daemon.simulation.processes import RehearsalError
 
 def refused(*arguments):
     """Run a command that must refuse; return what it says."""
-    finished = subprocess.run(
-        [sys.executable, "-P", "-m", "daemon.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert finished.returncode == 2, (finished.stdout, finished.stderr)
-    assert "Traceback" not in finished.stderr and finished.stdout == ""
+    finished = CliRunner().invoke(main, [*map(str, arguments)])
+    assert finished.exit_code == 2 and isinstance(finished.exception, SystemExit), finished.output
+    assert finished.stdout == ""
     return finished.stderr
 
 

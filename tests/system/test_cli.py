@@ -7,8 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from click.testing import CliRunner
 from wires import on_wires
 
+from config.sample import sample_configuration
+from daemon.cli import main
 from daemon.history import HistoryReader
 
 pytestmark = pytest.mark.wires
@@ -95,9 +98,8 @@ def rows_of(config, path):
 
 @pytest.mark.parametrize("command", ["status", "enable", "disable", "reference", "acknowledge"])
 def test_without_a_daemon_every_command_says_so(tmp_path, command):
-    finished = toolpoint(command, "--socket", str(tmp_path / "nobody"))
-    assert finished.returncode == 1
-    assert "is it running" in finished.stderr and "Traceback" not in finished.stderr
+    finished = CliRunner().invoke(main, [command, "--socket", str(tmp_path / "nobody")])
+    assert finished.exit_code == 1 and "is it running" in finished.stderr
 
 
 @pytest.mark.parametrize(
@@ -111,10 +113,15 @@ def test_without_a_daemon_every_command_says_so(tmp_path, command):
     ],
 )
 def test_bad_usage_ends_with_2(arguments):
-    finished = toolpoint(*arguments)
-    assert finished.returncode == 2, (finished.stdout, finished.stderr)
-    assert finished.stderr and "Traceback" not in finished.stderr
-    assert finished.stdout == ""
+    finished = CliRunner().invoke(main, arguments)
+    assert finished.exit_code == 2 and isinstance(finished.exception, SystemExit)
+    assert finished.stderr and finished.stdout == ""
+
+
+def test_the_process_ends_with_that_status_too():
+    finished = toolpoint("demo", "--headles")
+    assert finished.returncode == 2 and finished.stdout == ""
+    assert "No such option" in finished.stderr and "Traceback" not in finished.stderr
 
 
 @pytest.mark.parametrize(
@@ -126,15 +133,15 @@ def test_bad_usage_ends_with_2(arguments):
     ],
 )
 def test_a_broken_configuration_names_file_line_column_and_key(tmp_path, change, words):
-    text = told("sample-config", config=None)
+    text = sample_configuration()
     assert change[0] in text
     path = tmp_path / "broken.yaml"
     path.write_text(text.replace(*change, 1), encoding="utf-8")
     line = text[: text.index(change[0])].count("\n") + 1
     for command in ("run", "check"):
-        finished = toolpoint(command, config=path)
-        assert finished.returncode == 2
-        assert str(path) in finished.stderr and "Traceback" not in finished.stderr
+        finished = CliRunner().invoke(main, [command, "--config", str(path)])
+        assert finished.exit_code == 2 and isinstance(finished.exception, SystemExit)
+        assert str(path) in finished.stderr
         if words:
             assert f"{path}:{line}:" in finished.stderr
         for word in words:
