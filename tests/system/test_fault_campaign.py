@@ -1,16 +1,17 @@
 """Half an hour of a fault campaign: machine and daemon in virtual time, killed, blinded, lied to."""
 
-import contextlib
 import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
+from click.testing import Result as ClickResult
 
+from daemon.cli import main
 from daemon.cli.simulate.demo import demo_machine
 from daemon.history import HistoryReader
 from daemon.simulation.faults import campaign
@@ -100,7 +101,6 @@ def test_a_part_with_requests_another_model_and_another_policy(tmp_path: Path) -
 
 
 MUTANT = """
-import sys
 from models.control import compensation
 from models.control.compensation import Condition
 from models.records import OutputState
@@ -208,19 +208,13 @@ def test_a_daemon_that_dies_by_itself_and_a_greedy_one_are_found(
     assert any("the daemon ended by itself" in text for text in failures(result))
 
 
-def toolpoint(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "daemon.cli", "faults", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+def toolpoint(*arguments: str) -> ClickResult:
+    return CliRunner().invoke(main, ["faults", *arguments])
 
 
 def test_the_command_prints_its_contract() -> None:
     done = toolpoint("--days", "0.01", "--seed", "2", "--json", "-")
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.stderr
     content = json.loads(done.stdout)
     assert content["days"] == pytest.approx(0.01, abs=0.001)
     assert content["acknowledged_cycles_lost"] == 0
@@ -232,14 +226,11 @@ def test_the_command_prints_its_contract() -> None:
     [
         (("--days", "0"), "0.01<=x<=366"),
         (("--days", "nan"), "finite"),
-        (("--seed", "-1"), "x>=0"),
+        (("--seed", "-1"), "0<=x<=2147483647"),
         (("--days", "0.01", "--directory", "/proc/none"), "cannot be used"),
     ],
 )
 def test_bad_usage_is_refused_in_a_sentence(arguments: tuple[str, ...], sentence: str) -> None:
     done = toolpoint(*arguments)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    with contextlib.suppress(ValueError):
-        sentence = sentence.replace("x>=0", "0<=x<=2147483647")
+    assert done.exit_code == 2 and isinstance(done.exception, SystemExit)
     assert sentence in done.stderr
