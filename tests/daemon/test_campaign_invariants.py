@@ -1,5 +1,8 @@
 """Each invariant of a fault campaign can fail: a trace that violates it is fed to its checker."""
 
+from functools import partial
+
+import campaign_claims
 import pytest
 
 from config.loader import load_configuration
@@ -9,26 +12,13 @@ from daemon.simulation.faults.invariants import Claims, Ledger, WriteWatch
 from daemon.simulation.processes import write_rehearsal_configuration
 
 A, X, Y, Z, VALID, ENABLE, B = 500, 501, 502, 503, 120, 504, 505
+claims = partial(campaign_claims.claims, wanted=(False, True, True))
 
 
 @pytest.fixture(scope="module")
 def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
     path, _ = write_rehearsal_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)
     return load_configuration(path)
-
-
-def claims(state: str = "ACTIVE", **changes: object) -> Claims:
-    content: dict[str, object] = {
-        "state": state,
-        "wanted": (False, True, True),
-        "reference": "r1",
-        "link": True,
-        "confidence": 1.0,
-        "in_domain": True,
-        "estimate_reference": "r1",
-        "reason": "",
-    }
-    return Claims(**(content | changes))  # type: ignore[arg-type]
 
 
 class Trace:

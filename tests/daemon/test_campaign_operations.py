@@ -1,12 +1,11 @@
 """What a campaign demands of requests, policies, models and heartbeat: a trace that violates it is found."""
 
-from typing import Any
-
 import pytest
+from campaign_claims import claims
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from daemon.simulation.faults.invariants import Claims, Ledger
+from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.operations_check import (
     ANSWERED_WITHIN_S,
     CALM_S,
@@ -21,21 +20,6 @@ from drivers.sim.nc.nc import NumericalControl
 
 MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
 CALM_FROM_S = 1000.0
-
-
-def claims(state: str = "ACTIVE", **changes: Any) -> Claims:
-    content: dict[str, Any] = {
-        "state": state,
-        "wanted": (True,),
-        "reference": "r1",
-        "link": True,
-        "confidence": 1.0,
-        "in_domain": True,
-        "estimate_reference": "r1",
-        "reason": "",
-        "model": "m1",
-    }
-    return Claims(**(content | changes))
 
 
 def request(time_s: float = CALM_FROM_S, kind: int = 2) -> Request:

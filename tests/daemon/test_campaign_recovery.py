@@ -3,25 +3,12 @@
 from typing import Any
 
 import pytest
+from campaign_claims import claims
 
-from daemon.simulation.faults.invariants import Claims, Ledger
+from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.recovery import WITHIN_S, GoodInput, RecoveryWatch, Truth, where_it_leads
 from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.faults import FaultKind
-
-
-def claims(state: str, **changes: Any) -> Claims:
-    content = {
-        "state": state,
-        "wanted": (True,),
-        "reference": "r1",
-        "link": True,
-        "confidence": 1.0,
-        "in_domain": True,
-        "estimate_reference": "r1",
-        "reason": "",
-    }
-    return Claims(**(content | changes))
 
 
 def truth(**changes: bool) -> Truth:

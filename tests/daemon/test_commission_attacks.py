@@ -266,26 +266,14 @@ async def test_the_block_stays_valid_while_a_person_takes_his_time(bench):
 
 
 async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench):
-    person = Person(bench)
+    person, cuts = Person(bench), []
 
     async def cut() -> None:
         await bench.relay.stop()
         await bench.clock.sleep(20.0)
         await bench.relay.start()
 
-    cuts = []
-
-    def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9 and not cuts:
-            cuts.append(asyncio.create_task(cut()))
-        return bench.moved_um()[axis]
-
-    async def slowly(question: str) -> float | None:
-        number = await Person.number(person, question)
-        await bench.clock.sleep(20.0 if cuts else 0.0)
-        return number
-
-    person.eyes, person.number = read, slowly
+    person.when_applied("z", lambda: cuts.append(asyncio.create_task(cut())), wait_s=20.0)
     with pytest.raises(LinkError):
         await bench.commission(person, axes=("z",))
     assert cuts and "Everything is back at zero" in person.text_said
@@ -295,13 +283,7 @@ async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 async def test_an_interrupt_takes_the_offset_back(bench, number):
     person = Person(bench)
-
-    def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9:
-            os.kill(os.getpid(), number)
-        return bench.moved_um()[axis]
-
-    person.eyes = read
+    person.when_applied("z", lambda: os.kill(os.getpid(), number))
     with pytest.raises(asyncio.CancelledError):
         await bench.commission(person, axes=("z",))
     assert "Stopped (interrupted)" in person.text_said and "Everything is back at zero" in person.text_said
@@ -314,17 +296,13 @@ async def test_a_second_interrupt_leaves_the_machine_and_says_so(bench):
     bench.reset(program=STOPPED)
     person = Obedient(bench)
     person.until_um = 4.9
-
-    def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9:
-            os.kill(os.getpid(), signal.SIGINT)
-        return bench.moved_um()[axis]
+    person.when_applied("z", lambda: os.kill(os.getpid(), signal.SIGINT))
 
     def impatient(text: str) -> None:
         if "Call the guard" in text and "zero" in text:
             os.kill(os.getpid(), signal.SIGINT)
 
-    person.eyes, person.on_say = read, impatient
+    person.on_say = impatient
     with pytest.raises(asyncio.CancelledError):
         await bench.commission(person, axes=("z",))
     assert "broke off: interrupted" in person.text_said and "LEFT BEHIND: the guard applies 5.00 um" in person.text_said
@@ -338,18 +316,7 @@ async def test_a_second_interrupt_leaves_the_machine_and_says_so(bench):
 async def test_a_second_writer_ends_everything_without_another_write(bench):
     person = Person(bench)
     number = bench.configuration().cnc.macros.values["z"]
-
-    def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9:
-            bench.machine.nc.macros.set(number, 0.025)
-        return bench.moved_um()[axis]
-
-    async def slowly(question: str) -> float | None:
-        answer = await Person.number(person, question)
-        await bench.clock.sleep(8.0)
-        return answer
-
-    person.eyes, person.number = read, slowly
+    person.when_applied("z", lambda: bench.machine.nc.macros.set(number, 0.025), wait_s=8.0)
     with pytest.raises(ForeignWriterError, match=f"#{number}"):
         await bench.commission(person, axes=("z",))
     assert "nothing more is written" in person.text_said and "LEFT BEHIND" in person.text_said
@@ -365,19 +332,7 @@ async def test_a_second_writer_ends_everything_without_another_write(bench):
 )
 async def test_what_happens_at_the_control_in_the_middle_takes_the_offset_back(bench, happens, words):
     person = Person(bench)
-    happened = []
-
-    def read(axis: str) -> float:
-        if bench.machine.guard.applied_um["z"] > 4.9 and not happened:
-            happened.append(happens(bench.machine))
-        return bench.moved_um()[axis]
-
-    async def slowly(question: str) -> float | None:
-        answer = await Person.number(person, question)
-        await bench.clock.sleep(8.0)
-        return answer
-
-    person.eyes, person.number = read, slowly
+    person.when_applied("z", lambda: happens(bench.machine), wait_s=8.0)
     assert words in await refused(bench, person, axes=("z",))
     assert "Everything is back at zero" in person.text_said
     assert bench.at_rest()

@@ -73,6 +73,21 @@ class Person:
     async def text(self, question: str) -> str:
         return "somebody"
 
+    def when_applied(
+        self, axis: str, happens: Callable[[], object], *, wait_s: float = 0.0, above_um: float = 4.9
+    ) -> None:
+        """Let something happen once, when the instrument is read with the offset applied; answer so much later."""
+        happened: list[object] = []
+
+        async def number(question: str) -> float | None:
+            if self.bench.machine.guard.applied_um[axis] > above_um and not happened:
+                happened.append(happens())
+            answer = await Person.number(self, question)
+            await self.bench.clock.sleep(wait_s if happened else 0.0)
+            return answer
+
+        self.number = number  # type: ignore[method-assign]
+
 
 class PresentNc:
     """The NC of the machine that stands on the bench now, for a server that outlives machines."""
