@@ -8,7 +8,7 @@ import numpy as np
 from models.dynamics.beam import ComplexArray
 from models.dynamics.chain import Chain, chain_span
 from models.dynamics.modes import dense_stiffness
-from models.dynamics.response_fit import Identified, levenberg_marquardt, nelder_mead, report
+from models.dynamics.response_fit import Identified, least_squares_fit, nelder_mead, report
 from models.records import FloatArray
 
 CONTACT = ("kt", "ct", "kr", "cr")
@@ -110,5 +110,5 @@ def identify_contact(
     if method == "nelder-mead":
         found = nelder_mead(lambda values: model(values)[0], measured, free, begin)
     else:
-        found = levenberg_marquardt(model, measured, free, begin, INITIAL)
+        found = least_squares_fit(model, measured, free, begin, INITIAL)
     return report(model, measured, {**begin, **found.values}, free, found.evaluations)

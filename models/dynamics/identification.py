@@ -1,7 +1,7 @@
 """Bearing properties from a measured response at the nose (sections 4.2.2 and 5.2.3 of the source).
 
-The default method is Levenberg and Marquardt's on ``log(H / H_meas)``, with exact derivatives: it finds in about
-ten evaluations what Nelder and Mead's simplex on the source's own cost (4-36) finds in hundreds.
+The default method is least squares of ``log(H / H_meas)`` with exact derivatives: it finds in about ten
+evaluations what Nelder and Mead's simplex on the source's own cost (4-36) finds in hundreds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,16 +13,12 @@ from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
 from models.dynamics.plausibility import level_m_per_n
 from models.dynamics.response_fit import (
-    MOST_ITERATIONS,
     SEARCH_RANGE,
+    Descent,
     Identified,
-    MacroValues,
-    Model,
     Response,
-    descend,
     evenly_spread,
-    good_fit,
-    levenberg_marquardt,
+    least_squares_fit,
     nelder_mead,
     report,
 )
@@ -101,11 +97,11 @@ def identify_bearings(
         """Return the nose's response [m/N] for fitted parameters beside the kept ones."""
         return shaft.nose_receptance(properties_from_parameters({**begin, **values}))
 
-    two_stages = parameters == 12 and {"12", "34"} <= set(shaft.groups)
     if method == "nelder-mead":
+        two_stages = parameters == 12 and {"12", "34"} <= set(shaft.groups)
         found = _simplex(response, measured, free, begin, two_stages)
     else:
-        found = _least_squares(model, response, measured, free, begin, two_stages)
+        found = least_squares_fit(model, measured, free, begin, INITIAL)
     values = {name: {**begin, **found.values}[name] for name in present}
     return report(model, measured, values, free, found.evaluations)
 
@@ -132,7 +128,7 @@ def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
 
 def _simplex(
     response: Response, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float], two_stages: bool
-) -> MacroValues:
+) -> Descent:
     """Return the minimum of the source's cost, for twelve parameters in the source's two stages."""
     evaluations = 0
     if two_stages:
@@ -140,59 +136,10 @@ def _simplex(
         first = nelder_mead(lambda values: response(_untied(values)), measured, few, begin)
         begin, evaluations = {**begin, **_untied(first.values)}, first.evaluations
     found = nelder_mead(response, measured, free, begin)
-    return MacroValues(found.values, found.log_error, found.evaluations + evaluations)
-
-
-def _least_squares(
-    model: Model,
-    response: Response,
-    measured: ComplexArray,
-    free: Sequence[str],
-    begin: Mapping[str, float],
-    two_stages: bool,
-) -> MacroValues:
-    """Return the best fit of the logarithm.
-
-    Twelve parameters that the told start does not lead to are looked for in the source's two stages, then by a
-    simplex from the best found so far, whose end is refined.
-    """
-    if not two_stages:
-        return levenberg_marquardt(model, measured, free, begin, INITIAL)
-    tries, good = [descend(model, measured, free, begin, MOST_ITERATIONS)], good_fit(measured)
-    if tries[-1].log_error >= good:
-        few = [name for name in free if not name.endswith("_34")]
-        first = levenberg_marquardt(_tied(model), measured, few, begin, INITIAL)
-        tries.append(first)
-        tries.append(descend(model, measured, free, {**begin, **_untied(first.values)}, MOST_ITERATIONS))
-    if (best := _best(tries, free)).log_error >= good:
-        tries.append(levenberg_marquardt(model, measured, free, {**begin, **best.values}, INITIAL))
-    if (best := _best(tries, free)).log_error >= good:
-        tries.append(nelder_mead(response, measured, free, {**begin, **best.values}))
-        tries.append(descend(model, measured, free, {**begin, **tries[-1].values}, MOST_ITERATIONS))
-    best = _best(tries, free)
-    return MacroValues(best.values, best.log_error, sum(each.evaluations for each in tries))
-
-
-def _best(tries: Sequence[MacroValues], free: Sequence[str]) -> MacroValues:
-    return min((each for each in tries if set(free) <= set(each.values)), key=lambda each: each.log_error)
+    return Descent(found.values, found.log_error, found.evaluations + evaluations)
 
 
 def _untied(values: Mapping[str, float]) -> dict[str, float]:
     """Return values in which the rear pair of front bearings has the properties of the front pair."""
     copied = {name.replace("_12", "_34"): value for name, value in values.items() if name.endswith("_12")}
     return {**values, **copied}
-
-
-def _tied(model: Model) -> Model:
-    """Return the model in which all front bearings are equal."""
-
-    def tied(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
-        """Return response and slopes with parameters that share one value moved together."""
-        computed, slopes = model(_untied(values))
-        summed = {
-            name: slope + slopes[name.replace("_12", "_34")] if name.endswith("_12") else slope
-            for name, slope in slopes.items()
-        }
-        return computed, summed
-
-    return tied

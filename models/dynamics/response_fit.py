@@ -1,7 +1,8 @@
 """Fits parameters of a model to a measured frequency response, and says which of them the data see.
 
-Levenberg and Marquardt's method on ``log(H / H_meas)`` with exact derivatives, or Nelder and Mead's simplex on the
-source's cost (4-36). Both vary the logarithms of the parameters, so that no property becomes negative.
+Least squares of ``log(H / H_meas)`` with exact derivatives in a trust region (SciPy's descendant of Levenberg and
+Marquardt's method), or Nelder and Mead's simplex on the source's cost (4-36). Both vary the logarithms of the
+parameters, so that no property becomes negative.
 A parameter's kind is what its name begins with: kt, ct, kr or cr.
 """
 
@@ -17,63 +18,29 @@ from models.records import FloatArray
 
 BOUNDS = {"kt": (1e-6, 1e13), "ct": (1e-12, 1e9), "kr": (1e-6, 1e11), "cr": (1e-15, 1e7)}
 """Range in which each kind of parameter is looked for [N/m, N s/m, N m/rad, N m s/rad]."""
-
-
 PLAUSIBLE = {"kt": 1e10, "ct": 1e7, "kr": 1e9, "cr": 1e6}
 """Values above these are no bearing's: the data do not bound the parameter, or the model is another machine's."""
-
-
 ASSUMED_ERROR = 0.01
 """Relative error of an FRF that is assumed where the fit itself is better."""
-
-
 IDENTIFIABLE = 0.5
 """A parameter is identifiable when an error of that size, the same way at all frequencies, moves its
 logarithm by less than this."""
-
-
 GOOD_FIT = 0.03
 """Root mean square of the log ratio below which no other start is tried, where the noise is not larger."""
-
-
 NOISE_MARGIN = 1.2
 """A fit that is this many times as bad as the noise is taken for good, too."""
-
-
 LARGEST_NOISE = 0.15
 """Scatter that is taken for noise at most."""
-
-
 RAYLEIGH_MEDIAN = 1.1774
 """Median of the size of a complex number whose parts scatter by 1."""
-
-
-MOST_ITERATIONS = 200
-
-
-SEARCH_ITERATIONS = 60
-"""Iterations from a start that was only tried; one that leads somewhere needs fewer."""
-
-
+MOST_EVALUATIONS = 200
+"""Of the response, from one start."""
 SEARCH_POINTS = 128
 """Points of parameter space at which the fit is looked at, to find further starts."""
-
-
 SEARCH_STARTS = 8
-"""How many of them a descent begins at; a third of it where there are many parameters."""
-
-
-MANY = 7
-
-
+"""How many of them a descent begins at."""
 SEARCH_RANGE = {"kt": (1e6, 1e9), "ct": (3.0, 1e5), "kr": (3e3, 3e7), "cr": (1e-2, 1e3)}
 """Where further starts are looked for, by kind of parameter, in SI units."""
-
-
-LARGEST_STEP = 2.0
-"""Largest change of a parameter's logarithm in one step."""
-
-
 NELDER_MEAD_EVALUATIONS = 1600
 
 
@@ -132,7 +99,7 @@ def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class MacroValues:
+class Descent:
     """Where a search ended."""
 
     values: dict[str, float]
@@ -140,13 +107,13 @@ class MacroValues:
     evaluations: int
 
 
-def levenberg_marquardt(
+def least_squares_fit(
     model: Model,
     measured: ComplexArray,
     free: Sequence[str],
     begin: Mapping[str, float],
     table: Mapping[str, float] | None = None,
-) -> MacroValues:
+) -> Descent:
     """Return the parameters that minimise the squares of log(H / H_meas), varied by their logarithms.
 
     When the told start ends in a poor fit, another one (`table`) and the best of `SEARCH_POINTS`
@@ -166,22 +133,18 @@ def levenberg_marquardt(
         Another start to try, by name.
 
     """
-    best, good = descend(model, measured, free, begin, MOST_ITERATIONS), good_fit(measured)
-    evaluations = best.evaluations
-    if best.log_error >= good:
-        looked, starts = _starts(model, measured, free, {**begin, **(table or {})})
-        evaluations += looked
-        for start in starts:
-            found = descend(model, measured, free, start, SEARCH_ITERATIONS)
-            evaluations += found.evaluations
-            best = found if found.log_error < best.log_error else best
-            if best.log_error < good:
-                break
-        if best.log_error >= good:
-            last = descend(model, measured, free, best.values, MOST_ITERATIONS)
-            evaluations += last.evaluations
-            best = last if last.log_error < best.log_error else best
-    return MacroValues(best.values, best.log_error, evaluations)
+    best, good = descend(model, measured, free, begin, MOST_EVALUATIONS), good_fit(measured)
+    if best.log_error < good:
+        return best
+    evaluations, starts = _starts(model, measured, free, {**begin, **(table or {})})
+    evaluations += best.evaluations
+    for start in starts:
+        found = descend(model, measured, free, start, MOST_EVALUATIONS)
+        evaluations += found.evaluations
+        best = found if found.log_error < best.log_error else best
+        if best.log_error < good:
+            break
+    return Descent(best.values, best.log_error, evaluations)
 
 
 def _starts(
@@ -194,7 +157,7 @@ def _starts(
     for point in points:
         residual, _ = _residual(model, measured, free, point)
         fits.append(float(np.mean(np.abs(residual))))
-    order = np.argsort(fits, kind="stable")[: SEARCH_STARTS if len(free) <= MANY else SEARCH_STARTS // 3]
+    order = np.argsort(fits, kind="stable")[:SEARCH_STARTS]
     told = {name: begin[name] for name in free}
     return len(points), [told, *(dict(zip(free, np.exp(points[k]).tolist(), strict=True)) for k in order)]
 
@@ -217,9 +180,9 @@ def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
 
 
 def descend(
-    model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], iterations: int
-) -> MacroValues:
-    """Return where Levenberg and Marquardt's method ends from one start (see `levenberg_marquardt`).
+    model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], most: int
+) -> Descent:
+    """Return where the method ends from one start (see `least_squares_fit`).
 
     Parameters
     ----------
@@ -231,37 +194,30 @@ def descend(
         Names of the parameters to vary.
     start
         Where to begin, by name.
-    iterations
-        At most so many.
+    most
+        The response is computed at most so often.
 
     """
+    from scipy.optimize import least_squares
+
     low, high = _limits(free)
-    at = np.clip(np.log([max(start[name], 1e-300) for name in free]), low, high)
-    residual, jacobian = _residual(model, measured, free, at)
-    cost, damping, evaluations = float(residual @ residual), 1e-2, 1
-    for _ in range(iterations):
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        scale = np.diag(normal) + 1e-12 * np.trace(normal)
-        if not (np.trace(normal) > 1e-200 and np.isfinite(normal).all() and np.isfinite(gradient).all()):
-            break  # Nothing depends on the parameters, or nothing can be said about them.
-        step = -np.linalg.solve(normal + damping * np.diag(scale), gradient)
-        step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        tried = np.clip(at + step, low, high)
-        new_residual, new_jacobian = _residual(model, measured, free, tried)
-        evaluations += 1
-        new_cost = float(new_residual @ new_residual)
-        if not new_cost < cost:
-            damping *= 8.0
-            if damping > 1e12:
-                break
-            continue
-        settled = cost - new_cost <= 1e-10 * cost or new_cost < 1e-22 * len(residual)
-        at, residual, jacobian, cost = tried, new_residual, new_jacobian, new_cost
-        damping = max(damping / 6.0, 1e-14)
-        if settled:
-            break
-    values = dict(zip(free, np.exp(at).tolist(), strict=True))
-    return MacroValues(values, float(np.sqrt(cost / len(measured))), evaluations)
+    at = np.clip(np.log([max(start[name], 1e-300) for name in free]), low + 1e-9, high - 1e-9)
+    seen: list[tuple[FloatArray, npt.NDArray[np.float64]]] = []
+
+    def residual(log_values: FloatArray) -> FloatArray:
+        """Return the residual, and keep the derivative, which costs nothing beside it."""
+        seen[:] = [_residual(model, measured, free, log_values)]
+        return seen[0][0]
+
+    try:
+        done = least_squares(
+            residual, at, jac=lambda _: seen[0][1], bounds=(low, high), x_scale="jac", max_nfev=most,
+            ftol=1e-10, xtol=1e-10, gtol=1e-15,
+        )  # fmt: skip
+    except ValueError:  # no finite response, or no finite derivative
+        return Descent(dict(zip(free, np.exp(at).tolist(), strict=True)), np.inf, 1)
+    values = dict(zip(free, np.exp(done.x).tolist(), strict=True))
+    return Descent(values, float(np.sqrt(2.0 * done.cost / len(measured))), int(done.nfev))
 
 
 def _residual(
@@ -280,7 +236,7 @@ def nelder_mead(
     measured: ComplexArray,
     free: Sequence[str],
     begin: Mapping[str, float],
-) -> MacroValues:
+) -> Descent:
     """Return the minimum of 4-36 by the simplex method, run twice, the second time from where the first ended."""
     from scipy.optimize import minimize
 
@@ -302,7 +258,7 @@ def nelder_mead(
             break
     values = dict(zip(free, np.exp(at).tolist(), strict=True))
     ratio = np.log(response(values) / measured)
-    return MacroValues(values, float(np.sqrt(np.mean(np.abs(ratio) ** 2))), evaluations)
+    return Descent(values, float(np.sqrt(np.mean(np.abs(ratio) ** 2))), evaluations)
 
 
 def report(
