@@ -19,7 +19,7 @@ _BITS = 15
 """Float form: the 64 bits as they are, because no number of decimals was exact."""
 _MASKED = 0x80
 """Flag of the float form: a bit per row follows that says where NaN stands."""
-_STRATEGIES = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED, zlib.Z_HUFFMAN_ONLY, zlib.Z_RLE)
+_STRATEGIES = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_RLE)
 
 
 def deflate(data: bytes) -> bytes:

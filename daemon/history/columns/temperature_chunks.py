@@ -29,7 +29,7 @@ from daemon.history.columns.kinds import CYCLES
 FORMAT = 1
 GROUP = 16
 """Sensors per group: fewer make each sensor's share of a group's overhead larger, more make reading one slower."""
-BLOCKS = (0, 12, 36)
+BLOCKS = (0, 12)
 """Lengths of the blocks that are tried; 0 codes differences to the previous value."""
 MISSING = -32768
 CountArray = npt.NDArray[np.int16]
