@@ -1,10 +1,10 @@
-"""What spindle dynamics cost: condensing, a nose response, identification, the tool point; beside ROSS and 4-35.
+"""What spindle dynamics cost: condensing, a nose response, identification, the tool point; beside 4-35.
 
-    python tests/benchmarks/bench_dynamics.py [--repeat 200] [--without-ross]
+    python tests/benchmarks/bench_dynamics.py [--repeat 200]
 
 One thread. All are computed for the same spindle: the shaft of the source with rotor and sleeve on five bearings of
 twelve parameters, at 2817 frequencies. `literal` is 4-35 as printed: the receptance matrix of shaft and bearings,
-inverted twice. ROSS solves finite elements of 5 mm at a few frequencies; its time is scaled to 2817.
+inverted twice.
 """
 
 import argparse
@@ -29,7 +29,6 @@ from models.dynamics.modes import dense_stiffness, natural_frequencies
 from models.records import FloatArray
 
 TRUE = {"ct_12": 2.5e3, "kr_12": 4e6, "kt_34": 1.2e8, "kt_5": 5e7, "ct_5": 3e3}
-ROSS_FREQUENCIES = 20
 
 
 def told(name: str) -> SpindleDescription:
@@ -73,50 +72,10 @@ def literal(chain: Chain, frequency_hz: FloatArray) -> Callable[[], np.ndarray]:
     return double_inverse
 
 
-def ross_response(spindle: SpindleDescription) -> Callable[[], np.ndarray]:
-    """Return the nose response of the steel unit by ROSS at a few frequencies."""
-    import ross
-
-    material = ross.Material(name="steel", rho=7850, E=200e9, G_s=76.9e9)
-    elements, borders, node = [], [0.0], 0
-    for segment in spindle.segments:
-        count = int(np.ceil(segment.length_mm / 5.0 - 1e-9))
-        for _ in range(count):
-            tubes = [(segment.inner_mm, segment.outer_mm)]
-            if segment.ring:
-                tubes.append((segment.outer_mm, segment.ring.outer_mm))
-            for inner, outer in tubes:
-                elements.append(
-                    ross.ShaftElement(
-                        segment.length_mm / count / 1e3, inner / 1e3, outer / 1e3, material=material, n=node,
-                        gyroscopic=False,
-                    )
-                )  # fmt: skip
-            node += 1
-            borders.append(borders[-1] + segment.length_mm / count)
-    bearings = [
-        ross.BearingElement(int(np.argmin(np.abs(np.array(borders) - b.position_mm))), b.kt_n_per_m, b.ct_ns_per_m)
-        for b in spindle.bearings or ()
-    ]
-    rotor = ross.Rotor(elements, bearing_elements=bearings)
-    at = 2 * np.pi * np.linspace(300.0, 2500.0, ROSS_FREQUENCIES)
-    matrices = rotor.K(0), rotor.C(0), rotor.M(0)
-
-    def solve() -> np.ndarray:
-        force = np.zeros(len(matrices[0]))
-        force[0] = 1.0
-        each = [np.linalg.solve(matrices[0] + 1j * w * matrices[1] - w**2 * matrices[2], force)[0] for w in at]
-        return np.array(each)
-
-    return solve
-
-
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--repeat", type=int, default=200)
-    arguments.add_argument("--without-ross", action="store_true")
-    told_options = arguments.parse_args()
-    repeat = told_options.repeat
+    repeat = arguments.parse_args().repeat
     band = frequencies(300.0, 2500.0, None, None)
     spindle = build_spindle(told("unit_model_5_y"), spindle_folder() / "unit_model_5_y.yaml", "correct")
     stated = properties(spindle)
@@ -144,10 +103,6 @@ def main() -> None:
         )
     slow = timed("4-35 as printed, receptance given", literal(spindle.shaft, band), 2)
     print(f"4-35 as printed costs {slow / condensed:.0f} times the condensed response")
-    if not told_options.without_ross:
-        few = timed(f"ROSS, 5 mm elements, {ROSS_FREQUENCIES} frequencies", ross_response(told("unit_model_6_y")), 3)
-        ratio = few * len(band) / ROSS_FREQUENCIES / condensed
-        print(f"ROSS at {len(band)} frequencies would cost {ratio:.0f} times the condensed response")
 
 
 if __name__ == "__main__":

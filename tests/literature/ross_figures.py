@@ -1,0 +1,98 @@
+"""What ROSS says about the bare steel shaft and the steel unit on its bearings, of 5 mm finite elements, as JSON.
+
+Run by `make_ross_figures.sh` in an environment of its own; nothing of Toolpoint is imported. The JSON holds the
+free-free natural frequencies of the bare shaft, its mass, and the response at the unit's nose.
+"""
+
+import json
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ross
+import yaml
+from scipy.linalg import eigh
+
+ELEMENT_MM = 5.0
+SPINDLES = Path(__file__).parents[2] / "config" / "machine" / "data" / "spindles"
+FREQUENCY_HZ = np.arange(300.0, 2501.0, 20.0)
+COUNT = 3
+OUTPUT = Path(__file__).with_suffix(".json")
+
+
+def told(name: str) -> dict[str, Any]:
+    """Return a shipped spindle: its tubes as [length, outer, inner] in mm, a ring as a second [0, outer, inner]."""
+    content = yaml.safe_load((SPINDLES / f"{name}.yaml").read_text("utf-8"))
+    content["tubes"] = [
+        [[each["length_mm"], each["outer_mm"], each["inner_mm"]]]
+        + ([[0.0, each["ring"]["outer_mm"], each["outer_mm"]]] if "ring" in each else [])
+        for each in content["segments"]
+    ]
+    return content
+
+
+def plane_matrices(spindle: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return stiffness, mass and node positions [mm] of one plane (x and the rotation about y), and the mass [kg]."""
+    material = ross.Material(name="material", rho=7850.0, E=200e9, G_s=76.9e9)
+    bearings_mm = [each["position_mm"] for each in spindle.get("bearings", ())]
+    elements, places = [], [0.0]
+    for segment in spindle["tubes"]:
+        length = segment[0][0]
+        inside = {place - places[-1] for place in bearings_mm if 0 < place - places[-1] < length}
+        borders = sorted({0.0, length, *inside})
+        start = places[-1]
+        for first, last in pairwise(borders):
+            count = int(np.ceil((last - first) / ELEMENT_MM - 1e-9))
+            for number in range(count):
+                for _, outer, inner in segment:
+                    elements.append(
+                        ross.ShaftElement(
+                            (last - first) / count / 1e3,
+                            inner / 1e3,
+                            outer / 1e3,
+                            material=material,
+                            n=len(places) - 1,
+                            gyroscopic=False,
+                        )
+                    )
+                places.append(start + first + (last - first) * (number + 1) / count)
+    rotor = ross.Rotor(elements)
+    plane = np.ravel([[rotor.number_dof * node, rotor.number_dof * node + 4] for node in range(len(places))])
+    matrices = (matrix[np.ix_(plane, plane)] for matrix in (rotor.K(0), rotor.M(0)))
+    return *matrices, np.array(places), float(rotor.m)
+
+
+def main() -> None:
+    stiffness, mass, _, weight = plane_matrices(told("steel"))
+    squares = eigh(stiffness, mass, eigvals_only=True)[2 : 2 + COUNT]
+    unit = told("unit_model_6_y")
+    stiffness, mass, places, _ = plane_matrices(unit)
+    force = np.zeros(len(mass))
+    force[0] = 1.0
+    response, begun = [], time.process_time()
+    for omega in (2 * np.pi * FREQUENCY_HZ).tolist():
+        dynamic = stiffness * (1 + 1j * unit["structural_damping"]) - omega**2 * mass
+        for each in unit["bearings"]:
+            node = int(np.argmin(np.abs(places - each["position_mm"])))
+            dynamic[2 * node, 2 * node] += float(each["kt_n_per_m"]) + 1j * omega * float(each["ct_ns_per_m"])
+            dynamic[2 * node + 1, 2 * node + 1] += float(each["kr_nm_per_rad"]) + 1j * omega * float(
+                each["cr_nms_per_rad"]
+            )
+        response.append(complex(np.linalg.solve(dynamic, force)[0]))
+    per_frequency_ms = 1e3 * (time.process_time() - begun) / len(FREQUENCY_HZ)
+    print(f"{per_frequency_ms:.2f} ms of processor for each frequency, in one plane", file=sys.stderr)
+    found = {
+        "made_by": f"ross-rotordynamics {ross.__version__}, elements of {ELEMENT_MM:g} mm",
+        "natural_frequency_hz": [round(each, 4) for each in (np.sqrt(squares) / (2 * np.pi)).tolist()],
+        "mass_kg": weight,
+        "frequency_hz": FREQUENCY_HZ.tolist(),
+        "receptance_m_per_n": [[float(f"{each.real:.7g}"), float(f"{each.imag:.7g}")] for each in response],
+    }
+    OUTPUT.write_text(json.dumps(found, indent=None) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
