@@ -130,11 +130,7 @@ class Daemon:
             self.control.deliver,
             self._publish_thermal,
         )
-        self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
-        self._publish_output()
-        self.snapshots.model = self._loaded.snapshot()
-        if (bearings := self.control.side.speed.worker.model) is not None:
-            self.snapshots.bearing_model = bearings.snapshot()
+        self.snapshots = self._first_snapshots()
         self.acknowledged: dict[str, int] = {}
         """Line -> number of its last committed cycle."""
         self._models = ModelReload(
@@ -149,6 +145,15 @@ class Daemon:
         status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
         actions = output_actions(self.control)
         self._commands = CommandDesk(status, self.snapshots, actions, configuration.compensation.axes)
+
+    def _first_snapshots(self) -> SnapshotBoard:
+        """Return the board as it is before anything runs."""
+        board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
+        board.spindle_speed = self.control.side.speed.snapshot()
+        board.model = self._loaded.snapshot()
+        if (bearings := self.control.side.speed.worker.model) is not None:
+            board.bearing_model = bearings.snapshot()
+        return board
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""

@@ -134,13 +134,7 @@ class ControlTask:
             model_id=model_id,
             max_outage_s=configuration.compensation.reference.max_outage_s,
         )
-        self.writer = BlockWriter(
-            clock,
-            telemetry,
-            self.journal,
-            self._echo_watch,
-            validity_s=configuration.compensation.output.validity_s,
-        )
+        self.writer = BlockWriter(clock, telemetry, self.journal, self._echo_watch, validity_s=self._output.validity_s)
 
     def deliver(self, item: Delivery) -> None:
         """Take an estimate, a new reference, or the thermal task's refusal of one."""

@@ -80,7 +80,7 @@ def pack(found: LoadedModel[AnyThermalModel], file: io.FileIO) -> None:
 
 def unpack(descriptor: int) -> LoadedModel[AnyThermalModel]:
     """Return what `pack` wrote; its arrays are the file's pages, which nobody may write."""
-    view = memoryview(mmap.mmap(descriptor, 0, prot=mmap.PROT_READ, flags=mmap.MAP_PRIVATE | mmap.MAP_POPULATE))
+    view = memoryview(mmap.mmap(descriptor, 0, prot=mmap.PROT_READ, flags=mmap.MAP_PRIVATE))
     (count,) = _COUNT.unpack_from(view)
     at = _COUNT.size * (1 + count)
     parts: list[memoryview] = []

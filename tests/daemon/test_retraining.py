@@ -165,8 +165,8 @@ def test_a_machine_without_displacements_is_told_so(tmp_path: Path) -> None:
 async def test_the_daemon_that_is_told_to_has_the_job_and_another_has_not(tmp_path: Path) -> None:
     installation = Installation(tmp_path / "here")
     daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
-    assert daemon._retraining is None
+    assert daemon._jobs == ()
     told = Daemon(configured(installation, every_hours=3.0), SystemClock(), config_path=installation.config_path)
-    assert told._retraining is not None
-    told._retraining.start()
-    told._retraining.stop()
+    (job,) = told._jobs
+    job.start()
+    job.stop()

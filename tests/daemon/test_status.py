@@ -39,6 +39,34 @@ async def test_before_anything_is_known_the_picture_is_json(board):
     assert picture["reference"] is None and picture["estimate"] is None and picture["temperatures"] is None
 
 
+async def test_programs_that_read_the_status_find_every_key_that_they_found_before(board):
+    picture = strict(board[0].picture())
+    assert set(picture) >= {
+        *(
+            "machine",
+            "time_utc_s",
+            "clock_speed",
+            "output",
+            "axes",
+            "reference",
+            "tools_set",
+            "model",
+            "estimate",
+            "cnc",
+        ),
+        *("spindle_speed", "bearing_model", "links", "temperatures", "displacements", "cycles", "estimates", "writes"),
+        *("written_axes", "latency_s", "history"),
+    }
+    assert set(picture["output"]) == {
+        *("state", "reason", "since_s", "alarm", "phase", "limits_hit", "weight", "guard_silent_s", "notices"),
+        *("insecure_writes", "writable_model_directory"),
+    }
+    assert set(picture["axes"]["z"]) == {
+        *("estimate_from", "wanted", "enabled", "thermal_error_um", "requested_um", "written_um", "applied_um"),
+        *("bound_um", "slew_um_per_min"),
+    }
+
+
 async def test_everything_at_once(board):
     board, rig, thermal = board
     await rig.active()
