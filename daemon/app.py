@@ -37,6 +37,9 @@ from daemon.monitor.status import StatusBoard
 from daemon.monitor.web import serve_metrics
 from daemon.registry import PARTS, Parts
 from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
+from daemon.spindle_speed.messages import OpenedModel
+from daemon.spindle_speed.planner_process import PlannerProcess
+from daemon.spindle_speed.task import SpindleSpeedOutput
 from daemon.telemetry.latency import line_timings
 from daemon.telemetry.metrics import Telemetry
 from daemon.telemetry.sd_notify import ServiceManager
@@ -101,6 +104,9 @@ class Daemon:
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
+        self._planner: PlannerProcess | None = None
+        if configuration.spindle_speed is not None:
+            self._planner = PlannerProcess(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[Message] = asyncio.Queue()
         self.control = ControlTask(
@@ -115,6 +121,9 @@ class Daemon:
             resume=self._resume,
             ask_reference=inbox.put_nowait,
             on_tick=self._on_tick,
+            speed=lambda journal, permission: SpindleSpeedOutput(
+                configuration, clock, journal, permission, self._planner
+            ),
             on_sample=lambda sample: inbox.put_nowait(
                 SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
             ),
@@ -151,8 +160,6 @@ class Daemon:
         board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
         board.spindle_speed = self.control.side.speed.snapshot()
         board.model = self._loaded.snapshot()
-        if (bearings := self.control.side.speed.worker.model) is not None:
-            board.bearing_model = bearings.snapshot()
         return board
 
     async def run(self) -> None:
@@ -161,8 +168,6 @@ class Daemon:
         self._history.start()
         self._report("daemon", "started")
         self._report("model", self._loaded.in_words())
-        if (bearings := self.control.side.speed.worker.model) is not None:
-            self._report("model", f"bearings: {bearings.in_words()}")
         scheduler = self._parts.housekeeping(self._history, configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -205,6 +210,8 @@ class Daemon:
         yield self._models.run()
         yield from links.temperatures(self.thermal.inbox.put_nowait)
         yield links.cnc()
+        if self._planner is not None:
+            yield links.planner(self._planner.attempt)
         yield from links.displacements(self._history.last_displacement_utc_s, self._displacements)
         control_socket = ControlSocket(service.socket, service.socket_group, self._commands.handle)
         yield links.own("service.socket", service.socket, control_socket.run)
@@ -258,6 +265,16 @@ class Daemon:
 
     def _report(self, kind: str, text: str) -> None:
         self._history.event(kind, text, "daemon")
+
+    def _on_bearings(self, opened: OpenedModel) -> None:
+        """Note which model speeds are planned with; it is told once, however often the planner is started."""
+        if opened.obstacle:
+            self._links.planner_health.went_down(opened.obstacle, self._clock.now().utc_s)
+        else:
+            self._links.planner_health.came_up()
+        if opened.model != self.snapshots.bearing_model:
+            self.snapshots.bearing_model = opened.model
+            self._report("model", f"bearings: {opened.words}")
 
     def _on_acknowledged(self, line: str, number: int) -> None:
         self.acknowledged[line] = number

@@ -36,11 +36,14 @@ class Links:
         self._cnc = cnc
         self._lines = {line.name: LinkHealth(f"latsis {line.name}") for line in configuration.temperatures.lines}
         self._displacements = LinkHealth("displacement files")
+        self.planner_health = LinkHealth("speed planner")
         self._own = {"service.socket": LinkHealth("local socket"), "service.http_port": LinkHealth("metrics")}
         self.shown = [*self._lines.values(), cnc.health]
-        """Those to the machine."""
+        """Those to the machine, and to the process that plans for it."""
         if configuration.displacements is not None:
             self.shown.append(self._displacements)
+        if configuration.spindle_speed is not None:
+            self.shown.append(self.planner_health)
 
     def snapshots(self) -> tuple[LinkSnapshot, ...]:
         """Return how the links to the machine fare."""
@@ -54,6 +57,10 @@ class Links:
     def cnc(self) -> Coroutine[Any, Any, None]:
         """Return the work that keeps the session with the CNC alive."""
         return self._keep(self._cnc.health, self._cnc.attempt)
+
+    def planner(self, attempt: Callable[[], Awaitable[None]]) -> Coroutine[Any, Any, None]:
+        """Return the work that keeps the process alive that plans the spindle speed."""
+        return self._keep(self.planner_health, attempt)
 
     def displacements(self, after_utc_s: Callable[[], float | None], log_: "DisplacementLog") -> Iterator[Any]:
         """Yield the work that follows the logger's files, where there are any; rows up to `after_utc_s` are skipped."""

@@ -1,6 +1,7 @@
 """What a daemon is composed of at its edges: the drivers, and the side process that cleans the store."""
 
-from collections.abc import Awaitable, Callable
+import sys
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from config.schema import Configuration
@@ -12,6 +13,9 @@ from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 from drivers.registry import open_cnc, open_displacement_source, open_temperature_source
 from models.thermal.family import AnyThermalModel
+
+SPEED_PLANNER = (sys.executable, "-P", "-m", "daemon.speed_planner")
+"""Starts the process that plans the spindle speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +30,7 @@ class Parts:
     housekeeping: Housekeeping = housekeeping_scheduler
     load_model: Callable[[Configuration], Awaitable[LoadedModel[AnyThermalModel]]] = load_beside
     """Loads the released model anew, off the loop."""
+    speed_planner: Sequence[str] = SPEED_PLANNER
 
 
 PARTS = Parts()

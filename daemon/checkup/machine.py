@@ -10,9 +10,9 @@ from config.records.commissioning import CommissioningError, commissioning_obsta
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.cnc.macro_block import MacroBlock
+from daemon.model_release.bearings import open_planning
 from daemon.model_release.file_access import account_of_daemon
 from daemon.model_release.loading import load_released
-from daemon.spindle_speed.planning import open_planning
 from drivers import registry
 from drivers.clock import Clock
 from drivers.contract import DriverError

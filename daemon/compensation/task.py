@@ -28,7 +28,7 @@ from daemon.compensation.probing import MeasuredByNc, judged_probe
 from daemon.compensation.references import References
 from daemon.compensation.restart import ResumePoint, StartupRecovery, record_changes, resolve_pending_writes
 from daemon.compensation.skill_monitor import SkillWatch
-from daemon.compensation.temperature_macro import AuxiliaryMacros
+from daemon.compensation.temperature_macro import AuxiliaryMacros, SpeedFactory
 from daemon.compensation.tool import ToolInSpindle
 from daemon.estimation.task import Delivery
 from daemon.history.writer import HistoryWriter
@@ -73,6 +73,7 @@ class ControlTask:
         resume: ResumePoint,
         ask_reference: Callable[[ReferenceRequest | ReferenceEnded | Reference], None],
         on_tick: Callable[[], None],
+        speed: SpeedFactory,
         on_sample: Callable[[CncSample], None] = lambda _sample: None,
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
@@ -123,7 +124,7 @@ class ControlTask:
         )
         self._output = configuration.compensation.output
         self._guard_watch = GuardWatch()
-        self.side = AuxiliaryMacros(configuration, clock, telemetry, self.journal, self._permission, self._references)
+        self.side = AuxiliaryMacros(configuration, telemetry, self.journal, self._permission, self._references, speed)
         self._beginning = StartupRecovery(
             resume,
             self._references,

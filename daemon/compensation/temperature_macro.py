@@ -6,6 +6,7 @@ outcome in the audit. Owned by the control task, which alone talks to the CNC.
 """
 
 import math
+from collections.abc import Callable
 
 from config.schema import Configuration
 from daemon.cnc.events import Journal
@@ -14,7 +15,6 @@ from daemon.cnc.session import CncSession
 from daemon.compensation.references import References
 from daemon.spindle_speed.task import SpindleSpeedOutput
 from daemon.telemetry.metrics import Telemetry
-from drivers.clock import Clock
 from drivers.contract import FatalDriverError
 from models.records import MachineTemperatures, Trace, WriteOutcome
 
@@ -74,20 +74,24 @@ class TemperatureMacro:
         self._telemetry.temperature_shown(receipt.trace)
 
 
+SpeedFactory = Callable[[Journal, Interlocks], SpindleSpeedOutput]
+"""Builds what serves the spindle speed."""
+
+
 class AuxiliaryMacros:
     """Serves both in turn; owned by the control task, which alone talks to the CNC."""
 
     def __init__(
         self,
         configuration: Configuration,
-        clock: Clock,
         telemetry: Telemetry,
         journal: Journal,
         permission: Interlocks,
         references: References,
+        speed: SpeedFactory,
     ) -> None:
         self._temperature = TemperatureMacro(configuration, telemetry, journal, permission)
-        self.speed = SpindleSpeedOutput(configuration, clock, journal, permission)
+        self.speed = speed(journal, permission)
         self._references = references
 
     @property

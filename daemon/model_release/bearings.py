@@ -1,11 +1,15 @@
-"""Release of the bearing model that the tuning of the spindle speed follows, by the rules of thermal models."""
+"""Release and use of the bearing model that the spindle speed follows, by the rules of thermal models."""
+
+from dataclasses import dataclass
 
 from config.problems import ConfigurationError
 from config.schema import Configuration
-from daemon.model_release.bearing_loading import bearings_from_text
+from daemon.model_release.bearing_loading import bearings_from_text, load_released_bearings
+from daemon.model_release.file_access import Account
+from daemon.model_release.loading import LoadedModel
 from daemon.model_release.releasing import Kind
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
-from daemon.spindle_speed.planning import planned_with
+from daemon.spindle_speed.planning import OperationPlanning, planned_with
 from models.stability.errors import StabilityError
 from models.thermomechanics.regression import ThermomechanicalModel
 
@@ -44,3 +48,27 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
 
 BEARINGS = Kind(shelf=bearing_shelf, checked=_checked)
 """The bearing model of the spindle speed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenedPlanning:
+    """The planning of the configured operations, or why there is none, and which model it follows."""
+
+    operations: dict[int, OperationPlanning]
+    """By the place of the operation in the configuration."""
+    obstacle: str
+    model: LoadedModel[ThermomechanicalModel] | None
+    """None without a section `spindle_speed`."""
+
+
+def open_planning(configuration: Configuration, account: Account) -> OpenedPlanning:
+    """Return the planning of each configured operation with the released model, as this account may use it."""
+    if configuration.spindle_speed is None:
+        return OpenedPlanning(operations={}, obstacle="", model=None)
+    loaded = load_released_bearings(configuration, account)
+    if loaded.model is None:
+        return OpenedPlanning(operations={}, obstacle=loaded.obstacle, model=loaded)
+    try:
+        return OpenedPlanning(operations=planned_with(configuration, loaded.model), obstacle="", model=loaded)
+    except (ConfigurationError, StabilityError) as error:
+        return OpenedPlanning(operations={}, obstacle=str(error), model=loaded)

@@ -6,7 +6,7 @@ from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from daemon.cnc.limits import guard_programs
 from daemon.spindle_speed.macro_block import MacroValues, OperationKey, SpeedBlock, SpeedCall
-from daemon.spindle_speed.planning import CalledOperation
+from daemon.spindle_speed.messages import CalledOperation
 from drivers.guard.speed_text import speed_text_number
 from drivers.guard.text import GuardTextError
 from models.records import CncRun, CncSample

@@ -1,18 +1,19 @@
-"""Builds, for each configured operation, what plans its speed: spindle, bearings over temperature, cutting case."""
+"""Plans spindle speeds: follows spindle and bearings over temperature, and chooses by the cutting case.
+
+Slow, and with much to import: the daemon runs it in a process of its own (`daemon.speed_planner`).
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
+
+import numpy as np
 
 from config.machine.spindle import Rotary
 from config.machine.spindle_files import read_spindle
 from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase, load_stability_case
-from config.problems import ConfigurationError
 from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
-from daemon.model_release.bearing_loading import load_released_bearings
-from daemon.model_release.file_access import Account
-from daemon.model_release.loading import LoadedModel
+from daemon.spindle_speed.messages import CalledOperation, PlannedSpeed, PlanRequest
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.errors import IdentificationError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
@@ -31,20 +32,14 @@ DIRECTIONS_DEG = tuple(22.5 * number for number in range(8))
 """Feed directions of the second look where the case names none."""
 SPEEDS = 401
 """Speeds among which one is chosen."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalledOperation:
-    """What the NC program says of the operation that it begins."""
-
-    tool_number: int
-    program: int
-    speed_rpm: float
-    feed_mm_min: float
-    depth_mm: float
-    """0: the configured one."""
-    radial_mm: float
-    """0: that of the case."""
+MANY_STEPS = 16
+"""The change per step is taken over one step, and over so many: speeds are chosen from a raster."""
+SENSITIVITY_EVERY_S = 60.0
+"""The change per step of a sensor is worked out this often."""
+STEPS_UNKNOWN = (
+    "a signal has had no temperature for a minute, so whether one step of a sensor moves the speed is not known; the "
+    "speed is frozen"
+)
 
 
 class OperationPlanning:
@@ -126,30 +121,6 @@ def _lobes(
     return zeroth_order_lobes(response, cut, from_rpm=low, to_rpm=high, points=SPEEDS, feed_deg=float(feed_deg))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OpenedPlanning:
-    """The planning of the configured operations, or why there is none, and which model it follows."""
-
-    operations: dict[int, OperationPlanning]
-    """By the place of the operation in the configuration."""
-    obstacle: str
-    model: LoadedModel[ThermomechanicalModel] | None
-    """None without a section `spindle_speed`."""
-
-
-def open_planning(configuration: Configuration, account: Account) -> OpenedPlanning:
-    """Return the planning of each configured operation with the released model, as this account may use it."""
-    if configuration.spindle_speed is None:
-        return OpenedPlanning(operations={}, obstacle="", model=None)
-    loaded = load_released_bearings(configuration, account)
-    if loaded.model is None:
-        return OpenedPlanning(operations={}, obstacle=loaded.obstacle, model=loaded)
-    try:
-        return OpenedPlanning(operations=planned_with(configuration, loaded.model), obstacle="", model=loaded)
-    except (ConfigurationError, StabilityError) as error:
-        return OpenedPlanning(operations={}, obstacle=str(error), model=loaded)
-
-
 def planned_with(configuration: Configuration, model: ThermomechanicalModel) -> dict[int, OperationPlanning]:
     """Return the planning of each operation with a model; raises ConfigurationError and StabilityError."""
     tuning = configuration.spindle_speed
@@ -159,3 +130,66 @@ def planned_with(configuration: Configuration, model: ThermomechanicalModel) -> 
     return {
         place: OperationPlanning(tuning, operation, model, labels) for place, operation in enumerate(tuning.operations)
     }
+
+
+class SpeedPlanning:
+    """Answers requests in turn: feeds the temperatures to every operation's estimator, and plans the one under way."""
+
+    def __init__(self, operations: Mapping[int, OperationPlanning], sensor_step_k: float) -> None:
+        self._operations, self._sensor_step_k = operations, sensor_step_k
+        self._planner: tuple[CalledOperation, SpeedPlanner] | None = None
+        self._sensitivity: tuple[CalledOperation, float, dict[str, float]] | None = None
+
+    def answer(self, request: PlanRequest) -> PlannedSpeed | None:
+        """Return the plan of the operation under way, None where there is none."""
+        planned: PlannedSpeed | None = None
+        for place, planning in self._operations.items():
+            for time_s, degc in request.readings:
+                planning.estimator.renew(time_s, np.array(degc, dtype=np.float64))
+            if place == request.place and request.called is not None:
+                planned = self._planned(planning, request.called, request.time_s)
+        return planned
+
+    def _planned(self, planning: OperationPlanning, called: CalledOperation, time_s: float) -> PlannedSpeed:
+        known = planning.estimator.known
+        plan, problem, changes = None, "no temperatures yet", dict[str, float]()
+        if known is not None:
+            problem = known.doubt
+            try:
+                planner = self._planner_of(planning, called)
+                changes = self._changes(planning, planner, called, time_s)
+                if not changes and not problem:
+                    problem = STEPS_UNKNOWN
+                plan = None if problem else planner.plan(known)
+            except StabilityError as error:
+                problem = str(error)
+        return PlannedSpeed(
+            called=called,
+            time_s=time_s,
+            plan=plan,
+            problem=problem,
+            resonance_hz={} if known is None else dict(known.resonance_hz),
+            change_per_step_rpm=changes,
+        )
+
+    def _planner_of(self, planning: OperationPlanning, called: CalledOperation) -> SpeedPlanner:
+        if self._planner is None or self._planner[0] != called:
+            self._planner = (called, planning.planner(called))
+        return self._planner[1]
+
+    def _changes(
+        self, planning: OperationPlanning, planner: SpeedPlanner, called: CalledOperation, time_s: float
+    ) -> dict[str, float]:
+        kept = self._sensitivity
+        if kept is not None and kept[0] == called and time_s - kept[1] < SENSITIVITY_EVERY_S:
+            return kept[2]
+        known, changes = planning.estimator.known, dict[str, float]()
+        if known is None:
+            return changes
+        for steps in (1, MANY_STEPS):
+            moved = planning.estimator.stepped(steps * self._sensor_step_k)
+            for signal, change_rpm in planner.change_per_step_rpm(known, moved).items():
+                changes[signal] = max(changes.get(signal, 0.0), change_rpm / steps)
+        if changes:
+            self._sensitivity = (called, time_s, changes)
+        return changes

@@ -3,7 +3,7 @@
 from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedOperation
 from daemon.spindle_speed.macro_block import SpeedPair
-from daemon.spindle_speed.worker import PlannedSpeed
+from daemon.spindle_speed.messages import PlannedSpeed
 
 
 def speed_snapshot(

@@ -17,21 +17,22 @@ from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.memory import KEPT_S, OperationMemories, SpeedSwitch
+from daemon.spindle_speed.messages import PlannedSpeed, Planner
 from daemon.spindle_speed.snapshot import speed_snapshot
-from daemon.spindle_speed.worker import PlannedSpeed, SpeedWorker
+from daemon.spindle_speed.worker import SpeedWorker
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
 from models.records import CncSample, MachineTemperatures, Phase
 from models.spindle_speed.tuning import (
     SpeedState,
+    SpeedTuningError,
     SpeedTuningInputs,
     SpeedTuningMemory,
     SpeedTuningSettings,
     SpindleSpeedCommand,
     step,
 )
-from models.stability.errors import StabilityError
 
 NO_LINK = "no link to the CNC"
 OUR_FAULT = "spindle speed"
@@ -60,9 +61,15 @@ class _OperationState:
 class SpindleSpeedOutput:
     """Follows one CNC's operations; does nothing without the section `spindle_speed`."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, journal: Journal, permission: Interlocks) -> None:
-        self._clock, self._journal, self._permission = clock, journal, permission
-        self.worker = SpeedWorker(configuration)
+    def __init__(
+        self,
+        configuration: Configuration,
+        clock: Clock,
+        journal: Journal,
+        permission: Interlocks,
+        planner: Planner | None,
+    ) -> None:
+        self.worker = SpeedWorker(planner)
         tuning = configuration.spindle_speed
         self._follower: _Follower | None = None
         if tuning is not None:
@@ -162,9 +169,9 @@ class _Follower:
         self._take_call(found, now_s, sample)
         operation = self._calls.under_way
         if operation is not None:
-            self._worker.look(operation.called, operation.place if operation.wanted else None)
+            self._worker.update(operation.called, operation.place if operation.wanted else None)
         else:
-            self._worker.look(None, None)
+            self._worker.update(None, None)
         if not self._obstacle:
             await self._serve(session, operation, phase, clock_s, now_s)
 
@@ -337,7 +344,7 @@ class _Follower:
             return planned, planned.problem
         try:
             self._settings.check_resolution(max(planned.change_per_step_rpm.values(), default=0.0))
-        except StabilityError as error:
+        except SpeedTuningError as error:
             return planned, str(error)
         return planned, ""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.records import FloatArray
+from models.spindle_speed.plan import SpeedChoice
 from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 
@@ -96,26 +97,6 @@ class SpeedDemand:
     """The limiting depth must exceed the programmed one by this share of it."""
     tolerance_fraction: float = 0.01
     """It must do so within this share of the speed to both sides: resonances are known no better."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedChoice:
-    """The chosen speed, or the programmed one and an alarm."""
-
-    speed_rpm: float
-    limiting_depth_mm: float
-    """At that speed [mm]; inf where no lobe limits it, NaN where it is not known."""
-    pocket_rpm: tuple[float, float]
-    """The stable range that holds the chosen speed [1/min]; the same number twice with an alarm."""
-    alarm: str | None = None
-    """Why no stable speed was found."""
-    margin_met: bool = True
-    """The demand is met with its margin; without, this is the deepest speed, and bears the depth itself."""
-
-    @property
-    def stable(self) -> bool:
-        """Whether the demand is met."""
-        return self.alarm is None
 
 
 def choose_speed(

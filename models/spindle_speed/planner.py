@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.spindle_speed.choice import SpeedChoice, SpeedDemand, choose_speed, deepest_speed, rule_candidates_rpm
+from models.spindle_speed.choice import SpeedDemand, choose_speed, deepest_speed, rule_candidates_rpm
+from models.spindle_speed.plan import SpeedChoice, SpeedPlan
 from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes import StabilityLobes
@@ -34,15 +35,6 @@ class MillingOperation:
     """Lowest and highest speed allowed [1/min]."""
     offset_hz: float | None = None
     """Signed f_o [Hz]: only speeds of equation 5-9 are candidates, of both axes and every lobe; None: all speeds."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedPlan:
-    """The speed that the dynamics of now ask for."""
-
-    choice: SpeedChoice
-    flagged_span_rpm: float
-    """How far it moves over the physical ranges of flagged properties [1/min]; inf where a mode is lost there."""
 
 
 class SpeedPlanner:

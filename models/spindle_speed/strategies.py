@@ -119,7 +119,7 @@ class TunedSpeed:
         self._memory = initial_memory(operation.demand.programmed_rpm)
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
-        """Return the pair in force. Raises StabilityError."""
+        """Return the pair in force. Raises StabilityError and SpeedTuningError."""
         plan = self._planner.plan(known) if known is not None and not known.doubt else None
         command, self._memory = step(
             self._memory,

@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from models.records import Phase
-from models.spindle_speed.choice import SpeedChoice
-from models.stability.errors import StabilityError
+from models.spindle_speed.plan import SpeedChoice
+
+
+class SpeedTuningError(ValueError):
+    """Settings or inputs that no speed can be commanded from; the text says why and what to do."""
 
 
 class SpeedState(StrEnum):
@@ -42,11 +45,11 @@ class SpeedTuningSettings:
     """The feed follows the speed."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot work. Raises StabilityError."""
+        """Refuse what cannot work. Raises SpeedTuningError."""
         bad = [name for name in ("hysteresis_rpm", "step_rpm") if not getattr(self, name) > 0.0]
         bad += [name for name in ("dwell_s", "filter_s") if not getattr(self, name) >= 0.0]
         if bad:
-            raise StabilityError(f"{' and '.join(bad)} out of range; hysteresis and step above 0, times at least 0")
+            raise SpeedTuningError(f"{' and '.join(bad)} out of range; hysteresis and step above 0, times at least 0")
 
     def check_resolution(self, change_per_step_rpm: float) -> None:
         """Refuse settings that one step of a sensor's resolution could set in motion.
@@ -58,12 +61,12 @@ class SpeedTuningSettings:
 
         Raises
         ------
-        StabilityError
+        SpeedTuningError
             When the hysteresis is not above twice that change.
 
         """
         if not self.hysteresis_rpm > 2.0 * change_per_step_rpm:
-            raise StabilityError(
+            raise SpeedTuningError(
                 f"one step of a sensor moves the speed by {change_per_step_rpm:.3g} 1/min and the hysteresis is "
                 f"{self.hysteresis_rpm:g}: the speed would hunt; set the hysteresis above {2 * change_per_step_rpm:.3g}"
             )
@@ -143,12 +146,12 @@ def step(
 
     Raises
     ------
-    StabilityError
+    SpeedTuningError
         When the programmed speed or feed is no positive number.
 
     """
     if not (0.0 < inputs.programmed_rpm < math.inf and 0.0 < inputs.programmed_feed_mm_min < math.inf):
-        raise StabilityError(
+        raise SpeedTuningError(
             f"S{inputs.programmed_rpm:g} and F{inputs.programmed_feed_mm_min:g} are no speed and feed; both above 0"
         )
     if inputs.programmed_rpm != memory.programmed_rpm:

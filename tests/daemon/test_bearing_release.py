@@ -19,11 +19,10 @@ from config.problems import ConfigurationError
 from config.schema import Configuration
 from daemon.checkup.machine import preflight
 from daemon.cli import main
-from daemon.model_release.bearings import BEARINGS
+from daemon.model_release.bearings import BEARINGS, open_planning
 from daemon.model_release.file_access import Account, own_account
 from daemon.model_release.releasing import release, rollback
 from daemon.model_release.repository import ReleaseError
-from daemon.spindle_speed.planning import open_planning
 from models.thermomechanics.artifact import model_to_json
 
 STRANGER = Account(user_id=OTHER)

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
-from models.spindle_speed.choice import SpeedChoice
+from models.spindle_speed.plan import SpeedChoice
 from models.spindle_speed.tuning import (
     SpeedState,
+    SpeedTuningError,
     SpeedTuningInputs,
     SpeedTuningMemory,
     SpeedTuningSettings,
@@ -18,7 +19,6 @@ from models.spindle_speed.tuning import (
     initial_memory,
     step,
 )
-from models.stability.errors import StabilityError
 
 SETTINGS = SpeedTuningSettings(hysteresis_rpm=50.0, dwell_s=20.0, step_rpm=100.0)
 
@@ -179,9 +179,9 @@ def test_a_failed_write_leaves_what_the_cnc_applies() -> None:
 
 def test_settings_answer_for_the_sensors_resolution() -> None:
     SETTINGS.check_resolution(20.0)
-    with pytest.raises(StabilityError, match="above 60"):
+    with pytest.raises(SpeedTuningError, match="above 60"):
         SETTINGS.check_resolution(30.0)
-    with pytest.raises(StabilityError, match="hysteresis_rpm"):
+    with pytest.raises(SpeedTuningError, match="hysteresis_rpm"):
         SpeedTuningSettings(hysteresis_rpm=0.0, dwell_s=1.0, step_rpm=1.0)
 
 

@@ -32,6 +32,8 @@ from daemon.messages import ReferenceEnded, ReferenceRequest
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.status import StatusBoard
 from daemon.snapshots import SnapshotBoard, ThermalSnapshot
+from daemon.spindle_speed.messages import Planner
+from daemon.spindle_speed.task import SpindleSpeedOutput
 from daemon.supervisor import Backoff, run_with_reconnect
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
@@ -140,6 +142,7 @@ class Rig:
         model_obstacle: str = "",
         resume: ResumePoint | None = None,
         model_id: str = "made-up",
+        planner: Planner | None = None,
     ) -> None:
         self.configuration, self.nc, self.clock = configuration, nc, clock
         self.telemetry = Telemetry()
@@ -168,6 +171,7 @@ class Rig:
             resume=self.resume,
             ask_reference=self.asked.append,
             on_tick=self._tick,
+            speed=lambda journal, permission: SpindleSpeedOutput(configuration, clock, journal, permission, planner),
             on_change=self._publish,
         )
         self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=NO_TEMPERATURES)

@@ -1,5 +1,6 @@
 """The tuning of the spindle speed on a CNC in this process that runs the shipped speed program."""
 
+import asyncio
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,11 @@ from control_rig import HandClock, Rig, record_for
 from memory_cnc import MemoryNc
 from speed_machine import MACROS, bearing_model, speed_machine
 
+from config.schema import Configuration
+from daemon.model_release.bearings import open_planning
+from daemon.model_release.file_access import own_account
+from daemon.spindle_speed.messages import PlannedSpeed, Planner, PlanRequest
+from daemon.spindle_speed.planning import SpeedPlanning
 from daemon.spindle_speed.task import SpindleSpeedOutput
 from drivers.guard.speed_text import SpeedStatus, speed_program
 from drivers.sim.nc.custom_macro import Interpreter, compile_programs
@@ -17,6 +23,19 @@ from models.thermomechanics.artifact import model_to_json
 
 CUT, SAFE = 200, 900
 CYCLE_S = 5
+
+
+class ThreadPlanner:
+    """What the planning process computes, in a thread of this one: a process for each of many rigs takes too long."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        assert configuration.spindle_speed is not None
+        found = open_planning(configuration, own_account())
+        self.obstacle = found.obstacle
+        self._planning = SpeedPlanning(found.operations, configuration.spindle_speed.sensor_step_k)
+
+    async def plan(self, request: PlanRequest) -> PlannedSpeed | None:
+        return await asyncio.to_thread(self._planning.answer, request)
 
 
 class SpeedRig:
@@ -34,9 +53,12 @@ class SpeedRig:
         self.degc = 28.0
         self.rig = self.new_rig()
 
-    def new_rig(self, **record: Any) -> Rig:
+    def new_rig(self, planner: Planner | None = None, **record: Any) -> Rig:
         """Another run of the daemon on the same control."""
-        self.rig = Rig(self.configuration, self.nc, self.clock, record=record_for(self.configuration, **record))
+        planner = ThreadPlanner(self.configuration) if planner is None else planner
+        self.rig = Rig(
+            self.configuration, self.nc, self.clock, record=record_for(self.configuration, **record), planner=planner
+        )
         return self.rig
 
     @property

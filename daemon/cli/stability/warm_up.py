@@ -93,6 +93,7 @@ def warm_up(
     from daemon.simulation.warm_up.run import warm_up as milled
     from drivers.files.frf_measurement import MeasurementFileError
     from models.spindle_speed.choice import SpeedDemand, SpeedLimits
+    from models.spindle_speed.tuning import SpeedTuningError
     from models.stability.errors import StabilityError
 
     request = WarmUpRequest(
@@ -119,7 +120,7 @@ def warm_up(
         runs = milled(load_stability_case(case_path), request)
     except (ConfigurationError, MeasurementFileError) as error:
         refuse(str(error))
-    except StabilityError as error:
+    except (StabilityError, SpeedTuningError) as error:
         refuse(f"{case_path}: {error}")
     for run in runs:
         click.echo(in_words(run), err=True)

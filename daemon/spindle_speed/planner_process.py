@@ -1,0 +1,160 @@
+"""Keeps the process that plans the spindle speed: starts it, asks it, ends it, and says when it is lost.
+
+One process, owned by the daemon's task group. It is killed when it gives no answer in time, and with the daemon. While
+it is not there no speed is planned, so the commanded one is frozen with the reason.
+"""
+
+import asyncio
+import signal
+from collections.abc import Callable, Coroutine, Sequence
+
+from pydantic import ValidationError
+
+from config.schema import Configuration
+from daemon.spindle_speed.messages import REPLY, OpenedModel, PlannedSpeed, PlanRequest, Reply, to_line
+from drivers.contract import LinkError
+
+ANSWER_WITHIN_S = 60.0
+"""A process that has not answered by then hangs [s of the wall clock]; the longest plans take some seconds."""
+LONGEST_ANSWER = 1 << 20
+"""Bytes; what is longer is no answer."""
+STARTING = "the process that plans the spindle speed is being started; the speed is frozen until then"
+
+
+Overdue = Callable[[], Coroutine[None, None, object]]
+"""Returns when an answer is overdue."""
+
+
+async def _answer_time() -> None:
+    await asyncio.sleep(ANSWER_WITHIN_S)
+
+
+class PlannerProcess:
+    """The planner of the spindle speed in a process of its own.
+
+    `attempt` runs one process until it is lost; its supervisor calls it again.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        configuration: Configuration,
+        on_opened: Callable[[OpenedModel], object],
+        overdue: Overdue = _answer_time,
+    ) -> None:
+        self._command, self._configuration = command, configuration
+        self._on_opened, self._overdue = on_opened, overdue
+        self._asked: asyncio.Queue[tuple[PlanRequest, asyncio.Future[PlannedSpeed | None]]] = asyncio.Queue()
+        self._lost = STARTING
+        self.opened: OpenedModel | None = None
+        self.process_id: int | None = None
+        """Of the process that runs; None while there is none."""
+
+    @property
+    def obstacle(self) -> str:
+        """Why no speed can be planned now, '' when it can."""
+        if self._lost:
+            return self._lost
+        return self.opened.obstacle if self.opened is not None else STARTING
+
+    async def plan(self, request: PlanRequest) -> PlannedSpeed | None:
+        """Return the plan; raises LinkError when the process is lost before it has answered."""
+        if obstacle := self.obstacle:
+            raise LinkError(obstacle)
+        answer: asyncio.Future[PlannedSpeed | None] = asyncio.get_running_loop().create_future()
+        self._asked.put_nowait((request, answer))
+        return await answer
+
+    async def attempt(self) -> None:
+        """Run one process until it is lost, and raise LinkError then; where it has no model, wait for the end."""
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *self._command, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LONGEST_ANSWER
+            )
+        except OSError as error:
+            raise self._gone(f"cannot be started ({error.strerror})") from error
+        try:
+            self.process_id = process.pid
+            await self._serve(process)
+        finally:
+            self.process_id = None
+            if process.returncode is None:
+                process.kill()
+            await process.wait()
+
+    async def _serve(self, process: asyncio.subprocess.Process) -> None:
+        ended = asyncio.create_task(process.wait())
+        try:
+            reply = await self._answer(process, ended, self._configuration.model_dump_json().encode() + b"\n")
+            if reply.opened is None:
+                raise self._gone("has not said what it opened")
+            self.opened, self._lost = reply.opened, ""
+            self._on_opened(reply.opened)
+            if reply.opened.obstacle:
+                process.kill()
+                await asyncio.Event().wait()
+            while True:
+                await self._next(process, ended)
+        finally:
+            ended.cancel()
+
+    async def _next(self, process: asyncio.subprocess.Process, ended: asyncio.Task[int]) -> None:
+        """Wait for a request or the end of the process, and answer the request."""
+        asked = asyncio.create_task(self._asked.get())
+        try:
+            await asyncio.wait([asked, ended], return_when=asyncio.FIRST_COMPLETED)
+            if not asked.done():
+                raise self._gone(_how_it_ended(ended.result()))
+        finally:
+            asked.cancel()
+        request, answer = asked.result()
+        try:
+            reply = await self._answer(process, ended, to_line(request))
+            if not answer.done():
+                answer.set_result(reply.planned)
+        finally:
+            if not answer.done():
+                answer.set_exception(LinkError(self._lost or STARTING))
+                answer.exception()  # whoever asked may have gone
+
+    async def _answer(self, process: asyncio.subprocess.Process, ended: asyncio.Task[int], line: bytes) -> Reply:
+        """Return the answer to a line; raises LinkError where none comes."""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        overdue = asyncio.create_task(self._overdue())
+        reading = asyncio.create_task(process.stdout.readline())
+        try:
+            process.stdin.write(line)
+            await asyncio.wait([reading, overdue], return_when=asyncio.FIRST_COMPLETED)
+            if not reading.done():
+                raise self._gone("has not answered in time and is killed")
+            text = reading.result()
+            if not text.endswith(b"\n"):
+                raise self._gone(_how_it_ended(await ended))
+            reply = REPLY.validate_json(text)
+        except (ValidationError, ValueError) as error:
+            raise self._gone(f"has answered what nobody understands ({error})") from error
+        finally:
+            overdue.cancel()
+            reading.cancel()
+        if reply.defect:
+            raise self._gone(f"has ended: {reply.defect}")
+        return reply
+
+    def _gone(self, how: str) -> LinkError:
+        """Note that there is no planner now, and return what to raise."""
+        self._lost = f"the process that plans the spindle speed {how}; it is started again, and the speed is frozen"
+        self.opened = None
+        while not self._asked.empty():
+            _, answer = self._asked.get_nowait()
+            if not answer.done():
+                answer.set_exception(LinkError(self._lost))
+                answer.exception()
+        return LinkError(self._lost)
+
+
+def _how_it_ended(status: int) -> str:
+    """Return how a process ended, by its status, in words."""
+    if status >= 0:
+        return f"has ended with status {status}"
+    return f"was ended by {signal.Signals(-status).name}"
