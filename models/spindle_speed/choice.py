@@ -204,6 +204,17 @@ def deepest_speed(
     )
 
 
+def stable_range_rpm(lobes: StabilityLobes, demand: SpeedDemand, speed_rpm: float) -> tuple[float, float]:
+    """Return the ends of the range around a speed [1/min] in which the lobes meet the demand."""
+    stable = _worst_within(lobes, demand.tolerance_fraction) >= demand.depth_mm * (1.0 + demand.margin_fraction)
+    return _pocket(lobes.speed_rpm, stable, int(_nearest_places(lobes.speed_rpm, np.array([speed_rpm]))[0]))
+
+
+def limiting_depth_mm(lobes: StabilityLobes, speed_rpm: float) -> float:
+    """Return the limiting depth at a speed [1/min], NaN outside the lobes [mm]."""
+    return _depth_at(lobes, speed_rpm)
+
+
 def rule_candidates_rpm(
     resonances_hz: Sequence[float], offset_hz: float, teeth: int, range_rpm: tuple[float, float]
 ) -> tuple[float, ...]:

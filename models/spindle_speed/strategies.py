@@ -103,7 +103,7 @@ class TunedSpeed:
     lobes_of
         Response -> lobes.
     check
-        Takes a second look at each chosen speed; None: the lobes decide.
+        Verifies each chosen speed; None: the lobes decide.
 
     """
 

@@ -1,54 +1,64 @@
-"""A second look at a chosen speed by semi-discretisation, because pockets of the zeroth order have too steep flanks.
+"""Verifies a chosen speed beyond the zeroth order, whose pockets have too steep flanks, and denies it in any doubt.
 
 Where teeth cut one after the other, the true boundary leaves that of the zeroth-order solution at the low end of a
-pocket by several per cent of the speed. The look costs some ten times the zeroth-order lobes, so it is taken at the
-chosen speed alone.
+pocket by several per cent of the speed. Modes are fitted to the response, and the vibration must die away fast enough
+in every feed direction, at the speed and at both ends of its tolerance.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from models.records import FloatArray
+from models.stability.collocation import radius_bounds
 from models.stability.errors import StabilityError
-from models.stability.frf_modal_fit import fit_modes
+from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.milling import Cut
-from models.stability.response import ModalResponse, Mode, SampledResponse, ToolPointResponse
-from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
-from models.stability.state_space import state_space
+from models.stability.response import ComplexArray, ModalResponse, Mode, SampledResponse, ToolPointResponse
 
-MODE_PAIRS = (6, None)
-"""So many are tried first per axis; None: as many as follow the response."""
-FEWEST_LINES = 250
-"""A response of more lines than twice this is thinned out before the fit."""
-LARGEST_RADIUS = 0.985
-"""What a tooth leaves halves within 46 tooth passings; slower, the surface shows it and a doubt about the dynamics
-turns it into chatter."""
+THINNED_LINES = 250
+"""A response of more lines than twice this is thinned out before the fit, but for its peaks."""
+LEAST_DECAY_PER_S = 10.0
+"""What a tooth leaves falls to a third within a tenth of a second; slower, the surface shows it, and a small error of
+the dynamics turns it into chatter."""
+LEAST_SHARE = 0.5
+"""Of the decay of the slowest mode without a cut, where that is slow itself."""
+OUTSIDE_DAMPING = 0.05
+"""At least, of modes outside the band: only their flexibility shows inside it."""
 
 
 class StabilityVerification:
-    """Says whether a speed bears a depth by the spectral radius.
+    """Says whether the vibration of a cut dies away fast enough, by the spectral radius over a tooth passing.
 
     Parameters
     ----------
     cut
         Engagement and cutting coefficients.
     feeds_deg
-        Directions of the feed against X [deg]; all of them must be borne.
-    largest_radius
-        Spectral radius per tooth passing up to which a cut counts as borne.
+        Directions of the feed against X [deg]; the cut must be stable in all of them.
+    least_decay_per_s
+        Slowest decay that counts as stable [1/s].
 
     """
 
-    def __init__(self, cut: Cut, feeds_deg: tuple[float, ...] = (0.0,), largest_radius: float = LARGEST_RADIUS) -> None:
-        self._cut, self._feeds_deg, self._largest_radius = cut, feeds_deg, largest_radius
+    def __init__(
+        self, cut: Cut, feeds_deg: tuple[float, ...] = (0.0,), least_decay_per_s: float = LEAST_DECAY_PER_S
+    ) -> None:
+        self._cut, self._feeds_deg, self._least_decay_per_s = cut, feeds_deg, least_decay_per_s
         self._fitted: tuple[ToolPointResponse | None, ModalResponse | None] = (None, None)
+        self._fits: dict[int, ModalFit] = {}
 
     def is_stable(self, response: ToolPointResponse, speed_rpm: float, depth_mm: float, tolerance: float) -> bool:
-        """Return whether a depth is borne at a speed and at both ends of its tolerance.
+        """Return whether `denial` has nothing against a speed."""
+        return not self.denial(response, speed_rpm, depth_mm, tolerance)
+
+    def denial(self, response: ToolPointResponse, speed_rpm: float, depth_mm: float, tolerance: float) -> str:
+        """Return why a depth cannot be cut at a speed and at both ends of its tolerance, '' when it can.
 
         Parameters
         ----------
         response
-            The tool point; an axis that acts on the other is not looked at.
+            The tool point; an axis that acts on the other denies every speed.
         speed_rpm
             The chosen speed [1/min].
         depth_mm
@@ -58,50 +68,92 @@ class StabilityVerification:
 
         Returns
         -------
-        bool
-            Also where no modes follow the response, or vibrations are too many from tooth to tooth: then there is no
-            second opinion.
+        str
+            Also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
+            verified is denied.
 
         """
         try:
-            modes = self._modes(response)
-            return all(
-                self._radius(modes, speed_rpm * share, depth_mm, feed_deg) <= self._largest_radius
-                for feed_deg in self._feeds_deg
-                for share in (1.0 - tolerance, 1.0, 1.0 + tolerance)
+            modes = self.modes(response)
+        except (StabilityError, np.linalg.LinAlgError) as error:
+            return f"the dynamics cannot be verified: {error}"
+        speeds_rpm = speed_rpm * np.array([1.0 - tolerance, 1.0, 1.0 + tolerance])
+        try:
+            _, radius = radius_bounds(
+                modes,
+                self._cut,
+                feeds_deg=self._feeds_deg,
+                speeds_rpm=speeds_rpm.tolist(),
+                depth_mm=depth_mm,
+                limits=self._limits(modes, speeds_rpm),
             )
-        except StabilityError:
-            return True
+        except (StabilityError, np.linalg.LinAlgError) as error:
+            return f"{speed_rpm:.0f} 1/min cannot be verified: {error}"
+        over = ~(radius <= self._limits(modes, speeds_rpm))
+        if not over.any():
+            return ""
+        feed, place = np.unravel_index(int(np.argmax(np.where(over, radius, 0.0))), radius.shape)
+        return (
+            f"at {speeds_rpm[place]:.0f} 1/min and feed direction {self._feeds_deg[int(feed)]:g} deg the vibration at "
+            f"{depth_mm:g} mm does not die away fast enough"
+        )
 
-    def _radius(self, modes: ModalResponse, speed_rpm: float, depth_mm: float, feed_deg: float) -> float:
-        structure = state_space(modes, feed_deg)
-        method = semi_discretisation(structure, self._cut, default_steps(structure, self._cut, speed_rpm))
-        return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
-
-    def _modes(self, response: ToolPointResponse) -> ModalResponse:
+    def modes(self, response: ToolPointResponse) -> ModalResponse:
+        """Return the modes of a response; raises StabilityError where none follow it."""
         if isinstance(response, ModalResponse):
             return response
         known, modes = self._fitted
         if known is response and modes is not None:
             return modes
-        assert isinstance(response, SampledResponse)
-        thin = max(len(response.frequency_hz) // FEWEST_LINES, 1)
-        frequency_hz, receptance = response.frequency_hz[::thin], response.receptance[::thin]
-        axes = [_fitted(frequency_hz, receptance[:, place, place]) for place in (0, 1)]
-        found = ModalResponse(xx=axes[0], yy=axes[1])
+        if not isinstance(response, SampledResponse):
+            raise StabilityError("this kind of response has neither modes nor samples")
+        samples = response.receptance
+        if not np.isfinite(samples).all():
+            raise StabilityError("the FRF holds values that are no numbers")
+        if samples[:, 0, 1].any() or samples[:, 1, 0].any():
+            raise StabilityError("one axis acts on the other, and such an FRF has no modes of its own here")
+        found = ModalResponse(xx=self._axis(response, 0), yy=self._axis(response, 1))
+        if not found.modes():
+            raise StabilityError("both directions are rigid, so no cut can chatter; give modes or an FRF for one")
         self._fitted = (response, found)
         return found
 
+    def _axis(self, response: SampledResponse, axis: int) -> tuple[Mode, ...]:
+        """Return the modes of one axis, from those of the response before; none where it is rigid."""
+        receptance = response.receptance[:, axis, axis]
+        if not receptance.any():
+            return ()
+        lines = _thinned(receptance)
+        frequency_hz = response.frequency_hz[lines]
+        fit = fit_modes(frequency_hz, receptance[lines], start=self._fits.get(axis))
+        if fit.warnings:
+            raise StabilityError(fit.warnings[0])
+        self._fits[axis] = fit
+        return tuple(_believed(mode, frequency_hz) for mode in fit.modes)
 
-def _fitted(frequency_hz: FloatArray, receptance: np.ndarray) -> tuple[Mode, ...]:
-    """Return the modes of one axis, none where it is rigid; raises StabilityError."""
-    if not receptance.any():
-        return ()
-    first, *others = MODE_PAIRS
-    try:
-        fit = fit_modes(frequency_hz, receptance, pairs=first)
-        if not fit.warnings:
-            return fit.modes
-    except StabilityError:
-        pass
-    return fit_modes(frequency_hz, receptance, pairs=others[0]).modes
+    def _limits(self, modes: ModalResponse, speeds_rpm: FloatArray) -> FloatArray:
+        """Return the largest spectral radius that is stable at each speed."""
+        slowest_per_s = min(mode.damping_ratio * mode.angular_rad_s for mode in modes.modes())
+        decay_per_s = min(self._least_decay_per_s, LEAST_SHARE * slowest_per_s)
+        limits: FloatArray = np.exp(-decay_per_s * 60.0 / (speeds_rpm * self._cut.teeth))
+        return limits
+
+
+def _thinned(receptance: ComplexArray) -> np.ndarray:
+    """Return the places of the lines that are fitted: some all over the band, all of them around a peak."""
+    count = len(receptance)
+    every = max(count // THINNED_LINES, 1)
+    taken = np.zeros(count, dtype=bool)
+    taken[::every] = True
+    size = np.abs(receptance)
+    for peak in (np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1).tolist():
+        if size[peak] == size[max(peak - every, 0) : peak + every + 1].max():
+            taken[max(peak - every, 0) : peak + every + 1] = True
+    return np.flatnonzero(taken)
+
+
+def _believed(mode: Mode, frequency_hz: FloatArray) -> Mode:
+    """Return a mode with no less damping than the samples can tell."""
+    if frequency_hz[0] <= mode.frequency_hz <= frequency_hz[-1]:
+        return mode
+    return replace(mode, damping_ratio=max(mode.damping_ratio, OUTSIDE_DAMPING))

@@ -2,7 +2,8 @@
 
 The poles are moved until a rational function of them fits the samples in least squares (Gustavsen
 and Semlyen, 1999); poles that grow are mirrored. The order is raised until the fit follows the
-samples, or stops getting better. Poles outside the band stand for everything that lies there.
+samples, or stops getting better. Poles outside the band stand for everything that lies there. A pole
+that takes no more off the residual than it would off noise goes again.
 """
 
 from collections.abc import Sequence
@@ -32,6 +33,14 @@ wander on."""
 LOOKS = (3, 6, 12)
 DEPENDENT = 1e-12
 """A column that adds less than this share to the others is no information of its own."""
+WARM_ROUNDS = 4
+"""Rounds from the modes of a fit before, when the response has changed a little."""
+WORSE = 1.2
+"""A fit from the one before counts while its residual stays below this share of that one's."""
+SUPPORT = 3.0
+"""A mode must take this many times more off the squared residual than one that follows noise takes."""
+CLEAR_LINES, CLEAR_SUPPORT = 4.0, 2.0
+"""A resonance narrower than so many lines must take half of the squared residual: noise on two lines looks like one."""
 WIDTH_IN_LINES = 0.5
 """A resonance narrower than this many lines of the FRF is noise on one of them."""
 
@@ -44,9 +53,13 @@ class ModalFit:
     relative_residual: float
     """Root mean square of the difference over that of the samples."""
     warnings: tuple[str, ...] = ()
+    searched_residual: float | None = None
+    """Of the search whose modes these are, moved since; None: they come from a search."""
 
 
-def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | None = None) -> ModalFit:
+def fit_modes(
+    frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | None = None, start: ModalFit | None = None
+) -> ModalFit:
     """Fit modes to a receptance.
 
     Parameters
@@ -56,7 +69,10 @@ def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | N
     receptance
         Displacement per force [m/N], shape (n,), complex.
     pairs
-        Number of pole pairs; None finds it.
+        Number of pole pairs to begin with; None finds it.
+    start
+        Fit of a response that was nearly the same: its modes are moved to this one. Where that fits worse than
+        before, everything begins anew.
 
     Returns
     -------
@@ -73,11 +89,13 @@ def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | N
         raise StabilityError(
             f"an FRF of {len(frequency_hz)} frequencies is too short for a modal fit; give at least 16"
         )
+    if start is not None and (moved := _moved_fit(frequency_hz, receptance, start)) is not None:
+        return moved
     most = min(MOST_PAIRS, len(frequency_hz) // 4)
     best: ModalFit | None = None
     in_vain = 0
     for count in [pairs] if pairs is not None else range(1, most + 1):
-        modes = _vector_fit(frequency_hz, receptance, count)
+        modes = _vector_fit(frequency_hz, receptance, _even_poles(frequency_hz, count))
         residual = _residual(modes, frequency_hz, receptance)
         if best is None or residual < WORTHWHILE * best.relative_residual:
             best, in_vain = ModalFit(modes=modes, relative_residual=residual), 0
@@ -86,6 +104,7 @@ def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | N
         if best.relative_residual < GOOD_FIT or in_vain == PATIENCE:
             break
     assert best is not None
+    best = _supported(best, frequency_hz, receptance)
     if best.relative_residual > POOR_FIT:
         raise StabilityError(
             f"no sum of up to {most} modes follows this FRF (residual {best.relative_residual:.0%}); "
@@ -97,15 +116,88 @@ def fit_modes(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | N
     return best
 
 
-def _vector_fit(frequency_hz: FloatArray, receptance: ComplexArray, pairs: int) -> tuple[Mode, ...]:
-    scale = 2.0 * np.pi * float(frequency_hz[-1])
-    laplace: ComplexArray = (2j * np.pi * frequency_hz / scale).astype(np.complex128)
+def _even_poles(frequency_hz: FloatArray, pairs: int) -> ComplexArray:
+    """Return lightly damped poles spread over the band, in shares of its highest frequency."""
     low = max(frequency_hz[0], 0.02 * frequency_hz[-1])
     start = np.linspace(low, frequency_hz[-1], pairs + 2)[1:-1] / frequency_hz[-1]
-    poles: ComplexArray = (start * (-0.01 + 1j)).astype(np.complex128)
+    return np.asarray(start * (-0.01 + 1j), dtype=np.complex128)
+
+
+def _poles(modes: Sequence[Mode], frequency_hz: FloatArray) -> ComplexArray:
+    """Return the poles of modes, in shares of the highest frequency."""
+    return np.array(
+        [
+            mode.frequency_hz
+            / frequency_hz[-1]
+            * complex(-mode.damping_ratio, np.sqrt(max(1.0 - mode.damping_ratio**2, 1e-6)))
+            for mode in modes
+        ]
+    )
+
+
+def _moved_fit(frequency_hz: FloatArray, receptance: ComplexArray, start: ModalFit) -> ModalFit | None:
+    """Return the fit from the poles of another one, None where it is worse than that."""
+    modes = _vector_fit(frequency_hz, receptance, _poles(start.modes, frequency_hz), WARM_ROUNDS)
+    residual = _residual(modes, frequency_hz, receptance)
+    searched = start.relative_residual if start.searched_residual is None else start.searched_residual
+    if len(modes) < len(start.modes) or not residual <= max(GOOD_FIT, WORSE * searched):
+        return None
+    return ModalFit(modes=modes, relative_residual=residual, warnings=start.warnings, searched_residual=searched)
+
+
+def _supported(fit: ModalFit, frequency_hz: FloatArray, receptance: ComplexArray) -> ModalFit:
+    """Return the fit without the modes that nothing in the samples asks for.
+
+    One more mode always lowers the residual; on noise alone by some four of its degrees of freedom, and by the best of
+    as many places as there are frequencies. Where few of them bear most of the residual, these count.
+    """
+    scale = 2.0 * np.pi * float(frequency_hz[-1])
+    laplace: ComplexArray = (2j * np.pi * frequency_hz / scale).astype(np.complex128)
+    weight = _weight(receptance)
+    modes = list(fit.modes)
+    while len(modes) > 1:
+        least = EXACT_FIT**2 * float(np.sum(np.abs(weight * receptance) ** 2))
+        squares = _squares(modes, frequency_hz, receptance, weight)
+        now = float(squares.sum())
+        count = 2.0 * now**2 / max(float(np.sum(squares**2)), 1e-300)
+        limit = 1.0 + SUPPORT * (np.log(len(squares)) + 2.0) / max(min(count, len(squares)), 1.0)
+        poles = _poles(modes, frequency_hz)
+        shorter = [
+            _residues(laplace, receptance, np.delete(poles, place), weight, scale) for place in range(len(modes))
+        ]
+        narrow = ~_wide(poles, frequency_hz, CLEAR_LINES)
+        limits = np.maximum(np.where(narrow, max(limit, CLEAR_SUPPORT), limit) * now, least)
+        left = np.array([float(_squares(each, frequency_hz, receptance, weight).sum()) for each in shorter])
+        best = int(np.argmin(left / limits))
+        if left[best] > limits[best]:
+            break
+        modes = list(shorter[best])
+    if len(modes) == len(fit.modes):
+        return fit
+    return ModalFit(modes=tuple(modes), relative_residual=_residual(modes, frequency_hz, receptance))
+
+
+def _weight(receptance: ComplexArray) -> FloatArray:
     weight: FloatArray = 1.0 / np.sqrt(np.abs(receptance) + 1e-3 * np.abs(receptance).max())
+    return weight
+
+
+def _squares(
+    modes: Sequence[Mode], frequency_hz: FloatArray, receptance: ComplexArray, weight: FloatArray
+) -> FloatArray:
+    """Return the weighted squared residual at each frequency."""
+    squares: FloatArray = np.abs(weight * (modal_receptance(modes, frequency_hz) - receptance)) ** 2
+    return squares
+
+
+def _vector_fit(
+    frequency_hz: FloatArray, receptance: ComplexArray, poles: ComplexArray, rounds: int = ROUNDS
+) -> tuple[Mode, ...]:
+    scale = 2.0 * np.pi * float(frequency_hz[-1])
+    laplace: ComplexArray = (2j * np.pi * frequency_hz / scale).astype(np.complex128)
+    weight = _weight(receptance)
     target = (receptance / np.abs(receptance).max()).astype(np.complex128)
-    for number in range(1, ROUNDS + 1):
+    for number in range(1, rounds + 1):
         moved = _moved(laplace, target, poles, weight)
         done = len(moved) == len(poles) and bool(np.abs(moved - poles).max() < 1e-10)
         poles = moved
@@ -125,9 +217,14 @@ def _residual(modes: Sequence[Mode], frequency_hz: FloatArray, receptance: Compl
 
 def _wide_enough(poles: ComplexArray, frequency_hz: FloatArray) -> ComplexArray:
     """Return the poles that more than one line of the FRF sees, all where none is."""
-    line = float(np.median(np.diff(frequency_hz))) / float(frequency_hz[-1])
-    wide = 2.0 * np.abs(poles.real) > WIDTH_IN_LINES * line
+    wide = _wide(poles, frequency_hz, WIDTH_IN_LINES)
     return poles[wide] if bool(np.any(wide)) else poles
+
+
+def _wide(poles: ComplexArray, frequency_hz: FloatArray, lines: float) -> np.ndarray:
+    """Return which resonances are wider than so many lines of the FRF."""
+    line = np.interp(np.abs(poles.imag), frequency_hz / frequency_hz[-1], np.gradient(frequency_hz) / frequency_hz[-1])
+    return np.asarray(2.0 * np.abs(poles.real) > lines * line)
 
 
 def _basis(laplace: ComplexArray, quadratics: Sequence[tuple[float, float]]) -> ComplexArray:

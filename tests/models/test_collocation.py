@@ -1,0 +1,109 @@
+"""Collocation in the engaged arc says what the semi-discretisation says, for all feed directions at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from models.stability.collocation import passing_maps, radius_bounds
+from models.stability.errors import StabilityError
+from models.stability.milling import Cut, MillingMode, engagement_rad
+from models.stability.response import ModalResponse, Mode, mode_from_residue, mode_from_stiffness
+from models.stability.semi_discretisation import fine_steps, semi_discretisation, spectral_radius
+from models.stability.state_space import state_space
+
+MODES = ModalResponse(
+    xx=(mode_from_stiffness(605.0, 0.0125, 1.7e7), mode_from_residue(1340.0, 0.015, 2e-7 - 9e-7j)),
+    yy=(mode_from_stiffness(646.0, 0.013, 1.9e7), mode_from_stiffness(1390.0, 0.016, 5.0e7)),
+)
+COUPLED = replace(MODES, xy=(mode_from_stiffness(640.0, 0.02, 8e7),), yx=(mode_from_stiffness(640.0, 0.02, 9e7),))
+ALL_DEG = tuple(22.5 * number for number in range(8))
+
+
+def cut(mode: str, teeth: int, radial_mm: float) -> Cut:
+    start_rad, exit_rad = engagement_rad(MillingMode(mode), 16.0 if mode == "slot" else radial_mm, 16.0)
+    return Cut(teeth=teeth, start_rad=start_rad, exit_rad=exit_rad, tangential_n_per_m2=8e8, radial_ratio=0.3)
+
+
+HALF = cut("down", 4, 8.0)
+
+
+def discretised(response: ModalResponse, of: Cut, feed_deg: float, speed_rpm: float, depth_mm: float) -> float:
+    structure = state_space(response, feed_deg)
+    method = semi_discretisation(structure, of, fine_steps(structure, of, speed_rpm))
+    return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    response=st.sampled_from((MODES, COUPLED, ModalResponse(yy=MODES.yy))),
+    mode=st.sampled_from(("up", "down", "slot")),
+    teeth=st.integers(1, 6),
+    radial_mm=st.floats(0.2, 15.9),
+    feed_deg=st.floats(0.0, 180.0),
+    speed_rpm=st.floats(4000.0, 20_000.0),
+    depth_mm=st.floats(0.01, 6.0),
+)
+def test_the_bounds_hold_the_spectral_radius_between_them(
+    response: ModalResponse,
+    mode: str,
+    teeth: int,
+    radial_mm: float,
+    feed_deg: float,
+    speed_rpm: float,
+    depth_mm: float,
+) -> None:
+    tool = cut(mode, teeth, radial_mm)
+    radius = discretised(response, tool, feed_deg, speed_rpm, depth_mm)
+    assume(radius < 5.0)
+    lower, upper = radius_bounds(response, tool, feeds_deg=[feed_deg], speeds_rpm=[speed_rpm], depth_mm=depth_mm)
+    assert upper[0, 0] == pytest.approx(radius, rel=1e-3)
+    assert lower[0, 0] == pytest.approx(radius, rel=1e-3)
+
+
+@pytest.mark.parametrize("response", [MODES, COUPLED])
+def test_every_direction_and_speed_is_as_if_alone(response: ModalResponse) -> None:
+    speeds_rpm = np.array([6860.0, 7000.0, 7140.0])
+    maps = passing_maps(response, HALF, feeds_deg=ALL_DEG, speeds_rpm=speeds_rpm, depth_mm=3.0)
+    radii = np.abs(np.linalg.eigvals(maps)).max(axis=-1)
+    for row, feed_deg in enumerate(ALL_DEG):
+        for column, speed_rpm in enumerate(speeds_rpm.tolist()):
+            assert radii[row, column] == pytest.approx(discretised(response, HALF, feed_deg, speed_rpm, 3.0), abs=1e-5)
+
+
+def test_limits_end_the_squaring_early_and_change_no_verdict() -> None:
+    for depth_mm in (0.5, 2.0, 5.0):
+        fine = radius_bounds(MODES, HALF, feeds_deg=ALL_DEG, speeds_rpm=[7000.0], depth_mm=depth_mm)[1]
+        for limit in (0.9, 0.95, 0.985, 1.0):
+            asked = {"feeds_deg": ALL_DEG, "speeds_rpm": [7000.0], "depth_mm": depth_mm}
+            lower, upper = radius_bounds(MODES, HALF, **asked, limits=np.array([limit]))
+            assert bool(np.all(upper <= limit)) is bool(np.all(fine <= limit))
+            assert bool(np.all(lower <= fine * (1.0 + 1e-9)))
+            assert bool(np.all(upper >= fine * (1.0 - 1e-3)))
+
+
+def test_without_depth_the_radius_is_that_of_the_slowest_mode() -> None:
+    _, upper = radius_bounds(MODES, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1e-9)
+    slowest: Mode = min(MODES.modes(), key=lambda mode: mode.damping_ratio * mode.angular_rad_s)
+    free = np.exp(-slowest.damping_ratio * slowest.angular_rad_s * 60.0 / (7000.0 * 4))
+    assert upper[0, 0] == pytest.approx(free, rel=1e-3)
+
+
+def test_heavy_damping_and_depths_beyond_all_numbers() -> None:
+    heavy = ModalResponse(xx=(replace(MODES.xx[0], damping_ratio=1.0), replace(MODES.xx[0], damping_ratio=1.4)))
+    _, upper = radius_bounds(heavy, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1.0)
+    assert upper[0, 0] == pytest.approx(discretised(heavy, HALF, 0.0, 7000.0, 1.0), abs=1e-3)
+    lower, upper = radius_bounds(MODES, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1e300)
+    assert upper[0, 0] > 1.0
+
+
+def test_what_has_no_answer_is_refused() -> None:
+    asked = {"feeds_deg": [0.0], "depth_mm": 1.0}
+    with pytest.raises(StabilityError, match="both directions are rigid"):
+        radius_bounds(ModalResponse(), HALF, speeds_rpm=[7000.0], **asked)
+    with pytest.raises(StabilityError, match="above 0"):
+        radius_bounds(MODES, HALF, speeds_rpm=[7000.0, 0.0], **asked)
+    with pytest.raises(StabilityError, match="vibrates too often"):
+        radius_bounds(MODES, HALF, speeds_rpm=[100.0], **asked)
