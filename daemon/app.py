@@ -117,7 +117,7 @@ class Daemon:
             self._telemetry,
             commissioning=record,
             model_id=model.model_id if model is not None else None,
-            model_obstacle=lambda: obstacle or self.thermal.obstacle(),
+            model_obstacle=lambda: obstacle or self.thermal.inhibit(),
             resume=self._resume,
             ask_reference=inbox.put_nowait,
             on_tick=self._on_tick,

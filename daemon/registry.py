@@ -12,7 +12,7 @@ from daemon.model_release.side_load import load_beside
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 from drivers.registry import open_cnc, open_displacement_source, open_temperature_source
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 SPEED_PLANNER = (sys.executable, "-P", "-m", "daemon.speed_planner")
 """Starts the process that plans the spindle speed."""
@@ -28,7 +28,7 @@ class Parts:
     )
     open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc
     housekeeping: Housekeeping = housekeeping_scheduler
-    load_model: Callable[[Configuration], Awaitable[LoadedModel[AnyThermalModel]]] = load_beside
+    load_model: Callable[[Configuration], Awaitable[LoadedModel[ThermalModel]]] = load_beside
     """Loads the released model anew, off the loop."""
     speed_planner: Sequence[str] = SPEED_PLANNER
 

@@ -12,7 +12,7 @@ from config.machine.spindle import Origin
 from config.schema.base import KeyPath, KeyProblems, Section
 from models.dynamics.bearings import KINDS, PARAMETERS
 from models.dynamics.identification import FIXED
-from models.thermal.model import ModelError
+from models.model_file import ModelError
 from models.thermomechanics.regression import AxisRegression, Bounds, PropertyRegression, ThermomechanicalModel
 
 SIGNALS = ("IR", "A", "F", "Room")

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
-from daemon.estimation.online_model import OnLineModel
+from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.writer import HistoryWriter
 from models.records import FloatArray, Reference
-from models.thermal.rebase import MeanIncrement, first_mean_increment, renewed_mean_increment
+from models.thermal.mean_increment import MeanIncrement, first_mean_increment, renewed_mean_increment
 
 log = structlog.get_logger(__name__)
 
@@ -72,13 +72,13 @@ class SinceReference:
         means_k = {label: mean.mean_k for label, mean in self._means.items()}
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
-    def keep(self, degc: FloatArray, online: OnLineModel) -> None:
+    def keep(self, degc: FloatArray, online: ModelInUse) -> None:
         """Remember who was away in an estimate, and who is excluded; hand it to the store when it has changed.
 
         A sensor that the model does not know counts as away until a model sets it anew.
         """
         away = self.absent.copy()
-        away[online.rebased] = False
+        away[online.places] = False
         self.absent = away | ~np.isfinite(degc)
         of_others = {i: sign for i, sign in self.excluded.items() if i not in online.model.sensor_ids}
         self.excluded = of_others | online.excluded

@@ -12,9 +12,8 @@ import numpy as np
 import structlog
 
 from config.schema import Configuration
-from daemon.estimation.increments import IncrementsOnLine
-from daemon.estimation.lagged import LagsOnLine
-from daemon.estimation.online_model import OnLineModel
+from daemon.estimation.cleansing import Cleansing
+from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import Past
 from daemon.estimation.sensor_memory import SinceReference
 from daemon.history.writer import HistoryWriter
@@ -22,8 +21,6 @@ from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, 
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
-from models.cleanse import CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
-from models.quality import Quality, Reason
 from models.records import (
     FloatArray,
     MachineTemperatures,
@@ -31,14 +28,12 @@ from models.records import (
     TemperatureCycle,
     ThermalErrorEstimate,
 )
-from models.thermal.family import AnyThermalModel
-from models.thermal.lagged_model import LaggedModel
-from models.thermal.model import ThermalModel
+from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
 
 
-Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | Reference | AnyThermalModel
+Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | Reference | ThermalModel
 """What the thermal task takes."""
 
 
@@ -55,7 +50,7 @@ class ThermalTask:
         clock: Clock,
         history: HistoryWriter,
         telemetry: Telemetry,
-        model: AnyThermalModel | None,
+        model: ThermalModel | None,
         inbox: "asyncio.Queue[Message]",
         deliver: Callable[[Delivery], None],
         on_change: Callable[[], None] = lambda: None,
@@ -70,34 +65,27 @@ class ThermalTask:
             configuration.spindle_speed is not None
         )
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
-        position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
         self._sensor_ids = temperatures.sensor_ids
         self._components = temperatures.components
-        self._lines = {
-            line.name: (np.array([position[i] for i in line.sensor_ids]), line.cycle_period_s)
-            for line in temperatures.lines
-        }
-        self._rules = CleansingRules(**temperatures.cleansing.model_dump())
-        self._state: CleansingState = initial_state(len(position))
-        self._mean = RollingMean(configuration.compensation.reference.mean_s)
-        self._measured = np.full(len(position), np.nan)
-        self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
-        self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
+        self._cleansing = Cleansing(configuration, clock)
         self._reference: Reference | None = None
         self.inbox = inbox
-        self.latest: MachineTemperatures | None = None
         self.latest_estimate: ThermalErrorEstimate | None = None
         self.cycles_received = 0
         self.line_faults: dict[str, tuple[str, ...]] = {}
         self.cycles_incomplete = 0
         self.estimates = 0
-        self._position = position
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = -np.inf
-        self._online = self._on_line(model)
+        self._online = self._in_use(model)
         self._since = SinceReference(history, self._sensor_ids, self._labels)
-        self._heard = np.zeros(len(position), dtype=bool)
+        self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._taken_up_s = -np.inf
+
+    @property
+    def latest(self) -> MachineTemperatures | None:
+        """Temperatures after the latest cycle of any line."""
+        return self._cleansing.latest
 
     @property
     def usable(self) -> int:
@@ -122,7 +110,7 @@ class ThermalTask:
         """Hold the first temperatures against those that the previous run accepted last."""
         past = Past(self._history.path, self._sensor_ids, self._clock)
         degc, at_s = await asyncio.to_thread(past.last_accepted)
-        self._state = initial_state(len(degc), degc, at_s)
+        self._cleansing.recall(degc, at_s)
 
     async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):
@@ -130,15 +118,15 @@ class ThermalTask:
         elif isinstance(item, SpindleSpeed):
             self._speed.add(item.monotonic_s, np.array([item.rpm]))
             self._speed_at_s = item.monotonic_s
-        elif isinstance(item, ThermalModel | LaggedModel):
-            await self.use_model(item)
         elif isinstance(item, ReferenceEnded):
             if item.for_good and self._reference is not None and self._reference.reference_id == item.reference_id:
                 self._reference = None
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
-        else:
+        elif isinstance(item, Reference):
             await self._take_up(item)
+        else:
+            await self.use_model(item)
 
     async def _take_up(self, reference: Reference) -> None:
         """Go on from a reference of before; what the store knows of it is read while everybody else goes on."""
@@ -146,42 +134,33 @@ class ThermalTask:
         await asyncio.to_thread(self._since.take_up, reference)
         if self._online is not None:
             known = (self._since.excluded, self._since.of_model)
-            await asyncio.to_thread(self._online.refer, reference, self._taken_up_s, *known)
+            await asyncio.to_thread(self._online.set_reference, reference, self._taken_up_s, *known)
         self._reference = reference
 
-    async def use_model(self, model: AnyThermalModel | None) -> None:
+    async def use_model(self, model: ThermalModel | None) -> None:
         """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
-        online = self._on_line(model)
+        online = self._in_use(model)
         if online is not None:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
                 known = (self._since.excluded, self._since.of_model)
-                await asyncio.to_thread(online.refer, self._reference, now_s, *known)
+                await asyncio.to_thread(online.set_reference, self._reference, now_s, *known)
         self._online = online
 
-    def _on_line(self, model: AnyThermalModel | None) -> OnLineModel | None:
-        if isinstance(model, LaggedModel):
-            past = Past(self._history.path, self._sensor_ids, self._clock)
-            return LagsOnLine(model, self._position, past.means)
-        return IncrementsOnLine(model, self._position, self._components) if model is not None else None
+    def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
+        if model is None:
+            return None
+        past = Past(self._history.path, self._sensor_ids, self._clock)
+        return ModelInUse(model, self._sensor_ids, self._components, past.means)
 
-    def obstacle(self) -> str:
+    def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
-        if self._online is None:
-            return ""
-        model = self._online.model
-        if isinstance(model, LaggedModel) and abs(model.period_min * 60.0 - self._mean.window_s) > 1e-6:
-            return (
-                f"model {model.model_id} was fitted on means over {model.period_min * 60.0:g} s; "
-                f"set compensation.reference.mean_s: {model.period_min * 60.0:g}"
-            )
-        return self._online.obstacle()
+        return "" if self._online is None else self._online.inhibit(self._cleansing.window_s)
 
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
-        """Hand the estimate on first; the control task writes while the books are kept."""
-        temperatures = self._cleanse(cycle)
-        self.latest = temperatures
+        """Hand the estimate on first; the control task writes while the history is."""
+        temperatures = self._cleansing.on_cycle(cycle)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
@@ -202,41 +181,13 @@ class ThermalTask:
             event = "cycle.faults" if cycle.complete else "cycle.incomplete"
             log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more")
 
-    def _cleanse(self, cycle: TemperatureCycle) -> MachineTemperatures:
-        indices, period_s = self._lines[cycle.line]
-        now_s = cycle.trace.first_byte.monotonic_s
-        result = cleanse_cycle(
-            self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
-        )
-        self._state = result.state
-        self._measured[indices] = cycle.degc
-        degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
-        degc[indices] = result.degc
-        self._quality[indices] = result.quality
-        self._reason[indices] = result.reason
-        ages_s = age_s(self._state, now_s)
-        stale = ages_s > self._rules.stale_after_s
-        degc[stale] = np.nan
-        unsaid = stale & (self._quality != Quality.MISSING)
-        self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
-        self._mean.add(now_s, degc)
-        return MachineTemperatures(
-            line=cycle.line,
-            measured_degc=self._measured.copy(),
-            degc=degc,
-            quality=self._quality.copy(),
-            reason=self._reason.copy(),
-            age_s=ages_s,
-            trace=replace(cycle.trace, cleansed=self._clock.now()),
-        )
-
     def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
-        degc, now_s = self._mean.mean(), temperatures.trace.first_byte.monotonic_s
+        degc, now_s = self._cleansing.mean_degc(), temperatures.trace.first_byte.monotonic_s
         speed_rpm = float(self._speed.mean()[0]) if now_s - self._speed_at_s <= self._speed.window_s else np.nan
         online, reference = self._online, self._reference
         if online is None:
             return None
-        online.take(now_s, degc, speed_rpm)
+        online.on_sample(now_s, degc, speed_rpm)
         self._heard |= np.isfinite(degc)
         if reference is None or self._waits_for_sensors(online, reference, now_s):
             return None
@@ -259,19 +210,19 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=outcome.confidence,
             imputed=tuple(outcome.imputed),
-            doubt=self.obstacle(),
+            doubt=self.inhibit(),
             model_id=model.model_id,
             reference_id=reference.reference_id,
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
         )
 
-    def _waits_for_sensors(self, online: OnLineModel, reference: Reference, now_s: float) -> bool:
-        """Whether sensors that counted before a restart have not spoken yet: none of them has left for that."""
-        if now_s - self._taken_up_s > self._rules.stale_after_s:
+    def _waits_for_sensors(self, online: ModelInUse, reference: Reference, now_s: float) -> bool:
+        """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
+        if now_s - self._taken_up_s > self._cleansing.stale_after_s:
             return False
         needed = np.zeros(len(self._heard), dtype=bool)
-        for places in (*self._labels.values(), np.array([self._position[i] for i in online.model.sensor_ids])):
+        for places in (*self._labels.values(), online.places):
             needed[places] = True
         return bool((needed & np.isfinite(reference.degc) & ~self._since.absent & ~self._heard).any())
 
@@ -287,10 +238,10 @@ class ThermalTask:
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
         latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
-        degc = self._mean.mean() if now.monotonic_s - latest_s <= self._mean.window_s else np.empty(0)
+        degc = self._cleansing.mean_degc() if now.monotonic_s - latest_s <= self._cleansing.window_s else np.empty(0)
         usable = int(np.isfinite(degc).sum())
         if usable == 0:
-            window = f"the last {self._mean.window_s:.0f} s"
+            window = f"the last {self._cleansing.window_s:.0f} s"
             why = f"reference of {request.source} refused: no temperature has arrived in {window}"
             self._deliver(ReferenceRefused(reference_id=request.reference_id, why=why))
             return
@@ -306,7 +257,7 @@ class ThermalTask:
         self._reference, self._taken_up_s = reference, -np.inf
         self._since.begin(reference)
         if self._online is not None:
-            self._online.refer(reference, now.monotonic_s)
+            self._online.set_reference(reference, now.monotonic_s)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

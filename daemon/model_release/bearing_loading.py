@@ -3,7 +3,7 @@
 from config.schema import Configuration
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import LoadedModel, WantedModel, load_checked
-from models.thermal.model import ModelError
+from models.model_file import ModelError
 from models.thermomechanics.artifact import model_from_json
 from models.thermomechanics.regression import ThermomechanicalModel
 

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from config.schema import Configuration
-from models.thermal.family import AnyThermalModel
-from models.thermal.lagged_model import LaggedModel
+from models.thermal.family import ThermalModel
 
 
 def channels_in_use(configuration: Configuration) -> dict[str, float]:
@@ -19,20 +18,20 @@ def channels_in_use(configuration: Configuration) -> dict[str, float]:
     return widest
 
 
-def training_obstacle(model: AnyThermalModel) -> str:
+def training_inhibit(model: ThermalModel) -> str:
     """Return why a model's own training refused it, '' when it did not, or could not tell."""
-    if isinstance(model, LaggedModel) and model.refused is not None:
+    if model.refused is not None:
         return f"its training refused it: {model.refused}"
     return ""
 
 
-def gate_obstacle(model: AnyThermalModel, configuration: Configuration) -> str:
+def gate_inhibit(model: ThermalModel, configuration: Configuration) -> str:
     """Return why nobody may release a model, '' when its own figures speak for it."""
-    return next(_objections(model, configuration), "")
+    return next(_inhibits(model, configuration), "")
 
 
-def _objections(model: AnyThermalModel, configuration: Configuration) -> Iterator[str]:
-    if refused := training_obstacle(model):
+def _inhibits(model: ThermalModel, configuration: Configuration) -> Iterator[str]:
+    if refused := training_inhibit(model):
         yield refused
     for channel, widest_um in channels_in_use(configuration).items():
         band_um = float(model.band_um[model.channels.index(channel)])
@@ -48,7 +47,7 @@ def _objections(model: AnyThermalModel, configuration: Configuration) -> Iterato
             )
 
 
-def policy_obstacle(model: AnyThermalModel, active: AnyThermalModel | None, configuration: Configuration) -> str:
+def policy_inhibit(model: ThermalModel, active: ThermalModel | None, configuration: Configuration) -> str:
     """Return why a model may not be released without a person, '' when the policy lets it."""
     if not configuration.compensation.release.automatic:
         return (

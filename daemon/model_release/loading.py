@@ -9,14 +9,11 @@ from typing import Generic, Protocol, TypeVar
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.file_access import Account, how_it_could_change
-from daemon.model_release.gate import training_obstacle
+from daemon.model_release.gate import training_inhibit
 from daemon.model_release.repository import released, sha256_of
 from daemon.snapshots import ModelSnapshot
-from models.thermal.artifact import model_to_json
-from models.thermal.family import AnyThermalModel
-from models.thermal.lagged_artifact import any_model_from_json, lagged_model_to_json
-from models.thermal.lagged_model import LaggedModel
-from models.thermal.model import ModelError
+from models.model_file import ModelError
+from models.thermal.family import ThermalModel, model_from_json
 
 
 class Named(Protocol):
@@ -71,17 +68,17 @@ class LoadedModel(Generic[AnyModel]):
         )
 
 
-def load_released(configuration: Configuration, account: Account) -> LoadedModel[AnyThermalModel]:
+def load_released(configuration: Configuration, account: Account) -> LoadedModel[ThermalModel]:
     """Return the configured thermal model as this account may use it; deny by default."""
     path = configuration.compensation.model_file
     if path is None:
         return LoadedModel(model=None, obstacle="no thermal model is configured (compensation.model_file)")
     wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
 
-    def read(content: bytes, source: str) -> tuple[AnyThermalModel | None, str, str]:
+    def read(content: bytes, source: str) -> tuple[ThermalModel | None, str, str]:
         """Return the thermal model, and what stands against it."""
         model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
-        return model, obstacle, "" if model is None else training_obstacle(model)
+        return model, obstacle, "" if model is None else training_inhibit(model)
 
     return load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
 
@@ -143,7 +140,7 @@ def _doubt(wanted: WantedModel, path: Path, account: Account, record: ReleaseRec
     return ""
 
 
-def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -> tuple[AnyThermalModel | None, str]:
+def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -> tuple[ThermalModel | None, str]:
     """Return the model, or why it cannot serve a machine with these sensors that needs these channels."""
     try:
         content = path.read_bytes()
@@ -154,12 +151,10 @@ def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -
 
 def model_from_text(
     content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str]
-) -> tuple[AnyThermalModel | None, str]:
+) -> tuple[ThermalModel | None, str]:
     """Return the model that a file's bytes hold, or why it cannot serve such a machine."""
     try:
-        model = any_model_from_json(content.decode("utf-8"), source=source)
-    except UnicodeDecodeError as error:
-        return None, f"{source}: this is no thermal model: byte {error.start} is not UTF-8 text"
+        model = model_from_json(content, source)
     except ModelError as error:
         return None, str(error)
     if model.axis_positions:
@@ -173,8 +168,3 @@ def model_from_text(
     if lacking := sorted(set(channels) - set(model.channels)):
         return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
     return model, ""
-
-
-def model_text(model: AnyThermalModel) -> str:
-    """Return the content of a model's file."""
-    return lagged_model_to_json(model) if isinstance(model, LaggedModel) else model_to_json(model)

@@ -11,10 +11,10 @@ from pathlib import Path
 from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
-from daemon.model_release.gate import channels_in_use, gate_obstacle, policy_obstacle
+from daemon.model_release.gate import channels_in_use, gate_inhibit, policy_inhibit
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder, sha256_of
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 LARGEST_MODEL = 64 * 2**20
 """No model comes near this [byte]."""
@@ -104,7 +104,7 @@ def release(
         if by_policy:
             proposed, _ = _checked(configuration, content, str(proposal))
             before = _checked_release(configuration, shelf, active)
-            if obstacle := policy_obstacle(proposed, before, configuration):
+            if obstacle := policy_inhibit(proposed, before, configuration):
                 raise ReleaseError(f"{proposal}: {obstacle}")
             checks.append("its bands are not wider than the active model's")
         record = _record(
@@ -196,7 +196,7 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
             content, str(path), configuration.temperatures.sensor_ids, _wanted(configuration)
         )
         if model is not None:
-            obstacle = gate_obstacle(model, configuration)
+            obstacle = gate_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
         found.append((changed_s, Proposal(path=path, model_id=name, sha256=sha256_of(content), obstacle=obstacle)))
     return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
@@ -222,12 +222,12 @@ def _content(path: Path) -> bytes:
         os.close(descriptor)
 
 
-def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[AnyThermalModel, list[str]]:
+def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel, list[str]]:
     """Return the model and what was found good; raises ReleaseError."""
     model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
     if model is None:
         raise ReleaseError(obstacle)
-    if obstacle := gate_obstacle(model, configuration):
+    if obstacle := gate_inhibit(model, configuration):
         raise ReleaseError(f"{source}: {obstacle}")
     bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in _wanted(configuration))
     return model, [
@@ -240,7 +240,7 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
 
 def _checked_release(
     configuration: Configuration, shelf: ReleaseRepository, record: ReleaseRecord | None
-) -> AnyThermalModel | None:
+) -> ThermalModel | None:
     if record is None:
         return None
     _, content = shelf.content(record.number)

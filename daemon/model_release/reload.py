@@ -8,11 +8,11 @@ import structlog
 
 from daemon.model_release.loading import LoadedModel
 from daemon.snapshots import ModelSnapshot
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
 
-Load = Callable[[], Awaitable[LoadedModel[AnyThermalModel]]]
+Load = Callable[[], Awaitable[LoadedModel[ThermalModel]]]
 """Loads what is released now, off the loop."""
 
 
@@ -21,10 +21,10 @@ class ModelReload:
 
     def __init__(
         self,
-        loaded: LoadedModel[AnyThermalModel],
+        loaded: LoadedModel[ThermalModel],
         load: Load,
         *,
-        take: Callable[[AnyThermalModel], None],
+        take: Callable[[ThermalModel], None],
         report: Callable[[str, str], None],
         publish: Callable[[ModelSnapshot], None],
     ) -> None:
@@ -52,7 +52,7 @@ class ModelReload:
                 found = LoadedModel(model=None, obstacle=f"unexpected {type(error).__name__} while loading: {error}")
             self._take_up(found)
 
-    def _take_up(self, found: LoadedModel[AnyThermalModel]) -> None:
+    def _take_up(self, found: LoadedModel[ThermalModel]) -> None:
         """Take up a model that was released meanwhile; the old one stays where the new one is refused."""
         if found.model is not None and self._loaded.model is None:
             words = f"{found.in_words()}; the daemon was started without a model: restart it to use this one"

@@ -12,10 +12,9 @@ from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
 from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
-from daemon.model_release.loading import model_text
 from daemon.model_release.past_recordings import recordings_from_history
 from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER, proposals_folder
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 from models.thermal.training.train_family import train_family
 
 DAY_S = 86400.0
@@ -62,7 +61,7 @@ MOST_PROPOSALS = 20
 """Older proposals are removed."""
 
 
-def propose(configuration: Configuration, model: AnyThermalModel) -> Path:
+def propose(configuration: Configuration, model: ThermalModel) -> Path:
     """Write a proposal in one step and return its file, readable by the account that releases; raises OSError."""
     folder = proposals_folder(configuration)
     folder.mkdir(parents=True, exist_ok=True)
@@ -71,7 +70,7 @@ def propose(configuration: Configuration, model: AnyThermalModel) -> Path:
     temporary = folder / f".{path.name}.{os.getpid()}.tmp"
     try:
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(model_text(model))
+            file.write(model.to_json())
             file.flush()
             os.fsync(file.fileno())
         temporary.chmod(READABLE_FILE)

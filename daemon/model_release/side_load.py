@@ -18,7 +18,7 @@ import sys
 from config.schema import Configuration
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 NICENESS = "15"
 PATIENCE_S = 120.0
@@ -27,13 +27,13 @@ ALIGNMENT = 64
 _COUNT = struct.Struct("<q")
 
 
-async def load_beside(configuration: Configuration) -> LoadedModel[AnyThermalModel]:
+async def load_beside(configuration: Configuration) -> LoadedModel[ThermalModel]:
     """Return the configured thermal model as this account may use it, or why there is none."""
     try:
         descriptor = os.memfd_create("toolpoint-model", os.MFD_CLOEXEC)
         try:
             problem = await _run(descriptor, pickle.dumps(configuration))
-            found: LoadedModel[AnyThermalModel] | None = None if problem else unpack(descriptor)
+            found: LoadedModel[ThermalModel] | None = None if problem else unpack(descriptor)
         finally:
             os.close(descriptor)
     except OSError as error:
@@ -65,7 +65,7 @@ async def _run(descriptor: int, configuration: bytes) -> str:
     return said[-1] if said else f"status {process.returncode}"
 
 
-def pack(found: LoadedModel[AnyThermalModel], file: io.FileIO) -> None:
+def pack(found: LoadedModel[ThermalModel], file: io.FileIO) -> None:
     """Write a model: sizes, the records, and each array's bytes where a mapped array may begin."""
     buffers: list[pickle.PickleBuffer] = []
     parts = [memoryview(pickle.dumps(found, protocol=5, buffer_callback=buffers.append))]
@@ -78,7 +78,7 @@ def pack(found: LoadedModel[AnyThermalModel], file: io.FileIO) -> None:
         file.seek(-file.tell() % ALIGNMENT, os.SEEK_CUR)
 
 
-def unpack(descriptor: int) -> LoadedModel[AnyThermalModel]:
+def unpack(descriptor: int) -> LoadedModel[ThermalModel]:
     """Return what `pack` wrote; its arrays are the file's pages, which nobody may write."""
     view = memoryview(mmap.mmap(descriptor, 0, prot=mmap.PROT_READ, flags=mmap.MAP_PRIVATE))
     (count,) = _COUNT.unpack_from(view)

@@ -18,7 +18,7 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema.temperatures import SensorConfig
 from daemon.simulation.simulation import DEMO_SEED
-from daemon.workbench.thermal.training import write_model
+from daemon.workbench.thermal.training import write_model_file
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.recording import record
 from drivers.sim.nc.program import (
@@ -30,10 +30,12 @@ from drivers.sim.nc.program import (
     switching_program,
 )
 from models.recordings.dataset import Recording
-from models.thermal.estimate import estimate
-from models.thermal.model import ThermalModel
+from models.thermal.estimation import Machine, OnlineReference
+from models.thermal.family import ThermalModel
 from models.thermal.training.evaluation import ResidualMetrics, residual_metrics
-from models.thermal.training.train import TrainingChoices, TrainingResult, train
+from models.thermal.training.increment_family import IncrementChoices
+from models.thermal.training.recipes import increment_recipe
+from models.thermal.training.train_family import FamilyTraining, train_family
 
 CHANNELS = ("Y1", "Y2", "Z1", "Z2", "Z3")
 """X stays below 5 um and is not modelled."""
@@ -87,7 +89,7 @@ def simulated_recording(seed: int, program: PartProgram, sensors: Sequence[Senso
 class Fitted:
     """The best candidate, and the held-out score of every one."""
 
-    result: TrainingResult
+    result: FamilyTraining
     scores: dict[float, float]
     """Mean held-out RMSE with / without the model, by interval [min]."""
 
@@ -95,14 +97,17 @@ class Fitted:
 def fit_best(recordings: Sequence[Recording], progress: Callable[[int, int], None]) -> Fitted:
     """Train one ridge model per interval and keep the one that predicts left-out days best."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    results: dict[float, TrainingResult] = {}
+    results: dict[float, FamilyTraining] = {}
     for number, interval_min in enumerate(INTERVALS_MIN, start=1):
-        results[interval_min] = train(
-            recordings, TrainingChoices(kind="ridge", interval_min=interval_min), created=created
-        )
+        choices = IncrementChoices(interval_min=interval_min, ridge_k2="auto", split_at_speed_changes=False)
+        results[interval_min] = train_family(recordings, increment_recipe(choices), sample_s=60.0, created=created)
         progress(number, len(INTERVALS_MIN))
-    best = min(results.values(), key=lambda result: result.report.score)
-    return Fitted(result=best, scores={interval: result.report.score for interval, result in results.items()})
+    best = min(results.values(), key=_score)
+    return Fitted(result=best, scores={interval: _score(result) for interval, result in results.items()})
+
+
+def _score(result: FamilyTraining) -> float:
+    return result.trust.held_out_relative_rmse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,11 +123,15 @@ class Judgement:
 def judge(model: ThermalModel, recording: Recording, sensors: Sequence[SensorConfig]) -> Judgement:
     """Run the model over a day as the daemon does, with one reference at its start."""
     minutes = recording.downsampled(60.0)
-    components = tuple(sensor.component for sensor in sensors)
-    reference_degc = minutes.temperatures_degc[0]
+    online = model.runtime(Machine(components={sensor.id: sensor.component for sensor in sensors}))
+    time_min = (minutes.time_s - minutes.time_s[0]) / 60.0
+    first_degc = minutes.temperatures_degc[0]
+    online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=first_degc))
+    nobody = np.zeros(len(first_degc), dtype=np.bool_)
     estimated, in_domain = [], []
-    for time_s, degc in zip(minutes.time_s, minutes.temperatures_degc, strict=True):
-        outcome = estimate(model, degc, reference_degc, float(time_s - minutes.time_s[0]) / 60.0, components)
+    for now_min, degc in zip(time_min.tolist(), minutes.temperatures_degc, strict=True):
+        online.on_sample(now_min, degc, float("nan"))
+        outcome, _ = online.estimate(now_min, degc, nobody)
         assert outcome is not None
         estimated.append(outcome.thermal_error_um)
         in_domain.append(outcome.in_domain)
@@ -163,7 +172,7 @@ def main(output: Path) -> None:
     for interval_min, score in fitted.scores.items():
         click.echo(f"interval {interval_min:4g} min: {score:.3f} of the error remains on left-out days")
     model = fitted.result.model
-    write_model(fitted.result, output)
+    write_model_file(model, output)
     click.echo(f"{output}: {model.model_id}, {output.stat().st_size} bytes")
     for judgement in (judge(model, day, sensors) for day in unseen_days(sensors)):
         click.echo(f"{judgement.day}: {judgement.in_domain_share:.0%} in domain; rmse and max [um] without -> with")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.records import FloatArray
+from models.thermal.layout import Layout
 
 
 def lag_step(
@@ -89,3 +90,27 @@ def speed_inputs(speed_rpm: FloatArray, scale_rpm: float) -> FloatArray:
     """
     relative = np.abs(speed_rpm) / scale_rpm
     return np.column_stack([relative, np.square(relative)])
+
+
+def feature_table(
+    layout: Layout, time_min: FloatArray, degc: FloatArray, speed_rpm: FloatArray, scale_rpm: float
+) -> FloatArray:
+    """Return temperatures, their lags and lagged speed of one run, shape (n, layout.columns).
+
+    Parameters
+    ----------
+    layout
+        Which columns.
+    time_min : shape (n,)
+        Increasing times [min].
+    degc : shape (n, n_sensors)
+        Temperatures [degC], finite.
+    speed_rpm : shape (n,)
+        Spindle speed [1/min], finite.
+    scale_rpm
+        Speed that becomes 1 [1/min].
+
+    """
+    lagged = lag_table(time_min, degc, layout.lags_min)
+    speed = lag_table(time_min, speed_inputs(speed_rpm, scale_rpm), layout.speed_lags_min)
+    return np.hstack([degc, *lagged, *speed])

@@ -1,39 +1,38 @@
-"""A fitted thermal model, which proves itself whenever it is made."""
+"""What a thermal model that is linear in its features consists of; it proves itself whenever it is made.
+
+Features are temperatures, their first-order lags and lagged spindle speed. The model of increments since a
+reference, telescoped, is the one without lags.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from models.model_file import ModelError, Numbers
 from models.records import FloatArray
-
-KINDS = ("increments", "ridge", "pls", "lasso")
-"""Families of models that end in one coefficient per temperature."""
-
+from models.thermal.layout import IntArray, Layout
+from models.thermal.solution import Solution
+from models.thermal.watch import SensorWatch
 
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""
 
-
-class ModelError(ValueError):
-    """A model is refused; the text names the file, the key, what is wrong and what to do."""
-
-    def __init__(self, key: str, sentence: str, source: str = "model") -> None:
-        self.key = key
-        self.sentence = sentence
-        super().__init__(f"{source}: {key}: {sentence}" if key else f"{source}: {sentence}")
+HyperParameters = dict[str, float | int | str | bool | list[float]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TestVector:
-    """Input and output of the model when it was fitted; checked again whenever it is loaded."""
+    """Features and what the model made of them when it was fitted; checked again whenever it is loaded."""
 
     __test__ = False
 
-    degc: FloatArray
-    """Temperatures [degC], shape (n_sensors,)."""
-    reference_degc: FloatArray
+    features: Numbers
+    """Temperatures [degC], lags and lagged speed, shape (layout.columns,)."""
+    reference: Numbers
+    """The same at the reference."""
     elapsed_min: float
-    thermal_error_um: FloatArray
+    """Time since the reference [min]."""
+    thermal_error_um: Numbers
     """What the model must give [um], shape (n_channels,)."""
 
 
@@ -50,8 +49,25 @@ class TrainingData:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ThermalModel:
-    """A linear thermal model in the telescoped form.
+class Domain:
+    """How far training went."""
+
+    of_increments: bool
+    """The range is one of increments since any earlier instant [K], not of temperatures [degC]."""
+    lowest: Numbers
+    """Lowest value seen in training [degC or K], shape (n_sensors,)."""
+    highest: Numbers
+    highest_speed_rpm: float = 0.0
+    """Highest spindle speed seen in training [1/min]; 0 without speed."""
+    leverage_limit: float | None = None
+    """Largest leverage of a change between two training rows, summed over the ridges; beyond it confidence fades."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearParameters:
+    """The mean of linear maps from the change of features since a reference to thermal error, and a drift.
+
+    ``thermal_error_um = (features - features at the reference) @ coefficients + drift_um_per_min * elapsed_min``
 
     Raises
     ------
@@ -62,26 +78,32 @@ class ThermalModel:
 
     model_id: str
     kind: str
-    """How it was fitted: one of `KINDS`."""
+    """How it was fitted: `default`, `increments`, `ridge` .."""
     channels: tuple[str, ...]
     """Displacement channels that it estimates."""
     sensor_ids: tuple[int, ...]
-    """Sensor IDs of the machine, in the order of the coefficients."""
+    """Sensor IDs of the machine, in the order of the columns."""
     sensor_names: tuple[str, ...]
     """Column names of the same sensors in the training data."""
-    coefficients_um_per_k: FloatArray
-    """b [um/K], shape (n_channels, n_sensors)."""
-    drift_um_per_min: FloatArray
-    """b_0 [um/min], shape (n_channels,); zeros when it is off."""
-    interval_min: float
-    """Interval of the increments that it was fitted on [min]."""
-    ridge_k2: float
-    """Ridge penalty [K^2]; 0 is ordinary least squares."""
-    lowest_increment_k: FloatArray
-    """Lowest increment since any earlier instant seen in training [K], shape (n_sensors,)."""
-    highest_increment_k: FloatArray
-    band_um: FloatArray
-    """Half width of the prediction band [um], shape (n_channels,); NaN where nothing was held out."""
+    layout: Layout
+    speed_scale_rpm: float
+    """Speed that stands for 1 in the features [1/min]."""
+    period_min: float
+    """Time between the rows it was fitted on [min]: its input is filtered as theirs was."""
+    solutions: tuple[Solution, ...]
+    """Its thermal error is their mean; sensors can be left out of each."""
+    drift_um_per_min: Numbers
+    """b_0 [um/min], shape (n_channels,); zeros when there is none."""
+    centre: Numbers
+    """Mean of each feature in training, shape (layout.columns,); zeros where it is not known."""
+    domain: Domain
+    band_um: Numbers
+    """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN where nothing was held out."""
+    watch: SensorWatch | None
+    """The watch of its sensors; None where it carries none."""
+    hyper_parameters: HyperParameters
+    refused: str | None
+    """Why the gate refuses it; None when it may be activated."""
     training: tuple[TrainingData, ...]
     created: str
     """Date and time of the fit, ISO 8601."""
@@ -91,87 +113,110 @@ class ThermalModel:
 
     def __post_init__(self) -> None:
         _check_names(self)
+        _check_solutions(self)
         _check_arrays(self)
         _check_test_vectors(self)
-        for array in (
-            self.coefficients_um_per_k,
-            self.drift_um_per_min,
-            self.lowest_increment_k,
-            self.highest_increment_k,
-            self.band_um,
-        ):
-            array.flags.writeable = False
+
+    def coefficients(self, without: tuple[int, ...] = (), beside: IntArray | None = None) -> FloatArray:
+        """Return [um per unit of the feature], fitted without some sensors (indices), shape (d, n_channels)."""
+        return np.asarray(np.mean([one.coefficients(without, beside) for one in self.solutions], axis=0))
+
+    def thermal_error_um(self, change: FloatArray, elapsed_min: float | FloatArray) -> FloatArray:
+        """Return the thermal error since the reference.
+
+        Parameters
+        ----------
+        change : shape (d,) or (n, d)
+            Features minus features at the reference.
+        elapsed_min : scalar or shape (n,)
+            Time since the reference [min].
+
+        Returns
+        -------
+        numpy.ndarray, shape (n_channels,) or (n, n_channels)
+            Actual minus nominal [um].
+
+        """
+        drift_um = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
+        return np.asarray(change @ self.coefficients() + drift_um)
 
 
-def check_identity(model_id: str, channels: tuple[str, ...], sensor_ids: tuple[int, ...]) -> None:
-    """Refuse a model without a name, without channels or sensors, or with one of them twice; raises ModelError."""
-    if not model_id.strip():
+def _check_names(model: LinearParameters) -> None:
+    if not model.model_id.strip():
         raise ModelError("model_id", "is empty; history and audit need a name")
-    named: tuple[tuple[str, tuple[str | int, ...]], ...] = (("channels", channels), ("sensor_ids", sensor_ids))
+    named: tuple[tuple[str, tuple[str | int, ...]], ...] = (
+        ("channels", model.channels),
+        ("sensor_ids", model.sensor_ids),
+    )
     for key, items in named:
         if not items:
             raise ModelError(key, "is empty; a model needs at least one")
         if twice := sorted({str(item) for item in items if items.count(item) > 1}):
             raise ModelError(key, f"{', '.join(twice)} appears twice")
-    if min(sensor_ids) < 1:
-        raise ModelError("sensor_ids", f"{min(sensor_ids)} is not a sensor ID; they count from 1")
+    if min(model.sensor_ids) < 1:
+        raise ModelError("sensor_ids", f"{min(model.sensor_ids)} is not a sensor ID; they count from 1")
+    for key, count in (("sensor_names", len(model.sensor_names)), ("layout.sensors", model.layout.sensors)):
+        if count != len(model.sensor_ids):
+            raise ModelError(key, f"{count} for {len(model.sensor_ids)} sensors in sensor_ids")
+    for key, constants in (("lags_min", model.layout.lags_min), ("speed_lags_min", model.layout.speed_lags_min)):
+        if not all(0.0 < constant < np.inf for constant in constants):
+            raise ModelError(f"layout.{key}", "a time constant is positive and finite")
 
 
-def check_band(band_um: FloatArray) -> None:
-    """Refuse a prediction band [um] that is no half width, shape (n_channels,); raises ModelError."""
-    if not np.all(np.isnan(band_um) | (band_um >= 0.0)) or np.isinf(band_um).any():
-        raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
-
-
-def _check_names(model: ThermalModel) -> None:
-    check_identity(model.model_id, model.channels, model.sensor_ids)
-    if len(model.sensor_names) != len(model.sensor_ids):
+def _check_solutions(model: LinearParameters) -> None:
+    if not model.solutions:
+        raise ModelError("solutions", "is empty; a model needs at least one")
+    for one in model.solutions:
+        if one.layout != model.layout or one.weights.shape[1] != len(model.channels):
+            raise ModelError("solutions", f"has shape {one.weights.shape}, or another layout than the model")
+    if model.watch is not None and model.watch.layout.sensors != model.layout.sensors:
         raise ModelError(
-            "sensor_names", f"{len(model.sensor_names)} names for {len(model.sensor_ids)} sensors in sensor_ids"
+            "watch.layout.sensors", f"{model.watch.layout.sensors} where the model has {model.layout.sensors}"
         )
-    if model.kind not in KINDS:
-        raise ModelError("kind", f"{model.kind!r} is unknown; this version knows {', '.join(KINDS)}")
 
 
-def _check_arrays(model: ThermalModel) -> None:
-    channels, sensors = len(model.channels), len(model.sensor_ids)
-    shapes: dict[str, tuple[int, ...]] = {
-        "coefficients_um_per_k": (channels, sensors),
-        "drift_um_per_min": (channels,),
-        "lowest_increment_k": (sensors,),
-        "highest_increment_k": (sensors,),
-        "band_um": (channels,),
-    }
-    for key, shape in shapes.items():
-        array = getattr(model, key)
+def _check_arrays(model: LinearParameters) -> None:
+    sensors, columns, channels = model.layout.sensors, model.layout.columns, len(model.channels)
+    domain = model.domain
+    for key, array, shape in (
+        ("drift_um_per_min", model.drift_um_per_min, (channels,)),
+        ("centre", model.centre, (columns,)),
+        ("domain.lowest", domain.lowest, (sensors,)),
+        ("domain.highest", domain.highest, (sensors,)),
+        ("band_um", model.band_um, (channels,)),
+    ):
         if array.shape != shape:
-            raise ModelError(
-                key, f"has shape {array.shape}, but {channels} channels and {sensors} sensors need {shape}"
-            )
+            raise ModelError(key, f"has shape {array.shape}, but {shape} is needed")
         if key != "band_um" and not np.isfinite(array).all():
             raise ModelError(key, "holds a number that is not finite")
-    check_band(model.band_um)
-    if not (np.isfinite(model.interval_min) and model.interval_min > 0.0):
-        raise ModelError("interval_min", f"{model.interval_min} is not a positive time")
-    if not (np.isfinite(model.ridge_k2) and model.ridge_k2 >= 0.0):
-        raise ModelError("ridge_k2", f"{model.ridge_k2} is not a penalty")
-    if np.any(model.lowest_increment_k > model.highest_increment_k):
-        sensor = model.sensor_ids[int(np.argmax(model.lowest_increment_k > model.highest_increment_k))]
-        raise ModelError("lowest_increment_k", f"sensor {sensor}: lies above highest_increment_k")
+        array.flags.writeable = False
+    if not np.all(np.isnan(model.band_um) | (model.band_um >= 0.0)) or np.isinf(model.band_um).any():
+        raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
+    if np.any(domain.lowest > domain.highest):
+        sensor = model.sensor_ids[int(np.argmax(domain.lowest > domain.highest))]
+        raise ModelError("domain.lowest", f"sensor {sensor}: lies above domain.highest")
+    limit = 1.0 if domain.leverage_limit is None else domain.leverage_limit
+    for key, value in (
+        ("speed_scale_rpm", model.speed_scale_rpm),
+        ("period_min", model.period_min),
+        ("domain.leverage_limit", limit),
+    ):
+        if not 0.0 < value < np.inf:
+            raise ModelError(key, f"{value} must be positive and finite")
+    if not 0.0 <= domain.highest_speed_rpm < np.inf:
+        raise ModelError("domain.highest_speed_rpm", f"{domain.highest_speed_rpm} is not a speed")
 
 
-def _check_test_vectors(model: ThermalModel) -> None:
+def _check_test_vectors(model: LinearParameters) -> None:
     if not model.test_vectors:
         raise ModelError("test_vectors", "is empty; without one nothing proves the evaluation")
-    sensors, channels = len(model.sensor_ids), len(model.channels)
+    columns, channels = model.layout.columns, len(model.channels)
     for index, vector in enumerate(model.test_vectors):
         key = f"test_vectors[{index}]"
-        shapes = (vector.degc.shape, vector.reference_degc.shape, vector.thermal_error_um.shape)
-        if shapes != ((sensors,), (sensors,), (channels,)):
-            raise ModelError(key, f"has shapes {shapes}; {sensors} sensors and {channels} channels are needed")
-        given = thermal_error_um(
-            model.coefficients_um_per_k, model.drift_um_per_min, vector.degc - vector.reference_degc, vector.elapsed_min
-        )
+        shapes = (vector.features.shape, vector.reference.shape, vector.thermal_error_um.shape)
+        if shapes != ((columns,), (columns,), (channels,)):
+            raise ModelError(key, f"has shapes {shapes}; {columns} columns and {channels} channels are needed")
+        given = model.thermal_error_um(vector.features - vector.reference, vector.elapsed_min)
         differs = ~(np.abs(given - vector.thermal_error_um) <= TEST_TOLERANCE_UM)
         if differs.any():
             channel = int(np.argmax(differs))
@@ -180,47 +225,3 @@ def _check_test_vectors(model: ThermalModel) -> None:
                 f"channel {model.channels[channel]}: the model gives {given[channel]:.6g} um where "
                 f"{vector.thermal_error_um[channel]:.6g} um were written down; train it again",
             )
-
-
-def make_test_vectors(
-    coefficients_um_per_k: FloatArray, drift_um_per_min: FloatArray, pairs: tuple[tuple[FloatArray, FloatArray], ...]
-) -> tuple[TestVector, ...]:
-    """Return test vectors for pairs of (temperatures now, at the reference) [degC], 1, 2 .. hours apart."""
-    vectors = []
-    for hours, (degc, reference_degc) in enumerate(pairs, start=1):
-        elapsed_min = 60.0 * hours
-        error = thermal_error_um(coefficients_um_per_k, drift_um_per_min, degc - reference_degc, elapsed_min)
-        vectors.append(
-            TestVector(degc=degc, reference_degc=reference_degc, elapsed_min=elapsed_min, thermal_error_um=error)
-        )
-    return tuple(vectors)
-
-
-def thermal_error_um(
-    coefficients_um_per_k: FloatArray,
-    drift_um_per_min: FloatArray,
-    increment_k: FloatArray,
-    elapsed_min: float | FloatArray,
-) -> FloatArray:
-    """Return the thermal error since the reference.
-
-    Parameters
-    ----------
-    coefficients_um_per_k : shape (n_channels, n_sensors)
-        b [um/K].
-    drift_um_per_min : shape (n_channels,)
-        b_0 per minute [um/min].
-    increment_k : shape (n_sensors,) or (n, n_sensors)
-        Temperatures now minus at the reference [K].
-    elapsed_min : scalar or shape (n,)
-        Time since the reference [min].
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_channels,) or (n, n_channels)
-        Actual minus nominal [um].
-
-    """
-    drift_um = np.multiply.outer(np.asarray(elapsed_min), drift_um_per_min)
-    error: FloatArray = increment_k @ coefficients_um_per_k.T + drift_um
-    return error

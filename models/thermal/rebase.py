@@ -1,131 +1,205 @@
 """A sensor that returns goes on from where it was imputed."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.estimate import Estimator
+from models.thermal.estimation import Estimation
+from models.thermal.estimator import LinearEstimator, ModelState, excluded_sensors
+from models.thermal.watch import MISSING
 
 
-def rebased_reference_degc(
-    estimator: Estimator,
-    degc: FloatArray,
-    reference_degc: FloatArray,
-    returned: npt.NDArray[np.bool_],
-    elapsed_min: float,
-) -> FloatArray:
-    """Return the reference temperatures with which returned sensors count on from their imputed increments.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StateReference:
+    """What the thermal error counts from: the states at the reference, and what keeps a return without a step."""
 
-    The return of a sensor then moves nothing, however wrong its temperature was before or is now;
-    what it says from then on counts. A sensor that was missing at the reference gets its first
-    value to count from in the same way.
+    state: ModelState
+    """At the reference; sensors that returned since were set anew in it."""
+    rest_um: FloatArray
+    """What was left over at the latest return [um], shape (n_channels,): several ridges impute differently."""
+    shift_degc: FloatArray
+    """What the lags of now were moved by at returns [degC], shape (n_lags, n_sensors); a history does not tell it."""
+    rest_since_min: float
+    """Time of the latest return [min]; from there on `rest_um` fades with the longest lag, a shift with its own."""
+
+
+def state_reference(estimator: LinearEstimator, state: ModelState) -> StateReference:
+    """Return the reference that some states are.
 
     Parameters
     ----------
     estimator
-        Of the model in use; imputes what has no increment.
-    degc, reference_degc : shape (n_sensors,)
-        Temperatures now and at the reference [degC], NaN where there is none.
-    returned : shape (n_sensors,)
-        Sensors that were imputed until now and have a temperature again.
-    elapsed_min
-        Time since the reference [min].
+        Of the model in use.
+    state
+        At the instant of the reference.
+
+    """
+    return StateReference(
+        state=state,
+        rest_um=np.zeros(len(estimator.model.channels)),
+        shift_degc=np.zeros_like(state.lagged),
+        rest_since_min=state.time_min,
+    )
+
+
+def estimate_since(estimator: LinearEstimator, state: ModelState, reference: StateReference) -> Estimation | None:
+    """Return the thermal error since a reference in which sensors may have been set anew.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
 
     Returns
     -------
-    numpy.ndarray, shape (n_sensors,)
-        Temperatures at the reference [degC]; unchanged when no other sensor is left to impute from.
+    Estimation or None
+        As `LinearEstimator.estimate`.
 
     """
-    if not returned.any():
-        return reference_degc
-    without = estimator.renew(np.where(returned, np.nan, degc), reference_degc, elapsed_min)
-    if without is None:
-        return reference_degc
-    return np.where(returned, degc - without.increment_k, reference_degc)
+    found = estimator.estimate(state, reference.state)
+    if found is None or not reference.rest_um.any():
+        return found
+    rest_um = _rest_um(estimator, reference, state.time_min)
+    return replace(found, thermal_error_um=found.thermal_error_um + rest_um)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MeanIncrement:
-    """What the mean increment of some sensors since a reference counts from, so that no coming or going moves it."""
-
-    reference_degc: FloatArray
-    """What each sensor counts from [degC], shape (n_sensors,); NaN without a value yet."""
-    counted: npt.NDArray[np.bool_]
-    """Which sensors had a temperature of their own at the latest renewal."""
-    offset_k: FloatArray
-    """How far each sensor that is away is imputed above the mean of those that count [K]; NaN for those."""
-    increment_k: FloatArray
-    """Increment that each sensor counted with at the latest renewal [K]; NaN where it is not known."""
-
-    @property
-    def mean_k(self) -> float:
-        """Mean increment since the reference [K]; NaN while no sensor has a temperature."""
-        return float(self.increment_k.mean()) if self.counted.any() else float("nan")
+def _rest_um(estimator: LinearEstimator, reference: StateReference, time_min: float) -> FloatArray:
+    """Return what is left of the rest [um], shape (n_channels,)."""
+    longest_min = max(estimator.model.layout.lags_min, default=np.inf)
+    faded: FloatArray = reference.rest_um * np.exp(-max(time_min - reference.rest_since_min, 0.0) / longest_min)
+    return faded
 
 
-def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
-    """Return the mean increment at the reference.
+def returning(
+    estimator: LinearEstimator, state: ModelState, reference: StateReference, absent: Sequence[int]
+) -> tuple[int, ...]:
+    """Return which sensors may count again and must be set anew for it.
 
     Parameters
     ----------
-    reference_degc : shape (n_sensors,)
-        Temperatures at the reference [degC], NaN where there is none. Such a sensor is imputed by the mean of the
-        others; without any other the mean stays unknown.
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
+    absent
+        Indices of the sensors that have been imputed until now.
+
+    Returns
+    -------
+    tuple of int
+        Indices of sensors with a value that were away, or were not known at the reference. One that the watch
+        excludes for what it said is not among them.
 
     """
-    known = np.isfinite(reference_degc)
-    begin_k = 0.0 if known.any() else np.nan
-    return MeanIncrement(
-        reference_degc=reference_degc,
-        counted=known,
-        offset_k=np.where(known, np.nan, begin_k),
-        increment_k=np.full(len(reference_degc), begin_k),
-    )
+    then = reference.state
+    back = then.missing | (state.since_min > then.known_min)
+    back[list(absent)] = True
+    back &= ~state.missing
+    if state.watch is not None:
+        back[[blame.sensor for blame in state.watch.blamed if blame.sign != MISSING]] = False
+    return tuple(int(index) for index in np.flatnonzero(back))
 
 
-def renewed_mean_increment(before: MeanIncrement, degc: FloatArray) -> MeanIncrement:
-    """Return the mean increment with new temperatures.
+def rebased(
+    estimator: LinearEstimator, state: ModelState, reference: StateReference, returned: Sequence[int]
+) -> tuple[ModelState, StateReference] | None:
+    """Return the states and the reference with which returned sensors count on from what they were imputed with.
 
-    A sensor that leaves is imputed from there on by the change of the mean increment of the others, or held where
-    none is left; one that returns counts on from where it was imputed. Neither moves the mean.
+    Their temperatures and lags at the reference are set so that both have gone on since as all others let it be
+    expected; their lags of now begin where the others let them be expected. The thermal error does not move; what
+    these sensors say from then on counts.
 
     Parameters
     ----------
-    before
-        As it was. Increments that are not known (after a restart) are taken for the mean of the others.
-    degc : shape (n_sensors,)
-        Temperatures now [degC], NaN where there is none.
+    estimator
+        Of the model in use.
+    state
+        Of now.
+    reference
+        What it counts from.
+    returned
+        Indices from `returning`.
+
+    Returns
+    -------
+    tuple of ModelState and StateReference, or None
+        None when no other sensor is left to impute from.
 
     """
-    known = np.isfinite(degc)
-    if known.all() and before.counted.all():  # nobody comes or goes: the usual case
-        return replace(before, increment_k=degc - before.reference_degc)
-    stayed, left = known & before.counted, before.counted & ~known
-    if not stayed.any() and np.isnan(before.increment_k[left]).any():
-        return before  # nothing is left to impute from, and where these were is not known
-    offset_k = _offsets_without(before, stayed, left)
-    increment_k = np.where(stayed, degc - before.reference_degc, _mean(degc - before.reference_degc, stayed) + offset_k)
-    if (known == before.counted).all():
-        return replace(before, increment_k=increment_k)
-    return MeanIncrement(
-        reference_degc=np.where(known & ~before.counted, degc - increment_k, before.reference_degc),
-        counted=known,
-        offset_k=np.where(known, np.nan, increment_k - _mean(increment_k, known)),
-        increment_k=increment_k,
+    hidden = state.missing.copy()
+    hidden[list(returned)] = True
+    before = estimate_since(estimator, replace(state, missing=hidden), reference)
+    if before is None:
+        return None
+    begun = estimator.begun(estimator.reinitialised(state, returned), returned)
+    then = _set_anew(estimator, replace(begun, missing=hidden), reference.state, returned)
+    after = estimator.estimate(begun, then)
+    assert after is not None, "more sensors count now than before"
+    return begun, StateReference(
+        state=then,
+        rest_um=before.thermal_error_um - after.thermal_error_um,
+        shift_degc=_faded_shift(estimator, reference, state.time_min) + (begun.lagged - state.lagged),
+        rest_since_min=state.time_min,
     )
 
 
-def _offsets_without(before: MeanIncrement, stayed: npt.NDArray[np.bool_], left: npt.NDArray[np.bool_]) -> FloatArray:
-    """Return the offsets of all sensors that are away, from the mean of those that stayed [K]."""
-    if not left.any():
-        return before.offset_k
-    offset_k = before.increment_k - _mean(before.increment_k, stayed)
-    unknown_k = np.where(before.counted, 0.0, before.offset_k)
-    return np.where(np.isfinite(offset_k), offset_k, unknown_k)
+def resumed(
+    estimator: LinearEstimator, state: ModelState, reference: StateReference, columns: Mapping[int, Sequence[float]]
+) -> tuple[ModelState, StateReference]:
+    """Return the states and the reference after a restart, with what sensors that had returned before count from.
+
+    Parameters
+    ----------
+    estimator
+        Of the model in use.
+    state
+        Of now, rebuilt from the history.
+    reference
+        Rebuilt from the history, with rest and shifts as they were kept.
+    columns
+        By index of the sensor: its temperature [degC] at the reference, and its lags in turn [degC].
+
+    Returns
+    -------
+    tuple of ModelState and StateReference
+        As if nobody had been away.
+
+    """
+    welcome = estimator.reinitialised(state, sorted(columns))
+    lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)
+    then = _with_columns(reference.state, columns, state.time_min)
+    return replace(welcome, lagged=lagged), replace(reference, state=then)
 
 
-def _mean(values: FloatArray, which: npt.NDArray[np.bool_]) -> float:
-    return float(values[which].mean()) if which.any() else 0.0
+def _faded_shift(estimator: LinearEstimator, reference: StateReference, time_min: float) -> FloatArray:
+    constants_min = np.array(estimator.model.layout.lags_min)[:, None]
+    elapsed_min = max(time_min - reference.rest_since_min, 0.0)
+    faded: FloatArray = reference.shift_degc * np.exp(-elapsed_min / constants_min)
+    return faded
+
+
+def _set_anew(estimator: LinearEstimator, hidden: ModelState, then: ModelState, returned: Sequence[int]) -> ModelState:
+    """Return the states at the reference with the columns of returned sensors set anew."""
+    count = estimator.model.layout.sensors
+    now = estimator.features(hidden)
+    without = excluded_sensors(hidden, then)
+    change = estimator.left_out.imputed(now - estimator.features(then), without)
+    columns = (now - change)[: estimator.model.layout.temperature_columns].reshape(-1, count)
+    return _with_columns(then, {sensor: columns[:, sensor].tolist() for sensor in returned}, hidden.time_min)
+
+
+def _with_columns(then: ModelState, columns: Mapping[int, Sequence[float]], time_min: float) -> ModelState:
+    """Return the states at a reference with temperature and lags of some sensors set anew, which count so from now."""
+    degc, lagged, missing, known_min = then.degc.copy(), then.lagged.copy(), then.missing.copy(), then.known_min.copy()
+    for sensor, (temperature, *lags) in columns.items():
+        degc[sensor], lagged[:, sensor] = temperature, lags
+        missing[sensor], known_min[sensor] = False, time_min
+    return replace(then, degc=degc, lagged=lagged, missing=missing, known_min=known_min)

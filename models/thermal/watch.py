@@ -9,10 +9,12 @@ the damped covariance of all columns, sensor s departs from its prediction by
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
 from models.thermal.lags import lag_step, speed_inputs
 from models.thermal.layout import BRIDGE_MIN, Layout
@@ -47,25 +49,49 @@ MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
 
 
+Precision = npt.NDArray[np.floating[Any]]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SensorWatch:
     """What healthy sensors look like, fitted in training."""
 
     layout: Layout
-    centre: FloatArray
+    centre: Numbers
     """Mean of each column in training, shape (d,)."""
-    gain: FloatArray
+    gain: Numbers
     """1 / standard deviation of each column, 0 where it does not move, shape (d,)."""
-    precision: FloatArray
+    precision: Packed
     """Inverse of the damped covariance of the scaled columns, shape (d, d)."""
-    threshold_k: FloatArray
+    threshold_k: Numbers
     """Largest departure of a healthy sensor [K], shape (n_sensors,)."""
-    slew_k_per_min: FloatArray
+    slew_k_per_min: Numbers
     """Largest slew of a healthy sensor [K/min], shape (n_sensors,)."""
-    flat_min: FloatArray
+    flat_min: Numbers
     """Longest time for which a healthy sensor stays identical [min], shape (n_sensors,)."""
     speed_scale_rpm: float
     """Speed that stands for 1 in the columns [1/min]."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers; raises ModelError."""
+        sensors, columns = self.layout.sensors, self.layout.columns
+        shapes: dict[str, tuple[int, ...]] = {
+            "centre": (columns,),
+            "gain": (columns,),
+            "precision": (columns, columns),
+            "threshold_k": (sensors,),
+            "slew_k_per_min": (sensors,),
+            "flat_min": (sensors,),
+        }
+        for key, shape in shapes.items():
+            array = getattr(self, key)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ModelError(f"watch.{key}", f"has shape {array.shape}; {shape} of finite numbers is needed")
+            if key in ("threshold_k", "slew_k_per_min", "flat_min") and np.any(array <= 0.0):
+                raise ModelError(f"watch.{key}", "a limit is positive")
+            array.flags.writeable = False
+        if not 0.0 < self.speed_scale_rpm < np.inf:
+            raise ModelError("watch.speed_scale_rpm", f"{self.speed_scale_rpm} must be positive and finite")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,18 +136,19 @@ class WatchState:
         return tuple(sorted({blame.sensor for blame in self.blamed}))
 
 
-def without_columns(precision: FloatArray, columns: Sequence[int]) -> FloatArray:
+def without_columns(precision: Precision, columns: Sequence[int]) -> Precision:
     """Return the precision of what is left without some columns; those become zero."""
     out = np.asarray(columns, dtype=np.intp)
     if not len(out):
         return precision
-    found = precision - precision[:, out] @ np.linalg.solve(precision[np.ix_(out, out)], precision[out])
+    inside = precision[np.ix_(out, out)].astype(np.float64)
+    found = np.asarray(precision - precision[:, out] @ np.linalg.solve(inside, precision[out]), dtype=np.float64)
     found[out], found[:, out] = 0.0, 0.0
     return found
 
 
 def departure_maps(
-    layout: Layout, precision: FloatArray, gain: FloatArray, skip: Sequence[int] = ()
+    layout: Layout, precision: Precision, gain: FloatArray, skip: Sequence[int] = ()
 ) -> tuple[FloatArray, FloatArray]:
     """Return what turns scaled columns into the departure of every sensor from its prediction.
 
@@ -144,17 +171,18 @@ def departure_maps(
     if not sensors:
         return maps, expected
     own = np.stack([layout.of_sensors([s]) for s in sensors])
-    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]])
+    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]].astype(np.float64))
     maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
     expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
     return maps, expected
 
 
-def _expected(precision: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
+def _expected(precision: Precision, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
     """Return what the other scaled columns let be expected of some columns, shape (len(out),)."""
     others = scaled.copy()
     others[out] = 0.0
-    return np.asarray(-np.linalg.solve(precision[np.ix_(out, out)], precision[out] @ others))
+    inside = precision[np.ix_(out, out)].astype(np.float64)
+    return np.asarray(-np.linalg.solve(inside, precision[out] @ others))
 
 
 class Watcher:
@@ -207,7 +235,7 @@ class Watcher:
             state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, blamed=blamed
         )
 
-    def _lags_as_expected(self, state: WatchState, precision: FloatArray, sensors: Sequence[int]) -> FloatArray:
+    def _lags_as_expected(self, state: WatchState, precision: Precision, sensors: Sequence[int]) -> FloatArray:
         """Return the lags, those of some sensors as far behind them as all others let it be expected [degC]."""
         count, gain, centre = self.watch.layout.sensors, self.watch.gain, self.watch.centre
         out = self.watch.layout.of_sensors(sensors)

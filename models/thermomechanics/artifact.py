@@ -2,27 +2,8 @@
 
 from typing import Any
 
-import numpy as np
-
-from models.thermal.json_fields import (
-    content_sha256,
-    parse,
-    read_list,
-    read_number,
-    read_object,
-    read_text,
-    read_vector,
-    require_keys,
-    text_of_file,
-)
-from models.thermal.model import ModelError
-from models.thermomechanics.regression import (
-    AxisRegression,
-    Bounds,
-    FittedRange,
-    PropertyRegression,
-    ThermomechanicalModel,
-)
+from models.model_file import ModelError, parse, record_from, text_of_file, unsigned
+from models.thermomechanics.regression import AxisRegression, ThermomechanicalModel
 
 FORMAT = "toolpoint-thermomechanics"
 FORMAT_VERSION = 1
@@ -85,58 +66,26 @@ def model_from_json(text: str, source: str) -> ThermomechanicalModel:
             raise ModelError(
                 "format_version", f"{content.get('format_version')!r} is unknown; this version reads {FORMAT_VERSION}"
             )
-        require_keys("", content, {"format", "format_version", *_TEXTS, "training", "axes", "sha256"})
-        if content.pop("sha256") != content_sha256(content):
-            raise ModelError("sha256", "does not fit the content; the file was changed after the fit, fit it again")
-        axes = content["axes"]
+        bare = unsigned(content, "the fit")
+        fields = {key: value for key, value in bare.items() if key not in ("format", "format_version")}
+        axes = fields.get("axes")
         if not isinstance(axes, dict):
             raise ModelError("axes", "must be an object")
-        return ThermomechanicalModel(
-            **{name: read_text(name, content[name]) for name in _TEXTS},
-            training=tuple(read_text("training", each) for each in read_list("training", content["training"])),
-            axes={name: _read_axis(name, each) for name, each in axes.items()},
-        )
+        fields["axes"] = {name: _axis_fields(name, each) for name, each in axes.items()}
+        return record_from(fields, ThermomechanicalModel)
     except ModelError as error:
         raise ModelError(error.key, error.sentence, source) from error
 
 
-def _read_axis(name: str, told: Any) -> AxisRegression:
-    path = f"axes.{name}"
-    item = read_object(path, told, {"signals", "fitted_range", "fixed", "properties"})
-    signals = tuple(read_text(f"{path}.signals", each) for each in read_list(f"{path}.signals", item["signals"]))
-    fixed = item["fixed"]
-    if not isinstance(fixed, dict):
-        raise ModelError(f"{path}.fixed", "must be an object")
-    properties = read_list(f"{path}.properties", item["properties"])
-    return AxisRegression(
-        axis=name,
-        signals=signals,
-        properties=tuple(_read_property(f"{path}.properties[{k}]", each) for k, each in enumerate(properties)),
-        fixed={key: read_number(f"{path}.fixed.{key}", value) for key, value in fixed.items()},
-        fitted_range=_read_range(f"{path}.fitted_range", item["fitted_range"], len(signals)),
-    )
-
-
-def _read_range(path: str, told: Any, count: int) -> FittedRange | None:
-    if told is None:
-        return None
-    item = read_object(path, told, {"lowest_degc", "highest_degc"})
-    low, high = (read_vector(f"{path}.{name}", item[name]) for name in ("lowest_degc", "highest_degc"))
-    if low.shape != (count,) or high.shape != (count,) or bool(np.any(low > high)):
-        raise ModelError(path, f"needs {count} ascending pairs, one for each signal")
-    return FittedRange(lowest_degc=low, highest_degc=high)
-
-
-def _read_property(path: str, told: Any) -> PropertyRegression:
-    item = read_object(path, told, {"name", "interval_min", "coefficients", "lowest", "highest", "deviation"})
-    deviation = item["deviation"]
-    return PropertyRegression(
-        name=read_text(f"{path}.name", item["name"]),
-        interval_min=read_number(f"{path}.interval_min", item["interval_min"]),
-        coefficients=read_vector(f"{path}.coefficients", item["coefficients"]),
-        bounds=Bounds(
-            lowest=read_number(f"{path}.lowest", item["lowest"]),
-            highest=read_number(f"{path}.highest", item["highest"]),
-        ),
-        deviation=None if deviation is None else read_number(f"{path}.deviation", deviation),
-    )
+def _axis_fields(name: str, told: Any) -> Any:
+    """Return the fields of an `AxisRegression`, as far as what a file holds has their form."""
+    if not isinstance(told, dict) or not isinstance(told.get("properties"), list):
+        raise ModelError(f"axes.{name}", "must be an object with a list of properties")
+    bounds = ("lowest", "highest")
+    properties = [
+        {key: value for key, value in each.items() if key not in bounds}
+        | {"bounds": {key: each[key] for key in bounds if key in each}}
+        for each in told["properties"]
+        if isinstance(each, dict)
+    ]
+    return told | {"axis": name, "properties": properties}

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.dynamics.bearings import PARAMETERS
+from models.model_file import ModelError, Numbers
 from models.records import FloatArray
-from models.thermal.model import ModelError
 
 AXES = ("x", "y")
 
@@ -62,7 +62,7 @@ class PropertyRegression:
     """One of the twelve parameters, such as kt_34."""
     interval_min: float
     """Interval of the difference terms [min]; 0: no such terms."""
-    coefficients: FloatArray
+    coefficients: Numbers
     """Of 1, T, dT and dT^2, shape (1 + 3 m,), or of 1 and T, shape (1 + m,), when the interval is 0."""
     bounds: Bounds
     deviation: float | None = None
@@ -83,9 +83,14 @@ class PropertyRegression:
 class FittedRange:
     """Temperatures that a fit has seen."""
 
-    lowest_degc: FloatArray
+    lowest_degc: Numbers
     """Of each signal [degC], shape (m,)."""
-    highest_degc: FloatArray
+    highest_degc: Numbers
+
+    def __post_init__(self) -> None:
+        """Check shapes and order; raises ModelError."""
+        if self.lowest_degc.shape != self.highest_degc.shape or not np.all(self.lowest_degc <= self.highest_degc):
+            raise ModelError("fitted_range", "needs ascending pairs, one for each signal")
 
     def departure(self, degc: FloatArray) -> float:
         """Return how far temperatures [degC], shape (m,), lie outside, in widths of the range; 0 inside."""
@@ -127,6 +132,8 @@ class AxisRegression:
                 f"axes.{self.axis}", f"each of {', '.join(PARAMETERS)} must stand once, regressed or fixed: see {wrong}"
             )
         count = len(self.signals)
+        if self.fitted_range is not None and self.fitted_range.lowest_degc.shape != (count,):
+            raise ModelError(f"axes.{self.axis}.fitted_range", f"needs {count} ascending pairs, one for each signal")
         for each in self.properties:
             wanted = 1 + count * (3 if each.interval_min else 1)
             if each.coefficients.shape != (wanted,):

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from daemon.cli import main
 from daemon.model_release.loading import read_model
-from models.thermal.lagged_artifact import any_model_from_json
+from models.thermal.family import model_from_json
 from models.thermal.lags import lag_table
 
 MAP = "time: t\nspeed: rpm\ntemperatures: ['t[0-9]*']\naxis_positions: ['*_mm']\ndisplacements: [c1]\n"
@@ -61,7 +61,7 @@ def test_a_model_with_positions_is_trained_and_not_run(files: tuple[Path, Path],
     arguments = ["thermal", "train", str(recording), "--map", str(columns), *chosen, "-o", str(model_file)]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
-    model = any_model_from_json(model_file.read_text(encoding="utf-8"), "model.json")
+    model = model_from_json(model_file.read_text(encoding="utf-8"), "model.json")
     assert (model.sensor_names, model.axis_positions) == (("t1", "t2", "Z_mm"), ("Z_mm",))
     refused, why = read_model(model_file, range(1, 9), ("c1",))
     assert refused is None and "needs axis positions (Z_mm)" in why and "train it again" in why

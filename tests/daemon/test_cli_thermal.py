@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from models.thermal.artifact import model_from_json
+from models.thermal.family import model_from_json
+from models.thermal.linear import LinearModel
 
 WEIGHTS = np.array([[1.5, 0.0], [-2.0, 1.0], [0.0, 3.0]])
 
@@ -41,7 +42,8 @@ def test_a_model_is_written_and_the_outcome_is_json_alone(tmp_path: Path) -> Non
     model = model_from_json(output.read_text(), str(output))
     assert model.model_id == found["model"]["model_id"]
     assert (model.sensor_ids, model.sensor_names) == ((4, 2, 9), ("T4", "T2", "T9"))
-    np.testing.assert_allclose(model.coefficients_um_per_k, WEIGHTS.T, atol=1e-4)
+    assert isinstance(model, LinearModel)
+    np.testing.assert_allclose(model.coefficients(), WEIGHTS, atol=1e-4)
     assert [path.name for path in tmp_path.glob(".*")] == []
 
 
@@ -56,7 +58,8 @@ def test_every_option_reaches_the_model(tmp_path: Path) -> None:
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     model = model_from_json(output.read_text(), str(output))
-    assert (model.kind, model.ridge_k2, model.interval_min) == ("ridge", 0.5, 4.0)
+    assert isinstance(model, LinearModel) and model.kind == "ridge"
+    assert model.hyper_parameters == {"interval_min": 4.0, "intercept": True, "ridge_k2": 0.5}
     assert (model.channels, model.sensor_names) == (("c2",), ("T4", "T2"))
     assert (model.training[0].from_hours, model.training[0].rows) == (1.0, 120)
     assert model.drift_um_per_min[0] != 0.0
@@ -65,7 +68,8 @@ def test_every_option_reaches_the_model(tmp_path: Path) -> None:
 def test_the_penalty_can_be_chosen_by_training(tmp_path: Path) -> None:
     result = invoke(day(tmp_path, 1), "--ridge", "auto", "-o", tmp_path / "m.json")
     assert result.exit_code == 0, result.output
-    assert model_from_json((tmp_path / "m.json").read_text(), "m").ridge_k2 > 0.0
+    model = model_from_json((tmp_path / "m.json").read_text(), "m")
+    assert isinstance(model, LinearModel) and float(model.hyper_parameters["ridge_k2"]) > 0.0
 
 
 def test_a_model_that_is_no_better_than_none_is_called_so(tmp_path: Path) -> None:

@@ -10,11 +10,10 @@ from click.testing import CliRunner, Result
 
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS, parse_fault
-from models.thermal.lagged_artifact import any_model_from_json
-from models.thermal.lagged_model import LaggedModel
+from models.thermal.family import model_from_json
 from models.thermal.lags import lag_table
-from models.thermal.model import ThermalModel
-from models.thermal.training.linear_families import FAMILIES
+from models.thermal.linear import LinearModel
+from models.thermal.training.recipes import RECIPES
 from models.thermal.training.trial import Fault
 
 MINUTES = 120
@@ -81,7 +80,7 @@ def test_every_family_says_what_it_chose(recording: Path, model: str) -> None:
 
 
 def test_the_names_are_those_of_the_families() -> None:
-    assert set(MODELS) == set(FAMILIES)
+    assert set(MODELS) == set(RECIPES)
 
 
 def test_cycles_are_left_out_one_by_one(recording: Path) -> None:
@@ -234,8 +233,9 @@ def test_a_family_is_trained_into_a_file(recording: Path, tmp_path: Path, model:
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
-    made = any_model_from_json(output.read_text("utf-8"), str(output))
-    assert isinstance(made, LaggedModel if model == "default" else ThermalModel)
+    made = model_from_json(output.read_text("utf-8"), str(output))
+    assert isinstance(made, LinearModel) and bool(made.layout.lags_min) == (model == "default")
+    assert made.refused == found["refused"]
     assert (found["model"]["model_id"], found["hyper_parameters"] != {}) == (made.model_id, True)
     assert made.sensor_ids == (1, 2, 3, 4)
 

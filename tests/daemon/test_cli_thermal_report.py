@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from daemon.cli import main
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from drivers.files.recording_csv import read_recording, write_recording
-from models.thermal.lagged_artifact import any_model_from_json
+from models.thermal.family import model_from_json
 from models.thermal.lags import lag_table
 
 STOPS_MIN = (300, 420, 960)
@@ -94,7 +94,7 @@ def test_estimates_from_any_row_are_the_difference_of_two_estimates(recording: P
     model_path = tmp_path / "model.json"
     assert run("train", recording, "--ridge", 1.0, "-o", model_path).exit_code == 0
     read = read_recording(recording)
-    estimates = RecordedEstimates(any_model_from_json(model_path.read_text("utf-8"), "m"), read)
+    estimates = RecordedEstimates(model_from_json(model_path.read_text("utf-8"), "m"), read)
     whole, part = estimates.since_um("Z1", 0, 600), estimates.since_um("Z1", 200, 600)
     assert part == pytest.approx(whole[200:] - whole[200], abs=1e-9)
 

@@ -177,7 +177,7 @@ async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it
     await shop.run(2)
     assert shop.latest.confidence < 0.3
     assert "16.0 h of temperatures and spindle speed" in shop.latest.doubt
-    assert shop.task.obstacle() == shop.latest.doubt
+    assert shop.task.inhibit() == shop.latest.doubt
     await shop.end()
 
 
@@ -185,7 +185,7 @@ async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
     shop = Shop(tmp_path, model)
     await shop.prepare()
     await shop.run(16.3 * 60)
-    assert shop.task.obstacle() == ""
+    assert shop.task.inhibit() == ""
     reference = await shop.refer()
     await shop.run(60)
     before = shop.latest.thermal_error_um.copy()
@@ -194,7 +194,7 @@ async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
 
     shop.begin()
     await shop.prepare()
-    assert shop.task.obstacle() == "", "the history is long enough"
+    assert shop.task.inhibit() == "", "the history is long enough"
     await shop.task._take(reference)
     await shop.run(1)
     assert shop.latest.thermal_error_um == pytest.approx(before, abs=0.3)
@@ -248,7 +248,7 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
     await shop.run(3)
     assert shop.latest.imputed == () and shop.latest.confidence > 0.9
     assert shop.latest.thermal_error_um == pytest.approx(gone.thermal_error_um, abs=1.5), "some minutes of a warm-up"
-    assert shop.task.obstacle() == "", "one silent sensor does not empty the states"
+    assert shop.task.inhibit() == "", "one silent sensor does not empty the states"
     await shop.run(5)
     before = shop.latest
     assert before.imputed == ()
@@ -272,13 +272,13 @@ async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path,
     await shop.run(60)
     reference = await shop.refer()
     await shop.run(30)
-    readers, past = [], shop.task._online._past
+    readers, past = [], shop.task._online._history
 
     def noted(*span):
         readers.append(threading.get_ident())
         return past(*span)
 
-    shop.task._online._past = noted
+    shop.task._online._history = noted
     await shop.task._take(reference)
     assert readers and threading.get_ident() not in readers
     await shop.end()

@@ -13,11 +13,11 @@ from small_model import model
 
 from config.schema import Configuration
 from daemon.model_release.file_access import own_account
-from daemon.model_release.loading import LoadedModel, load_released, model_text
+from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.reload import ModelReload
 from daemon.model_release.side_load import load_beside, pack, unpack
 from daemon.snapshots import ModelSnapshot
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 FOREVER_S = 60.0
 
@@ -31,11 +31,11 @@ def configured(folder: Path, text: str) -> Configuration:
 
 
 async def test_it_gives_what_loading_in_the_loop_gives(tmp_path: Path) -> None:
-    configuration = configured(tmp_path, model_text(model("ridge-7")))
+    configuration = configured(tmp_path, model("ridge-7").to_json())
     here, beside = load_released(configuration, own_account()), await load_beside(configuration)
     assert here.model is not None and beside.model is not None
     assert replace(here, model=None) == replace(beside, model=None)
-    assert model_text(beside.model) == model_text(here.model)
+    assert beside.model.to_json() == here.model.to_json()
     assert beside.in_words() == here.in_words() and "ridge-7" in here.in_words()
 
 
@@ -48,7 +48,7 @@ async def test_a_refusal_comes_back_in_the_same_words(tmp_path: Path) -> None:
 
 async def test_a_process_that_cannot_work_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daemon.model_release.side_load.sys.executable", str(tmp_path / "no-python"))
-    found = await load_beside(configured(tmp_path, model_text(model())))
+    found = await load_beside(configured(tmp_path, model().to_json()))
     assert found.model is None and found.obstacle.startswith("the process that loads a model failed: ")
 
 
@@ -61,20 +61,20 @@ def test_arrays_of_a_mapped_model_cannot_be_written(tmp_path: Path) -> None:
     found = unpack(descriptor).model
     os.close(descriptor)
     assert found is not None and made.model is not None
-    assert np.array_equal(found.coefficients_um_per_k, made.model.coefficients_um_per_k)
+    assert np.array_equal(found.solutions[0].weights, made.model.solutions[0].weights)
     with pytest.raises(ValueError, match="read-only"):
-        found.coefficients_um_per_k[0] = 0.0
+        found.solutions[0].weights[0] = 0.0
 
 
 class Shelf:
     """A released model and loads that end when a test lets them."""
 
-    def __init__(self, loaded: LoadedModel[AnyThermalModel]) -> None:
-        self.released: LoadedModel[AnyThermalModel] = loaded
+    def __init__(self, loaded: LoadedModel[ThermalModel]) -> None:
+        self.released: LoadedModel[ThermalModel] = loaded
         self.begun: asyncio.Queue[int] = asyncio.Queue()
         self.let_end: asyncio.Queue[None] = asyncio.Queue()
         self.loads = 0
-        self.taken: list[AnyThermalModel] = []
+        self.taken: list[ThermalModel] = []
         self.events: list[str] = []
         self.shown: list[ModelSnapshot] = []
         self.published = asyncio.Event()
@@ -82,7 +82,7 @@ class Shelf:
             loaded, self._load, take=self.taken.append, report=self._report, publish=self._publish
         )
 
-    async def _load(self) -> LoadedModel[AnyThermalModel]:
+    async def _load(self) -> LoadedModel[ThermalModel]:
         found = self.released
         self.loads += 1
         self.begun.put_nowait(self.loads)
@@ -103,7 +103,7 @@ class Shelf:
         return self.shown[-1]
 
 
-def found(name: str, sha256: str) -> LoadedModel[AnyThermalModel]:
+def found(name: str, sha256: str) -> LoadedModel[ThermalModel]:
     return LoadedModel(model=model(name), obstacle="", sha256=sha256 * 64)
 
 
@@ -178,7 +178,7 @@ async def test_a_refused_release_is_shown_until_what_is_released_is_in_force_aga
 
 
 async def test_a_defect_in_loading_leaves_the_model_in_use() -> None:
-    async def broken() -> LoadedModel[AnyThermalModel]:
+    async def broken() -> LoadedModel[ThermalModel]:
         raise ZeroDivisionError("made up")
 
     shelf = Shelf(found("first", "1"))

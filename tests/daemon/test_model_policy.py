@@ -22,7 +22,7 @@ from daemon.model_release.releasing import proposals, release, release_by_policy
 from daemon.model_release.repository import ReleaseError, sha256_of
 from daemon.model_release.retraining import propose
 from models.recordings.dataset import Recording
-from models.thermal.lagged_model import LaggedModel
+from models.thermal.linear import LinearModel
 from models.thermal.training.train_family import train_family
 
 STRANGER = Account(user_id=54321)
@@ -35,7 +35,7 @@ def folder() -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def refused_model() -> LaggedModel:
+def refused_model() -> LinearModel:
     """A model that really was trained, and that its training refused: there is nothing to be learned here."""
     rng = np.random.default_rng(5)
     minutes = 600
@@ -50,7 +50,7 @@ def refused_model() -> LaggedModel:
         displacements_um=rng.normal(0.0, 5.0, (minutes, 2)),
     )
     trained = train_family([recording], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
-    assert isinstance(trained, LaggedModel) and trained.refused is not None
+    assert isinstance(trained, LinearModel) and trained.refused is not None
     return replace(trained, sensor_ids=SENSOR_IDS)
 
 

@@ -26,8 +26,7 @@ from daemon.model_release.releasing import (
 )
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
-from models.thermal.artifact import model_to_json
-from models.thermal.model import ThermalModel
+from models.thermal.linear import LinearModel
 
 STRANGER = Account(user_id=OTHER)
 
@@ -153,7 +152,7 @@ def test_a_released_file_that_was_changed_is_refused(folder):
     configuration = configured(folder)
     release(configuration, proposal(folder, model()), person="anna")
     path = folder / "models/releases/0001/model.json"
-    path.write_text(model_to_json(model("another")), encoding="utf-8")
+    path.write_text(model("another").to_json(), encoding="utf-8")
     obstacle = as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
     assert "not the file that anna released" in obstacle and "rollback" in obstacle
     path.with_name("release.json").write_text("{}", encoding="utf-8")
@@ -163,7 +162,7 @@ def test_a_released_file_that_was_changed_is_refused(folder):
 @as_root
 def test_a_model_that_nobody_released_is_refused(folder):
     configuration = configured(folder)
-    (folder / "models/model.json").write_text(model_to_json(model()), encoding="utf-8")
+    (folder / "models/model.json").write_text(model().to_json(), encoding="utf-8")
     assert "nobody has released" in as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
     with pytest.raises(ReleaseError, match="which nobody released; move it away"):
         release(configuration, proposal(folder, model()), person="anna")
@@ -175,7 +174,7 @@ def test_without_a_model_the_refusal_says_what_to_do(folder):
 
 def test_the_key_for_test_benches_lets_it_pass_and_says_so(folder):
     configuration = configured(folder, allow_writable_model_directory=True)
-    (folder / "models/model.json").write_text(model_to_json(model()), encoding="utf-8")
+    (folder / "models/model.json").write_text(model().to_json(), encoding="utf-8")
     (folder / "models").chmod(0o777)
     found = load_released(configuration, own_account())
     assert found.model is not None and found.record is None
@@ -185,7 +184,7 @@ def test_the_key_for_test_benches_lets_it_pass_and_says_so(folder):
 def test_the_key_does_not_excuse_a_file_that_differs_from_its_record(folder):
     configuration = configured(folder, allow_writable_model_directory=True)
     release(configuration, proposal(folder, model()), person="anna")
-    (folder / "models/releases/0001/model.json").write_text(model_to_json(model("another")), encoding="utf-8")
+    (folder / "models/releases/0001/model.json").write_text(model("another").to_json(), encoding="utf-8")
     assert "not the file that anna released" in load_released(configuration, own_account()).obstacle
 
 
@@ -202,7 +201,7 @@ def test_releases_follow_each_other_and_lead_back(folder):
     assert [record.number for record in shelf.records()] == [1, 2, 3, 4, 5]
     active = shelf.active()
     assert active is not None and active.number == 5
-    assert (folder / "models/model.json").read_text(encoding="utf-8") == model_to_json(model("ridge-1"))
+    assert (folder / "models/model.json").read_text(encoding="utf-8") == model("ridge-1").to_json()
     with pytest.raises(ReleaseError, match="active now"):
         rollback(configuration, person="ben", to=1)
     with pytest.raises(ReleaseError, match="cannot be read"):
@@ -225,7 +224,7 @@ def refusal(folder: Path, path: Path, **changes: object) -> str:
 def test_what_is_refused_says_why(folder):
     configured(folder)
     good = proposal(folder, model())
-    assert "does not fit the content" in refusal(folder, damaged(good, "ridge_k2", 7.0))
+    assert "does not fit the content" in refusal(folder, damaged(good, "model_id", "other"))
     assert "no channel Z1" in refusal(folder, proposal(folder, one_channel()))
     assert "nothing was held out" in refusal(folder, proposal(folder, model(band_um=np.nan)))
     assert "wider than 30 um" in refusal(folder, proposal(folder, model(band_um=31.0)))
@@ -239,19 +238,21 @@ def test_what_is_refused_says_why(folder):
 
 
 def damaged(path: Path, key: str, value: object) -> Path:
-    content = json.loads(path.read_text(encoding="utf-8")) | {key: value}
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["model"] |= {key: value}
     copy = path.with_name("damaged.json")
     copy.write_text(json.dumps(content), encoding="utf-8")
     return copy
 
 
-def one_channel() -> ThermalModel:
+def one_channel() -> LinearModel:
     full = model()
     vectors = tuple(replace(v, thermal_error_um=v.thermal_error_um[:1]) for v in full.test_vectors)
+    one = replace(full.solutions[0], weights=full.solutions[0].weights[:, :1].copy())
     return replace(
         full,
         channels=("Y1",),
-        coefficients_um_per_k=full.coefficients_um_per_k[:1].copy(),
+        solutions=(one,),
         drift_um_per_min=np.zeros(1),
         band_um=np.ones(1),
         test_vectors=vectors,

@@ -23,7 +23,7 @@ from daemon.housekeeping.retraining_job import RetrainingJob
 from daemon.model_release.past_recordings import recordings_from_history
 from drivers.clock import SystemClock
 from models.recordings.dataset import DatasetError
-from models.thermal.lagged_artifact import any_model_from_json
+from models.thermal.family import model_from_json
 from models.thermal.lags import lag_table
 
 CYCLE_MIN = 180
@@ -128,7 +128,7 @@ async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(
     (path,) = (installation.folder / "state/proposals").glob("*.json")
     assert path.name in text
     assert "14.98 h of history" in text
-    model = any_model_from_json(path.read_text("utf-8"), str(path))
+    model = model_from_json(path.read_text("utf-8"), str(path))
     assert model.channels == ("Y1", "Z1")
     assert set(model.sensor_ids) <= set(SENSOR_IDS)
     assert max(model.band_um) < 8.0, "with the compensation left in, the band would be as wide as it wandered"

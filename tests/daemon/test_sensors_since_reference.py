@@ -8,7 +8,6 @@ from control_rig import SENSOR_IDS
 from thermal_rig import Task, model
 
 from daemon.messages import ReferenceRebased
-from models.thermal.model import TestVector
 
 
 @pytest.fixture
@@ -61,9 +60,6 @@ async def test_a_sensor_that_returns_after_the_model_was_loaded_anew_moves_nothi
 
 async def test_a_sensor_that_returned_under_a_model_without_it_is_set_anew_by_the_next(task):
     before = await _away(task)
-    vector = TestVector(
-        degc=np.full(4, 21.0), reference_degc=np.full(4, 20.0), elapsed_min=1.0, thermal_error_um=np.array([1.0])
-    )
     without = model(
         model_id="without 1",
         sensor_ids=SENSOR_IDS[1:],
@@ -71,7 +67,7 @@ async def test_a_sensor_that_returned_under_a_model_without_it_is_set_anew_by_th
         coefficients_um_per_k=np.array([[0.0, 0.0, 1.0, 0.0]]),
         lowest_increment_k=np.full(4, -20.0),
         highest_increment_k=np.full(4, 20.0),
-        test_vectors=(vector,),
+        test_pairs=[(np.full(4, 21.0), np.full(4, 20.0))],
     )
     await task.task.use_model(without)
     await task.minutes(2, spindle=[30.0, 22.0, 22.0], column=22.0)
@@ -129,16 +125,13 @@ async def test_what_is_known_since_another_reference_is_not_taken_over(task):
 async def test_the_label_of_a_tool_does_not_jump_when_a_sensor_leaves_or_returns(tmp_path):
     """Sensor 12 is in the label, and the model does not know it."""
     chosen = SENSOR_IDS[:4]
-    vector = TestVector(
-        degc=np.full(4, 21.0), reference_degc=np.full(4, 20.0), elapsed_min=1.0, thermal_error_um=np.array([3.0])
-    )
     small = model(
         sensor_ids=chosen,
         sensor_names=tuple(f"t{i}" for i in chosen),
         coefficients_um_per_k=np.array([[2.0, 0.0, 0.0, 1.0]]),
         lowest_increment_k=np.full(4, -20.0),
         highest_increment_k=np.full(4, 20.0),
-        test_vectors=(vector,),
+        test_pairs=[(np.full(4, 21.0), np.full(4, 20.0))],
     )
     task = Task(tmp_path, small)
     task.history.start()

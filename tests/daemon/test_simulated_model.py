@@ -15,8 +15,7 @@ from daemon.simulation.simulated_model import (
 )
 from daemon.simulation.simulation import DEMO_SEED
 from drivers.sim.nc.program import PartProgram, demo_program, rotation_program
-from models.thermal.artifact import model_from_json
-from models.thermal.model import ThermalModel
+from models.thermal.family import ThermalModel, model_from_json
 
 
 @pytest.fixture(scope="module")

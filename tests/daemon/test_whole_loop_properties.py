@@ -163,7 +163,7 @@ class Shop(RuleBasedStateMachine):
         if not np.isnan(self.loop.offset_k).any():
             self.loop.offset_k[sensor] = np.nan
         silent = np.isnan(self.loop.offset_k)
-        if silent.all() or not isinstance(self.loop.thermal._online.model, type(MODELS["first"])):
+        if silent.all() or self.loop.thermal._online.model.layout.lags_min:
             self.loop.offset_k[silent] = offset_k
             self.let_pass(4)
             return

@@ -8,15 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.records import FloatArray
-from models.thermal.estimate import DOMAIN_MARGIN_K, Estimation, estimate, linear_estimator
-from models.thermal.model import ThermalModel, TrainingData, make_test_vectors
+from models.thermal.estimation import Estimation
+from models.thermal.estimator import DOMAIN_MARGIN_K, LinearEstimator
+from models.thermal.linear import LinearModel, increment_model
+from models.thermal.model import TrainingData
 from models.thermal.training.evaluation import residual_metrics
 
 COEFFICIENTS = np.array([[1.0, 2.0, -1.0, 0.0], [0.5, 0.0, 0.0, -0.5]])
 DRIFT = np.array([0.1, 0.0])
 COMPONENTS = ("Column", "Column", "Column", "Bed")
 REFERENCE = np.array([20.0, 20.0, 20.0, 20.0])
-MODEL = ThermalModel(
+MODEL = increment_model(
     model_id="m",
     kind="ridge",
     channels=("Y1", "Z1"),
@@ -24,20 +26,24 @@ MODEL = ThermalModel(
     sensor_names=("T11", "T12", "T13", "T14"),
     coefficients_um_per_k=COEFFICIENTS,
     drift_um_per_min=DRIFT,
-    interval_min=1.0,
-    ridge_k2=1.0,
     lowest_increment_k=np.array([0.0, -2.0, -2.0, 0.0]),
     highest_increment_k=np.array([4.0, 6.0, 6.0, 0.0]),
     band_um=np.array([1.0, 1.0]),
     training=(TrainingData(name="d", sha256="00", from_hours=0.0, to_hours=1.0, rows=60),),
     created="2026-01-01T00:00:00+00:00",
-    test_vectors=make_test_vectors(COEFFICIENTS, DRIFT, ((REFERENCE, REFERENCE),)),
+    test_pairs=[(REFERENCE, REFERENCE)],
 )
 INCREMENTS = st.lists(st.one_of(st.just(np.nan), st.floats(-30.0, 30.0)), min_size=4, max_size=4)
 
 
-def at(increment_k: list[float], elapsed_min: float = 0.0, model: ThermalModel = MODEL) -> Estimation:
-    outcome = estimate(model, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min, COMPONENTS)
+def estimate(model: LinearModel, degc: FloatArray, reference_degc: FloatArray, elapsed_min: float) -> Estimation | None:
+    estimator = LinearEstimator(model, COMPONENTS)
+    reference = estimator.begin(0.0, reference_degc)
+    return estimator.estimate(estimator.begin(elapsed_min, degc), reference)
+
+
+def at(increment_k: list[float], elapsed_min: float = 0.0, model: LinearModel = MODEL) -> Estimation:
+    outcome = estimate(model, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min)
     assert outcome is not None
     return outcome
 
@@ -65,14 +71,14 @@ def test_a_component_without_any_sensor_takes_the_mean_of_all() -> None:
 def test_a_sensor_without_a_value_at_the_reference_is_imputed_as_well() -> None:
     reference = REFERENCE.copy()
     reference[0] = np.nan
-    outcome = estimate(MODEL, REFERENCE + 1.0, reference, 0.0, COMPONENTS)
+    outcome = estimate(MODEL, REFERENCE + 1.0, reference, 0.0)
     assert outcome is not None
     assert outcome.imputed == (11,)
     np.testing.assert_allclose(outcome.thermal_error_um, [2.0, 0.0])
 
 
 def test_without_any_sensor_there_is_no_estimate() -> None:
-    assert estimate(MODEL, np.full(4, np.nan), REFERENCE, 0.0, COMPONENTS) is None
+    assert estimate(MODEL, np.full(4, np.nan), REFERENCE, 0.0) is None
 
 
 def test_the_domain_is_half_a_range_wider_than_training_and_never_narrower_than_the_margin() -> None:
@@ -90,7 +96,7 @@ def test_an_imputed_sensor_is_not_judged_by_the_domain() -> None:
 
 @given(increment_k=INCREMENTS, elapsed_min=st.floats(0.0, 1e5))
 def test_the_estimate_is_finite_whenever_one_sensor_is_usable(increment_k: list[float], elapsed_min: float) -> None:
-    outcome = estimate(MODEL, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min, COMPONENTS)
+    outcome = estimate(MODEL, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min)
     if np.isnan(increment_k).all():
         assert outcome is None
         return
@@ -103,22 +109,19 @@ def test_the_estimate_is_finite_whenever_one_sensor_is_usable(increment_k: list[
 
 
 def test_a_model_without_weight_on_a_channel_keeps_its_confidence() -> None:
-    nothing = np.zeros((2, 4))
-    empty = replace(
-        MODEL,
-        coefficients_um_per_k=nothing,
-        test_vectors=make_test_vectors(nothing, DRIFT, ((REFERENCE, REFERENCE),)),
-    )
+    nothing = replace(MODEL.solutions[0], weights=np.zeros((4, 2)))
+    proof = tuple(replace(v, thermal_error_um=v.elapsed_min * DRIFT) for v in MODEL.test_vectors)
+    empty = replace(MODEL, solutions=(nothing,), test_vectors=proof)
     assert at([np.nan, 0.0, 0.0, 0.0], model=empty).confidence == 1.0
 
 
 def test_shapes_and_times_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 4 temperatures"):
-        estimate(MODEL, REFERENCE[:3], REFERENCE, 0.0, COMPONENTS)
-    with pytest.raises(ValueError, match="elapsed_min"):
-        estimate(MODEL, REFERENCE, REFERENCE, float("nan"), COMPONENTS)
+        estimate(MODEL, REFERENCE[:3], REFERENCE, 0.0)
+    with pytest.raises(ValueError, match="finite"):
+        estimate(MODEL, REFERENCE, REFERENCE, float("nan"))
     with pytest.raises(ValueError, match="3 components for 4 sensors"):
-        linear_estimator(MODEL, COMPONENTS[:3])
+        LinearEstimator(MODEL, COMPONENTS[:3])
 
 
 def series(*columns: list[float]) -> FloatArray:

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from signed_models import signed
 from sklearn.linear_model import Ridge
 
+from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.json_fields import content_sha256
-from models.thermal.lagged import LaggedEstimator
-from models.thermal.lagged_artifact import any_model_from_json, lagged_model_from_json, lagged_model_to_json
-from models.thermal.lagged_model import LaggedModel
+from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted
+from models.thermal.family import model_from_json
 from models.thermal.lags import lag_step, lag_table
 from models.thermal.layout import Design
-from models.thermal.model import ModelError, ThermalModel
+from models.thermal.linear import LinearModel
 from models.thermal.training.families import Fit, default_family
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
@@ -57,9 +57,9 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def model(recording: Recording) -> LaggedModel:
+def model(recording: Recording) -> LinearModel:
     made = train_family([recording], "default", sample_s=60.0, created=CREATED).model
-    assert isinstance(made, LaggedModel)
+    assert isinstance(made, LinearModel)
     return made
 
 
@@ -148,9 +148,9 @@ def history(recording: Recording) -> list[tuple[float, FloatArray, float]]:
     return list(zip((recording.time_s / 60.0).tolist(), recording.temperatures_degc, recording.speed_rpm, strict=True))
 
 
-def test_sample_by_sample_gives_what_the_whole_table_gives(recording: Recording, model: LaggedModel) -> None:
+def test_sample_by_sample_gives_what_the_whole_table_gives(recording: Recording, model: LinearModel) -> None:
     inputs, fit = default_fit(recording)
-    estimator = LaggedEstimator(model)
+    estimator = LinearEstimator(model)
     samples = history(recording)
     reference = estimator.rebuild(samples[:101])
     assert reference is not None
@@ -164,8 +164,8 @@ def test_sample_by_sample_gives_what_the_whole_table_gives(recording: Recording,
     assert (estimation.imputed, estimation.outside, estimation.in_domain) == ((), (), True)
 
 
-def test_states_are_settled_after_four_times_the_longest_lag(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_states_are_settled_after_four_times_the_longest_lag(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     assert estimator.history_min == 960.0
     degc = recording.temperatures_degc[0]
     first = estimator.begin(0.0, degc, 0.0)
@@ -177,8 +177,8 @@ def test_states_are_settled_after_four_times_the_longest_lag(recording: Recordin
     assert begun is not None and begun.confidence == 0.0
 
 
-def test_a_gap_in_speed_unsettles_and_a_short_one_does_not(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_a_gap_in_speed_unsettles_and_a_short_one_does_not(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     degc = recording.temperatures_degc[0]
     state = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
     assert state is not None
@@ -189,8 +189,8 @@ def test_a_gap_in_speed_unsettles_and_a_short_one_does_not(recording: Recording,
     assert estimator.settled(estimator.advance(silent, 976.0, degc, 0.0)) == 0.0
 
 
-def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     samples = history(recording)
     reference = estimator.rebuild(samples[:50])
     assert reference is not None
@@ -199,27 +199,27 @@ def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording
         return np.where(np.arange(SENSORS) == 2, np.nan, samples[minute][1])
 
     state = estimator.advance(reference, 50.0, lost(50), samples[50][2])
-    assert estimator.excluded(state, reference) == (2,)
+    assert excluded_sensors(state, reference) == (2,)
     back = estimator.advance(state, 55.0, samples[55][1], samples[55][2])
-    assert estimator.excluded(back, reference) == ()
+    assert excluded_sensors(back, reference) == ()
     for minute in range(51, 70):
         state = estimator.advance(state, float(minute), lost(minute), samples[minute][2])
     late = estimator.advance(state, 70.0, samples[70][1], samples[70][2])
-    assert estimator.excluded(late, reference) == (2,)
+    assert excluded_sensors(late, reference) == (2,)
     estimation = estimator.estimate(late, reference)
     assert estimation is not None and estimation.imputed == (model.sensor_ids[2],)
-    assert estimator.excluded(estimator.readmit(late, (2,)), late) == ()
+    assert excluded_sensors(readmitted(late, (2,)), late) == ()
 
 
-def test_no_usable_sensor_is_no_estimate(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_no_usable_sensor_is_no_estimate(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     reference = estimator.begin(0.0, recording.temperatures_degc[0], 0.0)
     state = estimator.advance(reference, 1.0, np.full(SENSORS, np.nan), 0.0)
     assert estimator.estimate(state, reference) is None
 
 
-def test_far_from_training_confidence_fades(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_far_from_training_confidence_fades(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     degc = recording.temperatures_degc[0]
     reference = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
     assert reference is not None
@@ -231,8 +231,8 @@ def test_far_from_training_confidence_fades(recording: Recording, model: LaggedM
     assert far.confidence == 0.0 and not far.in_domain and far.outside == model.sensor_ids and far.band_factor >= 2.0
 
 
-def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: LaggedModel) -> None:
-    estimator = LaggedEstimator(model)
+def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: LinearModel) -> None:
+    estimator = LinearEstimator(model)
     state = estimator.begin(5.0, recording.temperatures_degc[0], 0.0)
     assert estimator.advance(state, 5.0, recording.temperatures_degc[1], 0.0) is state
     with pytest.raises(ValueError, match="needs 5 temperatures"):
@@ -241,59 +241,60 @@ def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: 
         estimator.begin(float("nan"), recording.temperatures_degc[0], 0.0)
 
 
-def test_the_file_gives_the_model_back(model: LaggedModel) -> None:
-    text = lagged_model_to_json(model)
-    again = any_model_from_json(text, "m.json")
-    assert isinstance(again, LaggedModel)
-    assert lagged_model_to_json(again) == text
+def test_the_file_gives_the_model_back(model: LinearModel) -> None:
+    text = model.to_json()
+    again = model_from_json(text, "m.json")
+    assert isinstance(again, LinearModel)
+    assert again.to_json() == text
     assert again.hyper_parameters == model.hyper_parameters
     np.testing.assert_array_equal(again.coefficients((1,)), model.coefficients((1,)))
 
 
-def test_families_without_lags_are_models_that_the_daemon_loads_as_before(recording: Recording) -> None:
-    from models.thermal.artifact import model_to_json
-
+def test_families_without_lags_are_models_of_the_same_family(recording: Recording) -> None:
     for family in ("increments", "ridge", "pls", "lasso"):
         made = train_family([recording], family, sample_s=60.0, created=CREATED).model
-        assert isinstance(made, ThermalModel)
-        assert isinstance(any_model_from_json(model_to_json(made), "m.json"), ThermalModel)
+        again = model_from_json(made.to_json(), "m.json")
+        assert isinstance(again, LinearModel) and again.layout.lags_min == ()
+        assert again.to_json() == made.to_json()
 
 
-def rewritten(model: LaggedModel, change: Callable[[dict[str, Any]], None]) -> str:
-    content = json.loads(lagged_model_to_json(model))
-    del content["sha256"]
+def rewritten(model: LinearModel, change: Callable[[dict[str, Any]], None]) -> str:
+    """Return the file after a change, with a checksum that fits it again."""
+    content = json.loads(model.to_json())["model"]
     change(content)
-    content["sha256"] = content_sha256(content)
-    return json.dumps(content)
+    return signed(json.dumps(content))
 
 
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda c: c.update(sensor_names=c["sensor_names"][1:]), "sensor_names: 4 where sensor_ids has 5"),
+        (lambda c: c.update(sensor_names=c["sensor_names"][1:]), "sensor_names: 4 for 5 sensors in sensor_ids"),
         (lambda c: c.update(centre=[0.0]), "centre: has shape"),
-        (lambda c: c["ridges"][0]["weights"][0].__setitem__(0, 1e9), r"test_vectors\[0\]: channel c1: the model gives"),
-        (lambda c: c.update(ridges=[]), "ridges: is empty"),
+        (
+            lambda c: c["solutions"][0]["weights"][0].__setitem__(0, 1e9),
+            r"test_vectors\[0\]: channel c1: the model gives",
+        ),
+        (lambda c: c.update(solutions=[]), "solutions: is empty"),
         (lambda c: c["watch"].update(threshold_k=[0.0] * 5), "watch.threshold_k: a limit is positive"),
         (lambda c: c.update(test_vectors=[]), "test_vectors: is empty"),
         (lambda c: c.update(layout={"sensors": 5, "lags_min": [-1], "speed_lags_min": []}), "layout"),
-        (lambda c: c.update(leverage_limit=0.0), "leverage_limit: 0.0 must be positive"),
+        (lambda c: c["domain"].update(leverage_limit=0.0), "leverage_limit: 0.0 must be positive"),
         (lambda c: c.pop("watch"), "watch: is missing"),
-        (lambda c: c["ridges"][0]["directions"].update(float32="AAAA"), "holds 3 bytes, which is no matrix"),
-        (lambda c: c["ridges"][0]["directions"].update(float32="?"), "directions.float32: is not base64"),
+        (lambda c: c["solutions"][0]["directions"].update(float32="AAAA"), "holds 3 bytes, which is no matrix"),
+        (lambda c: c["solutions"][0]["directions"].update(float32="?"), "float32 is not base64"),
         (lambda c: c.update(extra=1), "extra: is not a key of this format"),
     ],
 )
-def test_a_file_that_cannot_be_right_is_refused(model: LaggedModel, change: Any, sentence: str) -> None:
+def test_a_file_that_cannot_be_right_is_refused(model: LinearModel, change: Any, sentence: str) -> None:
     with pytest.raises(ModelError, match=sentence):
-        lagged_model_from_json(rewritten(model, change), "m.json")
+        model_from_json(rewritten(model, change), "m.json")
 
 
-def test_a_changed_or_foreign_file_is_refused(model: LaggedModel) -> None:
-    text = lagged_model_to_json(model)
+def test_a_changed_or_foreign_file_is_refused(model: LinearModel) -> None:
+    text = model.to_json()
     with pytest.raises(ModelError, match="sha256: does not fit"):
-        any_model_from_json(text.replace('"kind": "default"', '"kind": "other"'), "m.json")
+        model_from_json(text.replace('"kind": "default"', '"kind": "other"'), "m.json")
     with pytest.raises(ModelError, match=r"m\.json: format_version: 7 is unknown"):
-        any_model_from_json(text.replace('"format_version": 2', '"format_version": 7'), "m.json")
+        model_from_json(text.replace('"format_version": 3', '"format_version": 7'), "m.json")
     with pytest.raises(ModelError, match="this is not JSON"):
-        any_model_from_json(text[: len(text) // 2], "m.json")
+        model_from_json(text[: len(text) // 2], "m.json")

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.lag_imputation import imputed_features
-from models.thermal.lagged import LaggedEstimator, LagState
-from models.thermal.lagged_model import LaggedModel
-from models.thermal.lagged_rebase import LagReference, estimate_since, lag_reference, rebased, returning
+from models.thermal.estimator import LinearEstimator, ModelState
 from models.thermal.lags import lag_table
+from models.thermal.linear import LinearModel
+from models.thermal.rebase import StateReference, estimate_since, rebased, returning, state_reference
 from models.thermal.training.train_family import train_family
 
 SENSORS = 5
@@ -44,14 +43,14 @@ def machine(seed: int) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def model() -> LaggedModel:
+def model() -> LinearModel:
     made = train_family([machine(0)], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
-    assert isinstance(made, LaggedModel)
+    assert isinstance(made, LinearModel)
     return made
 
 
 @pytest.fixture(scope="module")
-def at_reference(model: LaggedModel) -> LagState:
+def at_reference(model: LinearModel) -> ModelState:
     return Run(model).state
 
 
@@ -60,12 +59,12 @@ class Run:
 
     of = machine(5)
 
-    def __init__(self, model: LaggedModel, at_reference: LagState | None = None) -> None:
-        self.estimator = LaggedEstimator(model)
+    def __init__(self, model: LinearModel, at_reference: ModelState | None = None) -> None:
+        self.estimator = LinearEstimator(model)
         state = at_reference or self.estimator.rebuild(self._sample(minute) for minute in range(REFERENCE))
         assert state is not None
-        self.state: LagState = state
-        self.reference: LagReference = lag_reference(self.estimator, state)
+        self.state: ModelState = state
+        self.reference: StateReference = state_reference(self.estimator, state)
         self.minute = REFERENCE
         self.absent: set[int] = set()
 
@@ -93,21 +92,21 @@ class Run:
         return np.array(errors)
 
 
-def test_what_is_imputed_is_what_the_fit_without_the_sensors_takes_theirs_for(model: LaggedModel) -> None:
+def test_what_is_imputed_is_what_the_fit_without_the_sensors_takes_theirs_for(model: LinearModel) -> None:
     rng = np.random.default_rng(1)
     for without in ((0,), (1, 3), (0, 2, 4)):
         change = rng.normal(0.0, 1.0, model.layout.columns)
-        for ridge in model.ridges:
+        for ridge in model.solutions:
             whole = ridge.imputed(change, without) @ ridge.coefficients()
             np.testing.assert_allclose(whole, change @ ridge.coefficients(without), atol=1e-6)
-        found = imputed_features(model, change, without)
+        found = LinearEstimator(model).left_out.imputed(change, without)
         others = np.delete(np.arange(model.layout.columns), model.layout.of_sensors(without))
         np.testing.assert_array_equal(found[others], change[others])
 
 
 @pytest.mark.parametrize(("away_min", "offset_k"), [(3, 0.0), (3, 1.5), (40, 3.0), (40, -8.0), (200, 0.0), (200, -8.0)])
 def test_a_sensor_that_returns_moves_nothing_and_then_counts(
-    model: LaggedModel, away_min: int, offset_k: float
+    model: LinearModel, away_min: int, offset_k: float
 ) -> None:
     run, frame = Run(model), np.where(np.arange(SENSORS) == 1, offset_k, 0.0)
     usual = np.abs(np.diff(run.run(100), axis=0)).max()
@@ -122,7 +121,7 @@ def test_a_sensor_that_returns_moves_nothing_and_then_counts(
     assert np.abs(run.run(1, offset_k=frame + np.eye(SENSORS)[1])[-1] - estimation).max() > 0.05, "it counts"
 
 
-def test_a_return_leaves_the_estimate_as_good_as_it_is_without_an_absence(model: LaggedModel) -> None:
+def test_a_return_leaves_the_estimate_as_good_as_it_is_without_an_absence(model: LinearModel) -> None:
     undisturbed, disturbed = Run(model), Run(model)
     frame = np.where(np.arange(SENSORS) == 1, 5.0, 0.0)
     undisturbed.run(100)
@@ -134,7 +133,7 @@ def test_a_return_leaves_the_estimate_as_good_as_it_is_without_an_absence(model:
     assert np.abs(whole - back).max() < 1.5, "an offset of 5 K is not taken for a movement"
 
 
-def test_lags_started_from_a_guess_follow_the_sensor(model: LaggedModel) -> None:
+def test_lags_started_from_a_guess_follow_the_sensor(model: LinearModel) -> None:
     """What was guessed about the lags is forgotten with them: a later reference is not biased."""
     run, other = Run(model), Run(model)
     run.run(100)
@@ -150,7 +149,7 @@ def test_lags_started_from_a_guess_follow_the_sensor(model: LaggedModel) -> None
     np.testing.assert_allclose(left, guess * faded, atol=1e-9)
 
 
-def test_a_silence_of_one_sensor_leaves_the_states_settled_and_of_all_does_not(model: LaggedModel) -> None:
+def test_a_silence_of_one_sensor_leaves_the_states_settled_and_of_all_does_not(model: LinearModel) -> None:
     run = Run(model)
     run.run(30, gone=(3,))
     run.run(2)
@@ -165,17 +164,17 @@ def test_a_silence_of_one_sensor_leaves_the_states_settled_and_of_all_does_not(m
     assert rebased(run.estimator, run.state, run.reference, (0, 1, 2, 3, 4)) is None, "nobody to go on from"
 
 
-def test_a_sensor_missing_at_the_reference_joins_without_a_step(model: LaggedModel) -> None:
+def test_a_sensor_missing_at_the_reference_joins_without_a_step(model: LinearModel) -> None:
     run = Run(model)
     run.run(60, gone=(0,))
-    run.reference = lag_reference(run.estimator, run.state)
+    run.reference = state_reference(run.estimator, run.state)
     before = run.run(40, gone=(0,))
     after = run.run(5)
     assert run.latest.imputed == ()
     assert np.abs(after[0] - before[-1]).max() < 1.0
 
 
-def test_what_the_watch_found_wrong_does_not_return(model: LaggedModel) -> None:
+def test_what_the_watch_found_wrong_does_not_return(model: LinearModel) -> None:
     run = Run(model)
     run.run(5)
     run.run(3, offset_k=np.where(np.arange(SENSORS) == 4, 30.0, 0.0))
@@ -184,7 +183,7 @@ def test_what_the_watch_found_wrong_does_not_return(model: LaggedModel) -> None:
     assert run.latest.imputed == (model.sensor_ids[4],)
 
 
-def test_a_returned_sensor_is_watched_from_what_is_expected_of_it(model: LaggedModel) -> None:
+def test_a_returned_sensor_is_watched_from_what_is_expected_of_it(model: LinearModel) -> None:
     frame = np.where(np.arange(SENSORS) == 1, 4.0, 0.0)
     run = Run(model)
     run.run(60, gone=(1,))
@@ -205,7 +204,7 @@ def test_a_returned_sensor_is_watched_from_what_is_expected_of_it(model: LaggedM
 )
 @settings(max_examples=25, deadline=None)
 def test_whoever_comes_and_goes_a_return_is_never_a_step(
-    at_reference: LagState, model: LaggedModel, gone: list[tuple[set[int], int]], offsets: list[float]
+    at_reference: ModelState, model: LinearModel, gone: list[tuple[set[int], int]], offsets: list[float]
 ) -> None:
     """In the minute of a return the estimate is what it is without those who return."""
     run = Run(model, at_reference)

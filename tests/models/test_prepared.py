@@ -6,6 +6,7 @@ import pytest
 from models.recordings.dataset import Recording
 from models.thermal.lags import lag_table
 from models.thermal.training.prepared import prepare
+from models.thermal.training.recipes import RECIPES
 
 SPEEDS_RPM = (3000.0, 5000.0, 2000.0, 4000.0, 6000.0, 2500.0)
 
@@ -35,7 +36,7 @@ def machine(*, sensors_see_the_heat: bool) -> Recording:
 
 @pytest.mark.parametrize("sensors_see_the_heat", [True, False])
 def test_speed_counts_only_where_it_helps(sensors_see_the_heat: bool) -> None:
-    prepared = prepare([machine(sensors_see_the_heat=sensors_see_the_heat)], 60.0, "default")
+    prepared = prepare([machine(sensors_see_the_heat=sensors_see_the_heat)], 60.0, RECIPES["default"])
     assert prepared.folds == "cycle"
     assert bool(prepared.inputs.layout.speed_lags_min) is not sensors_see_the_heat
     assert bool(prepared.problem.hyper_parameters["speed_lags_min"]) is not sensors_see_the_heat
@@ -44,11 +45,11 @@ def test_speed_counts_only_where_it_helps(sensors_see_the_heat: bool) -> None:
 def test_only_the_wanted_rows_are_trained_on() -> None:
     whole = machine(sensors_see_the_heat=False)
     wanted = np.arange(whole.rows) < 480
-    prepared = prepare([whole], 60.0, "default", wanted)
+    prepared = prepare([whole], 60.0, RECIPES["default"], wanted)
     assert prepared.rows.sum() == 480 and not prepared.rows[480:].any()
     assert set(np.unique(prepared.fold)) == {-1, 0, 1, 2, 3}
 
 
 def test_families_on_temperatures_alone_have_no_speed() -> None:
-    prepared = prepare([machine(sensors_see_the_heat=False)], 60.0, "ridge")
+    prepared = prepare([machine(sensors_see_the_heat=False)], 60.0, RECIPES["ridge"])
     assert (prepared.inputs.layout.lags_min, prepared.inputs.layout.speed_lags_min) == ((), ())

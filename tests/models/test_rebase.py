@@ -1,14 +1,14 @@
 """Exclusion and return of sensors: no step, no trace of what was wrong, no NaN."""
 
-import hashlib
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.thermal.estimate import LinearEstimator
-from models.thermal.rebase import first_mean_increment, rebased_reference_degc, renewed_mean_increment
+from models.thermal.estimator import LinearEstimator
+from models.thermal.linear import increment_model
+from models.thermal.mean_increment import first_mean_increment, renewed_mean_increment
+from models.thermal.rebase import estimate_since, rebased, returning, state_reference
 
 SENSORS = 6
 COMPONENTS = ("head", "head", "head", "column", "column", "column")
@@ -17,19 +17,28 @@ vectors = st.lists(temperature, min_size=SENSORS, max_size=SENSORS).map(np.array
 masks = st.lists(st.booleans(), min_size=SENSORS, max_size=SENSORS).map(lambda bits: np.array(bits, dtype=bool))
 
 
-class _Coefficients:
-    """What an estimator needs of a model."""
-
-    def __init__(self, coefficients):
-        self.model_id = hashlib.sha256(coefficients.tobytes()).hexdigest()[:8]
-        self.sensor_ids = tuple(range(1, SENSORS + 1))
-        self.coefficients_um_per_k = coefficients
-        self.drift_um_per_min = np.zeros(len(coefficients))
-        self.lowest_increment_k, self.highest_increment_k = np.full(SENSORS, -1e3), np.full(SENSORS, 1e3)
-
-
 def estimator(coefficients):
-    return LinearEstimator(_Coefficients(np.asarray(coefficients, dtype=float)), COMPONENTS)
+    rows = np.asarray(coefficients, dtype=float)
+    model = increment_model(
+        model_id="m",
+        kind="increments",
+        channels=("Z1",),
+        sensor_ids=tuple(range(1, SENSORS + 1)),
+        sensor_names=tuple(f"t{i}" for i in range(SENSORS)),
+        coefficients_um_per_k=rows,
+        drift_um_per_min=np.zeros(1),
+        lowest_increment_k=np.full(SENSORS, -1e3),
+        highest_increment_k=np.full(SENSORS, 1e3),
+        band_um=np.ones(1),
+        training=(),
+        created="2026-01-01T00:00:00Z",
+        test_pairs=[(np.full(SENSORS, 1.0), np.zeros(SENSORS))],
+    )
+    return LinearEstimator(model, COMPONENTS)
+
+
+def at(family, time_min, degc):
+    return family.begin(time_min, np.asarray(degc))
 
 
 coefficients = st.lists(st.floats(-5, 5), min_size=SENSORS, max_size=SENSORS).map(lambda row: np.array([row]))
@@ -39,11 +48,14 @@ coefficients = st.lists(st.floats(-5, 5), min_size=SENSORS, max_size=SENSORS).ma
 @settings(max_examples=300, deadline=None)
 def test_the_return_of_sensors_moves_the_estimate_by_nothing(rows, reference, now, gone, back):
     family, back = estimator(rows), back & gone
-    before = family.renew(np.where(gone, np.nan, now), reference, 1.0)
-    if before is None:
+    counted = state_reference(family, at(family, 0.0, reference))
+    before = estimate_since(family, at(family, 1.0, np.where(gone, np.nan, now)), counted)
+    if before is None or not back.any():
         return
-    rebased = rebased_reference_degc(family, np.where(gone & ~back, np.nan, now), reference, back, 1.0)
-    after = family.renew(np.where(gone & ~back, np.nan, now), rebased, 1.0)
+    state = at(family, 1.0, np.where(gone & ~back, np.nan, now))
+    found = rebased(family, state, counted, np.flatnonzero(back).tolist())
+    assert found is not None
+    after = estimate_since(family, *found)
     assert after is not None and np.all(np.isfinite(after.thermal_error_um))
     assert after.thermal_error_um == pytest.approx(before.thermal_error_um, abs=1e-6)
 
@@ -54,8 +66,9 @@ def test_what_an_excluded_sensor_said_leaves_no_trace(rows, reference, now, wron
     family = estimator(rows)
     drifted, missing = now.copy(), now.copy()
     drifted[0], missing[0] = wrong, np.nan
-    assert np.all(np.isfinite(family.renew(drifted, reference, 1.0).thermal_error_um))
-    excluded = family.renew(missing, reference, 1.0)
+    then = at(family, 0.0, reference)
+    assert np.all(np.isfinite(family.estimate(at(family, 1.0, drifted), then).thermal_error_um))
+    excluded = family.estimate(at(family, 1.0, missing), then)
     increments = now - reference
     increments[0] = increments[1:3].mean()
     assert excluded.thermal_error_um == pytest.approx(rows @ increments, abs=1e-6)
@@ -64,18 +77,20 @@ def test_what_an_excluded_sensor_said_leaves_no_trace(rows, reference, now, wron
 
 def test_a_sensor_missing_at_the_reference_counts_from_its_first_value():
     family, now = estimator(np.ones((1, SENSORS))), np.full(SENSORS, 21.0)
-    reference = np.array([np.nan, 20.0, 20.0, 20.0, 20.0, 20.0])
-    rebased = rebased_reference_degc(family, now, reference, np.arange(SENSORS) == 0, 1.0)
-    assert rebased[0] == pytest.approx(20.0)
+    counted = state_reference(family, at(family, 0.0, [np.nan, 20.0, 20.0, 20.0, 20.0, 20.0]))
+    state = at(family, 1.0, now)
+    assert returning(family, state, counted, []) == (0,)
+    found = rebased(family, state, counted, (0,))
+    assert found is not None and found[1].state.degc[0] == pytest.approx(20.0)
     later = now.copy()
     later[0] += 2.0
-    assert family.renew(later, rebased, 1.0).thermal_error_um == pytest.approx([8.0])
+    assert estimate_since(family, at(family, 2.0, later), found[1]).thermal_error_um == pytest.approx([8.0])
 
 
 def test_without_any_other_sensor_nothing_is_rebased():
-    family, reference = estimator(np.ones((1, SENSORS))), np.full(SENSORS, 20.0)
-    now = np.full(SENSORS, 25.0)
-    assert rebased_reference_degc(family, now, reference, np.ones(SENSORS, dtype=bool), 1.0) is reference
+    family, everybody = estimator(np.ones((1, SENSORS))), tuple(range(SENSORS))
+    counted = state_reference(family, at(family, 0.0, np.full(SENSORS, 20.0)))
+    assert rebased(family, at(family, 1.0, np.full(SENSORS, 25.0)), counted, everybody) is None
 
 
 @given(

@@ -10,9 +10,9 @@ from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
+from models.model_file import ModelError
 from models.quality import Quality
 from models.records import FloatArray, Instant, MachineTemperatures, Trace
-from models.thermal.model import ModelError
 from models.thermomechanics.artifact import model_from_json, model_to_json
 from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, adjusted_r2, fit_axis, minute_series, solve
 from models.thermomechanics.history import TemperatureHistory

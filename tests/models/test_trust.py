@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
-from models.thermal.domain import band_factor, leverage
 from models.thermal.lags import lag_table
+from models.thermal.solution import band_factor, leverage
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import default_family
 from models.thermal.training.folds import cycles, inner_folds, spindle_starts

@@ -18,7 +18,6 @@ from daemon.history.writer import HistoryWriter
 from daemon.model_release.releasing import release
 from drivers.clock import SystemClock
 from models.records import Reference
-from models.thermal.artifact import model_to_json
 
 REFERENCE = Reference(
     reference_id="r",
@@ -75,7 +74,7 @@ class Installation:
     def release(self, *names: str) -> None:
         for name in names:
             path = self.folder / f"{name}.json"
-            path.write_text(model_to_json(model(name)), encoding="utf-8")
+            path.write_text(model(name).to_json(), encoding="utf-8")
             release(self.configuration, path, person="anna")
 
     def backup(self, name: str = "backup.tar") -> Path:

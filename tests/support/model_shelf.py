@@ -9,8 +9,7 @@ from pathlib import Path
 from control_rig import machine
 
 from config.schema import Configuration
-from models.thermal.artifact import model_to_json
-from models.thermal.model import ThermalModel
+from models.thermal.family import ThermalModel
 
 
 @contextmanager
@@ -34,5 +33,5 @@ def configured(folder: Path, **changes: object) -> Configuration:
 
 def proposal(folder: Path, the_model: ThermalModel, name: str = "p.json") -> Path:
     path = folder / "state/proposals" / name
-    path.write_text(model_to_json(the_model), encoding="utf-8")
+    path.write_text(the_model.to_json(), encoding="utf-8")
     return path

@@ -13,7 +13,8 @@ from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
 from daemon.telemetry.metrics import Telemetry
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
-from models.thermal.model import TestVector, ThermalModel
+from models.thermal.family import ThermalModel
+from models.thermal.linear import increment_model
 
 PERIOD_S = 10.0
 CHAINS = {"spindle": (1, 2, 3), "column": (11, 12)}
@@ -32,23 +33,14 @@ def model(**changes):
         "sensor_names": tuple(f"t{i}" for i in SENSOR_IDS),
         "coefficients_um_per_k": coefficients,
         "drift_um_per_min": np.zeros(1),
-        "interval_min": 1.0,
-        "ridge_k2": 0.0,
         "lowest_increment_k": np.full(count, -20.0),
         "highest_increment_k": np.full(count, 20.0),
         "band_um": np.full(1, np.nan),
         "training": (),
         "created": "2026-01-01T00:00:00Z",
-        "test_vectors": (
-            TestVector(
-                degc=np.full(count, 21.0),
-                reference_degc=np.full(count, 20.0),
-                elapsed_min=1.0,
-                thermal_error_um=np.array([3.0]),
-            ),
-        ),
+        "test_pairs": [(np.full(count, 21.0), np.full(count, 20.0))],
     }
-    return ThermalModel(**(content | changes))
+    return increment_model(**(content | changes))
 
 
 class Task:

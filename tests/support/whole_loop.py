@@ -14,9 +14,11 @@ from config.schema import Configuration
 from daemon.estimation.task import Message, ThermalTask
 from models.quality import Quality, Reason
 from models.records import FloatArray, TemperatureCycle, Trace
-from models.thermal.family import AnyThermalModel
-from models.thermal.lagged_model import FeatureTestVector, LaggedModel
-from models.thermal.layout import Design, Layout, RidgeSolution
+from models.thermal.family import ThermalModel
+from models.thermal.layout import Design, Layout
+from models.thermal.linear import LinearModel
+from models.thermal.model import Domain, TestVector
+from models.thermal.solution import Solution
 
 MOMENT_S = 10.0
 SLEW_UM_PER_MIN = 12.0
@@ -39,14 +41,14 @@ def loop_machine(directory: Path, policy: str) -> Configuration:
     return whole.model_copy(update={"compensation": compensation})
 
 
-def lagged_model(name: str) -> LaggedModel:
+def lagged_model(name: str) -> LinearModel:
     """A model with lags of one and two minutes, whose states are filled after eight."""
     sensors, rng = len(SENSOR_IDS), np.random.default_rng(5)
     layout = Layout(sensors=sensors, lags_min=(1.0, 2.0), speed_lags_min=())
     directions = np.linalg.qr(rng.normal(size=(layout.columns, layout.columns)))[0]
     weights = rng.uniform(0.0, 0.6, (layout.columns, 2))
     features, reference = rng.normal(22.0, 2.0, layout.columns), np.full(layout.columns, 20.0)
-    return LaggedModel(
+    return LinearModel(
         model_id=name,
         kind="default",
         channels=("Y1", "Z1"),
@@ -55,8 +57,8 @@ def lagged_model(name: str) -> LaggedModel:
         layout=layout,
         speed_scale_rpm=1.0,
         period_min=1.0,
-        ridges=(
-            RidgeSolution(
+        solutions=(
+            Solution(
                 layout=layout,
                 design=Design(departures=False, correlation_min=None),
                 gain=np.ones(layout.columns),
@@ -65,11 +67,14 @@ def lagged_model(name: str) -> LaggedModel:
                 remaining=np.linspace(0.02, 1.0, layout.columns),
             ),
         ),
+        drift_um_per_min=np.zeros(2),
         centre=np.full(layout.columns, 20.0),
-        leverage_limit=1e4,
-        lowest_degc=np.full(sensors, -20.0),
-        highest_degc=np.full(sensors, 80.0),
-        highest_speed_rpm=0.0,
+        domain=Domain(
+            of_increments=False,
+            lowest=np.full(sensors, -20.0),
+            highest=np.full(sensors, 80.0),
+            leverage_limit=1e4,
+        ),
         band_um=np.full(2, np.nan),
         watch=None,
         hyper_parameters={},
@@ -77,8 +82,11 @@ def lagged_model(name: str) -> LaggedModel:
         training=(),
         created="2026-01-01T00:00:00Z",
         test_vectors=(
-            FeatureTestVector(
-                features=features, reference=reference, thermal_error_um=(features - reference) @ weights
+            TestVector(
+                features=features,
+                reference=reference,
+                elapsed_min=0.0,
+                thermal_error_um=(features - reference) @ weights,
             ),
         ),
     )
@@ -87,7 +95,7 @@ def lagged_model(name: str) -> LaggedModel:
 class WholeLoop(Bench):
     """A machine that outlives runs of the daemon, moved on moment by moment."""
 
-    def __init__(self, directory: Path, model: AnyThermalModel, *, policy: str = "bumpless") -> None:
+    def __init__(self, directory: Path, model: ThermalModel, *, policy: str = "bumpless") -> None:
         self.configuration = loop_machine(directory, policy)
         self.clock = HandClock()
         self.nc = MemoryNc(self.configuration, self.clock)
@@ -129,7 +137,7 @@ class WholeLoop(Bench):
         self.rig.history.put_state("alive_utc_s", self.clock.now().utc_s)
         await self._open.aclose()
 
-    async def use_model(self, model: AnyThermalModel) -> None:
+    async def use_model(self, model: ThermalModel) -> None:
         """Take up another model."""
         self.model = model
         await self.rig.history.flushed()

@@ -15,8 +15,8 @@ from wires import EVER, FOREVER_S, check_audit, on_wires
 from config.machines import shipped_file
 from daemon.cli import main
 from daemon.history import HistoryReader
-from models.thermal.artifact import model_from_json, model_to_json
-from models.thermal.model import ThermalModel, make_test_vectors
+from models.thermal.family import model_from_json
+from models.thermal.linear import LinearModel
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
@@ -29,13 +29,13 @@ def toolpoint(*arguments: str, config: Path) -> Any:
     return json.loads(answer.read_text(encoding="utf-8"))
 
 
-def other_model() -> ThermalModel:
+def other_model() -> LinearModel:
     """Return the shipped model with every coefficient half as large again: its estimate would jump by half."""
     shipped = model_from_json(shipped_file("simulated_machine_model.json").read_text("utf-8"), "shipped")
-    coefficients = 1.5 * shipped.coefficients_um_per_k
-    pairs = tuple((vector.degc, vector.reference_degc) for vector in shipped.test_vectors)
-    vectors = make_test_vectors(coefficients, shipped.drift_um_per_min, pairs)
-    return replace(shipped, model_id="half-as-much-again", coefficients_um_per_k=coefficients, test_vectors=vectors)
+    assert isinstance(shipped, LinearModel) and not shipped.drift_um_per_min.any()
+    solutions = tuple(replace(one, weights=1.5 * one.weights) for one in shipped.solutions)
+    vectors = tuple(replace(v, thermal_error_um=1.5 * v.thermal_error_um) for v in shipped.test_vectors)
+    return replace(shipped, model_id="half-as-much-again", solutions=solutions, test_vectors=vectors)
 
 
 def said_of_models(store: Path, last: str) -> list[str]:
@@ -52,7 +52,7 @@ def said_of_models(store: Path, last: str) -> list[str]:
 def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
     first, second = tmp_path / "first.json", tmp_path / "second.json"
     first.write_text(shipped_file("simulated_machine_model.json").read_text("utf-8"), "utf-8")
-    second.write_text(model_to_json(other_model()), "utf-8")
+    second.write_text(other_model().to_json(), "utf-8")
 
     def change(content: dict[str, Any]) -> None:
         content["compensation"]["model_file"] = str(tmp_path / "models/model.json")

@@ -23,8 +23,7 @@ from config.renamed import RENAMED
 from config.schema import Configuration
 from daemon.cli import main
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.estimation.increments import IncrementsOnLine
-from daemon.estimation.lagged import LagsOnLine
+from daemon.estimation.model_in_use import ModelInUse
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import TABLES
@@ -33,7 +32,7 @@ from daemon.model_release.bearing_loading import load_released_bearings
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released, read_model
 from models.records import Instant, Reference
-from models.thermal.model import ThermalModel
+from models.thermal.family import model_from_json as thermal_model_from_json
 from models.thermomechanics.artifact import model_from_json
 
 OLD = Path(__file__).parents[1] / "fixtures/version_0_1_0"
@@ -337,14 +336,6 @@ async def test_a_latched_fault_and_a_switch_survive(tmp_path: Path) -> None:
 # --- models ----------------------------------------------------------------------------------
 
 
-def online(model: Any, components: tuple[str, ...], past: Any) -> Any:
-    """Return a model as the thermal task follows it."""
-    position = {sensor_id: place for place, sensor_id in enumerate(SENSOR_IDS)}
-    if isinstance(model, ThermalModel):
-        return IncrementsOnLine(model, position, components)
-    return LagsOnLine(model, position, past)
-
-
 @pytest.fixture(scope="module")
 def series() -> dict[str, Any]:
     content = expected("models/input.json")
@@ -352,14 +343,17 @@ def series() -> dict[str, Any]:
     return content | numbers
 
 
+@pytest.mark.parametrize("rewritten", [False, True])
 @pytest.mark.parametrize("name", sorted(path.stem for path in (OLD / "models").glob("*_*.json")))
-def test_model_files_give_the_same_estimates(name: str, series: dict[str, Any]) -> None:
+def test_model_files_give_the_same_estimates(name: str, rewritten: bool, series: dict[str, Any]) -> None:
     wanted = expected("models/expected.json")[name]
     model, refused = read_model(OLD / f"models/{name}.json", SENSOR_IDS, wanted["channels"])
     if wanted.get("refused"):
         assert model is None and "needs axis positions (Z_mm)" in refused
         return
     assert model is not None, refused
+    if rewritten:
+        model = thermal_model_from_json(model.to_json(), name)
     for what in ("model_id", "kind", "channels", "sensor_ids", "band_um"):
         agree(plain(getattr(model, what)), wanted[what], what)
     time_s, degc, rpm, begin = series["time_s"], series["degc"], series["rpm"], series["reference_row"]
@@ -369,10 +363,10 @@ def test_model_files_give_the_same_estimates(name: str, series: dict[str, Any]) 
             if from_s < moment_s <= to_s:
                 yield float(moment_s), values, float(speed_rpm)
 
-    followed = online(model, tuple(series["components"]), past)
+    followed = ModelInUse(model, SENSOR_IDS, tuple(series["components"]), past)
     reference_s = float(time_s[begin])
     followed.prepare(reference_s)
-    followed.take(reference_s, degc[begin], float(rpm[begin]))
+    followed.on_sample(reference_s, degc[begin], float(rpm[begin]))
     reference = Reference(
         reference_id="r1",
         time=Instant(monotonic_s=reference_s, utc_s=EPOCH_S + reference_s, real_s=reference_s),
@@ -382,13 +376,13 @@ def test_model_files_give_the_same_estimates(name: str, series: dict[str, Any]) 
         work_offset=54,
         power_on_count=7,
     )
-    followed.refer(reference, reference_s)
+    followed.set_reference(reference, reference_s)
     absent, rows = np.zeros(len(SENSOR_IDS), dtype=bool), {each["row"]: each for each in wanted["estimates"]}
     for row in range(begin + 1, len(time_s)):
-        followed.take(float(time_s[row]), degc[row], float(rpm[row]))
+        followed.on_sample(float(time_s[row]), degc[row], float(rpm[row]))
         found, reference = followed.estimate(reference, float(time_s[row]), degc[row], absent)
         away = absent.copy()
-        away[followed.rebased] = False
+        away[followed.places] = False
         absent = away | ~np.isfinite(degc[row])
         if row in rows:
             names = [key for key in rows[row] if key != "row"]

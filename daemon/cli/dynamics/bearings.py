@@ -86,7 +86,7 @@ def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) ->
     """Return the regressions that are asked for, or end with a sentence."""
     from config.machine.published_bearings import load_bounds, published_model
     from config.problems import ConfigurationError
-    from models.thermal.model import ModelError
+    from models.model_file import ModelError
     from models.thermomechanics.artifact import model_from_json
 
     try:

@@ -225,7 +225,7 @@ def track(
     )
     from drivers.contract import FatalDriverError
     from models.dynamics.errors import IdentificationError
-    from models.thermal.model import ModelError
+    from models.model_file import ModelError
     from models.thermomechanics.artifact import model_from_json
 
     files = {"x": spindle_path, "y": spindle_y_path or spindle_path}

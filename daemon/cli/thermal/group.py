@@ -1,7 +1,7 @@
 """`toolpoint thermal`: thermal models from recordings."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import click
 
@@ -12,16 +12,13 @@ from daemon.cli.thermal.figures import figures
 from daemon.cli.thermal.report import report
 from daemon.cli.thermal.sensors import sensors
 
-if TYPE_CHECKING:
-    from daemon.workbench.thermal.training import Selection
-
 MOST_WARNINGS = 10
-AUTO = "auto"
+AUTO: Literal["auto"] = "auto"
 
 
-def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
+def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Literal["auto"] | None:
     if value is None or value == AUTO:
-        return value
+        return None if value is None else AUTO
     try:
         penalty = float(value)
     except ValueError:
@@ -72,7 +69,7 @@ def train(
     family: str | None,
     hours: tuple[float, float] | None,
     interval_min: float,
-    ridge: float | str | None,
+    ridge: float | Literal["auto"] | None,
     intercept: bool,
     channels: str | None,
     split_at_speed: bool,
@@ -85,74 +82,39 @@ def train(
     """
     from config.problems import ConfigurationError
     from config.recordings.recording_map import load_recording_map
-    from daemon.workbench.thermal.training import Selection, summary, train_from_files, write_model
+    from daemon.workbench.thermal.training import (
+        Selection,
+        increments_summary,
+        summary,
+        train_from_files,
+        write_model_file,
+    )
     from drivers.files.recording_csv import RecordingFileError
     from models.recordings.dataset import DatasetError
-    from models.thermal.training.train import TrainingChoices
+    from models.thermal.training.increment_family import IncrementChoices
+    from models.thermal.training.recipes import increment_recipe
 
     if not output.parent.is_dir():
         refuse(f"{output}: there is no folder {output.parent}")
-    if family is not None:
-        if ridge is not None or intercept or split_at_speed or interval_min != 1.0:
-            raise click.UsageError(
-                "--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed"
-            )
-        found = _train_family(recordings, map_path, family, Selection(hours=hours, channels=_names(channels)), output)
-        write_json(json_path, found)
-        return
+    if family is not None and (ridge is not None or intercept or split_at_speed or interval_min != 1.0):
+        raise click.UsageError("--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed")
+    choices = IncrementChoices(
+        interval_min=interval_min, intercept=intercept, ridge_k2=ridge, split_at_speed_changes=split_at_speed
+    )
     try:
         recording_map = None if map_path is None else load_recording_map(map_path)
-        choices = TrainingChoices(
-            kind="increments" if ridge is None else "ridge",
-            interval_min=interval_min,
-            intercept=intercept,
-            ridge_k2=ridge if isinstance(ridge, float) else None,
-            sample_s=60.0 if recording_map is None else recording_map.sample_s,
-            split_at_speed_changes=split_at_speed,
-        )
         selection = Selection(hours=hours, channels=_names(channels))
         with ProgressBar() as bar:
-            result = train_from_files(recordings, recording_map, selection, choices, bar.show)
-        write_model(result, output)
-    except (ConfigurationError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"{output}: the model cannot be written ({error.strerror})")
-    found = summary(result, output)
-    _show(found)
-    write_json(json_path, found)
-
-
-def _train_family(
-    recordings: tuple[Path, ...], map_path: Path | None, family: str, selection: "Selection", output: Path
-) -> dict[str, Any]:
-    """Train a family of models, write its file and return what came of it."""
-    from config.problems import ConfigurationError
-    from config.recordings.recording_map import load_recording_map
-    from daemon.workbench.thermal.training import family_summary, train_family_from_files, write_model_file
-    from drivers.files.recording_csv import RecordingFileError
-    from models.recordings.dataset import DatasetError
-
-    try:
-        recording_map = None if map_path is None else load_recording_map(map_path)
-        with ProgressBar() as bar:
-            result = train_family_from_files(recordings, recording_map, selection, family, bar.show)
+            recipe = increment_recipe(choices) if family is None else family
+            result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
         write_model_file(result.model, output)
     except (ConfigurationError, RecordingFileError, DatasetError) as error:
         refuse(str(error))
     except OSError as error:
         refuse(f"{output}: the model cannot be written ({error.strerror})")
-    found = family_summary(result, output)
-    for warning in found["warnings"][:MOST_WARNINGS]:
-        click.echo(f"warning: {warning}", err=True)
-    for name, why in found["temperatures_left_out"].items():
-        click.echo(f"temperature {name} is left out of the model: {why}", err=True)
-    click.echo(f"{output}: {result.model.model_id}, {compact_text(found['hyper_parameters'])}", err=True)
-    if (remains := found["held_out"]["relative_rmse"]) is not None:
-        click.echo(f"{remains:.0%} of the error remains where one {result.folds} at a time was left out", err=True)
-    if found["refused"] is not None:
-        click.echo(f"refused: {found['refused']}; do not use it", err=True)
-    return found
+    found = increments_summary(result, output) if family is None else summary(result, output)
+    _show(found)
+    write_json(json_path, found)
 
 
 def _names(channels: str | None) -> tuple[str, ...] | None:
@@ -167,16 +129,19 @@ def _show(found: dict[str, Any]) -> None:
         click.echo(f"warning: {warning}", err=True)
     if len(found["warnings"]) > MOST_WARNINGS:
         click.echo(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind", err=True)
+    for name, why in found["temperatures_left_out"].items():
+        click.echo(f"temperature {name} is left out of the model: {why}", err=True)
     model, held_out = found["model"], found["held_out"]
-    used = f"{found['increments']['used']} increments over {model['interval_min']:g} min"
-    click.echo(
-        f"{model['file']}: {model['model_id']}, {model['sensors']} sensors, {used}, ridge {model['ridge_k2']:.4g} K^2",
-        err=True,
-    )
+    used = f", {found['increments']['used']} increments" if "increments" in found else ""
+    chosen = compact_text(found["hyper_parameters"])
+    click.echo(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}", err=True)
     if not held_out["channels"]:
         click.echo("nothing could be left out, so nobody knows how good this model is: record longer", err=True)
         return
-    click.echo(f"left out in turn: {', '.join(held_out['folds'])}", err=True)
+    folds = held_out["folds"]
+    click.echo(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}", err=True)
+    if (remains := held_out["relative_rmse"]) is not None:
+        click.echo(f"{remains:.0%} of the error remains there", err=True)
     click.echo(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]", err=True)
     for channel, reached in held_out["channels"].items():
         without, remaining = reached["without"], reached["with"]
@@ -185,5 +150,7 @@ def _show(found: dict[str, Any]) -> None:
             f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}",
             err=True,
         )
-    if held_out["relative_rmse"] >= 1.0:
+    if remains is not None and remains >= 1.0:
         click.echo("warning: on what it had not seen this model is no better than none; do not use it", err=True)
+    if found["refused"] is not None:
+        click.echo(f"refused: {found['refused']}; do not use it", err=True)

@@ -9,7 +9,7 @@ import click
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 
 if TYPE_CHECKING:
-    from models.thermal.family import AnyThermalModel
+    from models.thermal.family import ThermalModel
     from models.thermal.training.energy import Process
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
@@ -96,16 +96,14 @@ def report(
     write_json(json_path, found)
 
 
-def _model(path: Path) -> "AnyThermalModel":
-    from models.thermal.lagged_artifact import any_model_from_json
-    from models.thermal.model import ModelError
+def _model(path: Path) -> "ThermalModel":
+    from models.model_file import ModelError
+    from models.thermal.family import model_from_json
 
     try:
-        return any_model_from_json(path.read_text(encoding="utf-8"), str(path))
+        return model_from_json(path.read_bytes(), str(path))
     except OSError as error:
         refuse(f"{path}: the thermal model cannot be read ({error.strerror})")
-    except UnicodeDecodeError:
-        refuse(f"{path}: is no thermal model: it is not UTF-8 text")
     except ModelError as error:
         refuse(str(error))
 

@@ -169,7 +169,7 @@ class CampaignDaemon:
             memory.reason,
             self._estimated(control, memory, estimate),
             estimate.model_id if estimate is not None else None,
-            bool(daemon.thermal.obstacle()),
+            bool(daemon.thermal.inhibit()),
             bool(control.skill.obstacle()),
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
         )

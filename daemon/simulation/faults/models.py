@@ -1,17 +1,17 @@
 """The models of a fault campaign: the one that ships, and two that are trained for it on other simulated days."""
 
-import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
 
-from daemon.model_release.loading import model_text
 from daemon.simulation.faults.script import WATCHED_SENSORS, Happening, Incident
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.recordings.dataset import Recording
-from models.thermal.training.train import TrainingChoices, train
+from models.thermal.family import model_from_json
+from models.thermal.training.increment_family import IncrementChoices
+from models.thermal.training.recipes import increment_recipe
 from models.thermal.training.train_family import train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
@@ -50,7 +50,7 @@ class ModelShelf:
         self.damaged = False
         shipped = path.read_text("utf-8")
         self._texts = {SHIPPED: shipped}
-        self._ids: dict[str, str] = {SHIPPED: str(json.loads(shipped)["model_id"])}
+        self._ids: dict[str, str] = {SHIPPED: model_from_json(shipped, path.name).model_id}
         if any(happening.kind in OF_MODELS for happening in script):
             self._train()
 
@@ -105,10 +105,13 @@ class ModelShelf:
 
     def _train(self) -> None:
         recordings = _recordings()
-        small = train(recordings, TrainingChoices(kind="ridge", interval_min=INTERVAL_MIN), created=CREATED).model
+        telescoped = increment_recipe(
+            IncrementChoices(interval_min=INTERVAL_MIN, ridge_k2="auto", split_at_speed_changes=False)
+        )
+        small = train_family(recordings, telescoped, sample_s=SAMPLE_S, created=CREATED).model
         watching = train_family(recordings, "default", sample_s=SAMPLE_S, created=CREATED).model
         for name, model in ((SMALL, small), (WATCHING, watching)):
-            self._texts[name], self._ids[name] = model_text(model), model.model_id
+            self._texts[name], self._ids[name] = model.to_json(), model.model_id
 
 
 def _recordings() -> list[Recording]:

@@ -16,8 +16,7 @@ from config.schema import Configuration
 from daemon.simulation.demonstration import switch_on, watch
 from daemon.simulation.processes import Rehearsal
 from drivers.sim.machine.packs import PackScript
-from models.thermal.artifact import model_to_json
-from models.thermal.model import TestVector, ThermalModel
+from models.thermal.linear import LinearModel, increment_model
 
 Mode = Literal["temperature", "compensation"]
 
@@ -82,7 +81,7 @@ def latency_machine(base: dict[str, Any], experiment: Experiment, folder: Path) 
     if not experiment.cleansing:
         cleansing.update(BELIEVE_ALL)
     path = folder / "latency_model.json"
-    path.write_text(model_to_json(one_sensor_model(sensor)), encoding="utf-8")
+    path.write_text(one_sensor_model(sensor).to_json(), encoding="utf-8")
     compensation = base["compensation"]
     compensation["model_file"] = str(path)
     compensation["allow_writable_model_directory"] = True
@@ -99,16 +98,10 @@ def moved_sensor(base: dict[str, Any]) -> int:
     return next(int(s["id"]) for s in base["temperatures"]["sensors"] if s.get("device", "TMP102") == "TMP102")
 
 
-def one_sensor_model(sensor: int) -> ThermalModel:
+def one_sensor_model(sensor: int) -> LinearModel:
     """Return a model that follows one sensor over any swing between the packs."""
     swing_k = np.array([2.0 * (HOT_DEGC - ICE_DEGC)])
-    warm = TestVector(
-        degc=np.array([30.0]),
-        reference_degc=np.array([20.0]),
-        elapsed_min=1.0,
-        thermal_error_um=np.array([10.0 * MODEL_UM_PER_K]),
-    )
-    return ThermalModel(
+    return increment_model(
         model_id="latency-experiment",
         kind="increments",
         channels=(CHANNEL,),
@@ -116,14 +109,12 @@ def one_sensor_model(sensor: int) -> ThermalModel:
         sensor_names=(f"T{sensor}",),
         coefficients_um_per_k=np.array([[MODEL_UM_PER_K]]),
         drift_um_per_min=np.zeros(1),
-        interval_min=1.0,
-        ridge_k2=0.0,
         lowest_increment_k=-swing_k,
         highest_increment_k=swing_k,
         band_um=np.full(1, np.nan),
         training=(),
         created="2026-01-01T00:00:00+00:00",
-        test_vectors=(warm,),
+        test_pairs=[(np.array([30.0]), np.array([20.0]))],
     )
 
 

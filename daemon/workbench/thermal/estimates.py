@@ -1,23 +1,19 @@
 """What a thermal model would have estimated over a recording, from any row as reference."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
-from models.thermal.family import AnyThermalModel
-from models.thermal.lagged import LaggedEstimator
-from models.thermal.lagged_model import LaggedModel
-from models.thermal.model import thermal_error_um
+from models.thermal.family import ThermalModel
 from models.thermal.training.inputs import bridged
 
 
 class RecordedEstimates:
     """A model run over a recording as the daemon runs it, without its watch over the sensors' faults."""
 
-    def __init__(self, model: AnyThermalModel, recording: Recording) -> None:
+    def __init__(self, model: ThermalModel, recording: Recording) -> None:
         """Prepare it; raises DatasetError when a temperature of the model is not recorded, or is missing for long."""
         lacking = [name for name in model.sensor_names if name not in recording.temperature_names]
         if lacking:
@@ -37,33 +33,14 @@ class RecordedEstimates:
         self.model = model
         self._time_min = recording.time_s / 60.0
         self._degc = degc
-        self._states = None
-        if isinstance(model, LaggedModel):
-            bare = replace(model, watch=None)
-            estimator = LaggedEstimator(bare)
-            speed = np.full(len(degc), np.nan) if recording.speed_rpm is None else recording.speed_rpm
-            state = estimator.begin(float(self._time_min[0]), degc[0], float(speed[0]))
-            self._states = [estimator.features(state)]
-            for time_min, row, rpm in zip(self._time_min[1:], degc[1:], speed[1:], strict=True):
-                state = estimator.advance(state, float(time_min), row, float(rpm))
-                self._states.append(estimator.features(state))
+        self._speed_rpm = recording.speed_rpm
+        self._since: dict[int, FloatArray] = {}
 
     def since_um(self, channel: str, first: int, stop: int) -> FloatArray:
         """Return the estimated thermal error of rows `first` to `stop` since row `first` [um]."""
-        place = self.model.channels.index(channel)
-        if self._states is not None:
-            assert isinstance(self.model, LaggedModel)
-            features = np.array(self._states[first:stop])
-            change: FloatArray = (features - features[0]) @ self.model.coefficients()[:, place]
-            return change
-        assert not isinstance(self.model, LaggedModel)
-        error = thermal_error_um(
-            self.model.coefficients_um_per_k,
-            self.model.drift_um_per_min,
-            self._degc[first:stop] - self._degc[first],
-            self._time_min[first:stop] - self._time_min[first],
-        )
-        return error[:, place]
+        if first not in self._since:
+            self._since = {first: self.model.recorded_um(self._time_min, self._degc, self._speed_rpm, first)}
+        return self._since[first][: stop - first, self.model.channels.index(channel)]
 
     def estimates(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Return those of some channels that the model estimates."""

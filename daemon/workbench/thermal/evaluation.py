@@ -14,7 +14,7 @@ from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.layout import BoolArray
-from models.thermal.training.families import HyperParameters
+from models.thermal.model import HyperParameters
 from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (
     Inputs,
@@ -25,6 +25,7 @@ from models.thermal.training.inputs import (
     with_sensors,
 )
 from models.thermal.training.prepared import prepare
+from models.thermal.training.recipes import RECIPES
 from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, trial_rows
 from models.thermal.training.trust import Trust, judge
 from models.thermal.training.watch_fit import fit_watch
@@ -167,7 +168,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     if not set(kept) - set(plain.axis_positions):
         raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
     chosen = [with_sensors(recording, kept) for recording in recordings]
-    prepared = prepare(chosen, sample_s, model, part.train, protocol.probe_min)
+    prepared = prepare(chosen, sample_s, RECIPES[model], part.train, protocol.probe_min)
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(temperatures_alone(chosen), sample_s, rows, fold)

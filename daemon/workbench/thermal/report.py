@@ -11,7 +11,7 @@ import numpy as np
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 from models.thermal.training.distortion import (
     Stretch,
     distortion,
@@ -50,7 +50,7 @@ class ReportChoices:
 class _Series:
     """The displacements of a recording, and what a model leaves of them."""
 
-    def __init__(self, recording: Recording, model: AnyThermalModel | None) -> None:
+    def __init__(self, recording: Recording, model: ThermalModel | None) -> None:
         self.recording = recording
         self.time_min: FloatArray = recording.time_s / 60.0
         self._estimates = None if model is None else RecordedEstimates(model, recording)
@@ -75,7 +75,7 @@ class _Series:
         return found if residual_um is None else found | {"with": residual_um}
 
 
-def thermal_report(recording: Recording, model: AnyThermalModel | None, choices: ReportChoices) -> dict[str, Any]:
+def thermal_report(recording: Recording, model: ThermalModel | None, choices: ReportChoices) -> dict[str, Any]:
     """Return the report; raises DatasetError when the recording or the model does not allow it."""
     series = _Series(recording, model)
     turns = [] if recording.speed_rpm is None else rotations(recording.speed_rpm)

@@ -7,7 +7,7 @@ from config.html_page import Section
 from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, report_page
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from models.recordings.dataset import Recording
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 TIME = "time [h]"
 WORDS = {
@@ -17,7 +17,7 @@ WORDS = {
 }
 
 
-def write_report_page(path: Path, report: dict[str, Any], recording: Recording, model: AnyThermalModel | None) -> None:
+def write_report_page(path: Path, report: dict[str, Any], recording: Recording, model: ThermalModel | None) -> None:
     """Write the report with curves of all displacements; raises OSError."""
     drift = report["drift"]
     axes = {axis: {f"worst_{kind}": each[kind] for kind in each} for axis, each in report["axes"].items()}
@@ -45,7 +45,7 @@ def write_report_page(path: Path, report: dict[str, Any], recording: Recording, 
     path.write_text(page, encoding="utf-8")
 
 
-def _figure(recording: Recording, model: AnyThermalModel | None) -> Figure:
+def _figure(recording: Recording, model: ThermalModel | None) -> Figure:
     estimates = None if model is None else RecordedEstimates(model, recording)
     hours = recording.time_s / 3600.0
     without, remaining = [], []

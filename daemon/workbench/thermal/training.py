@@ -11,12 +11,9 @@ from typing import Any
 from config.recordings.recording_map import RecordingMap
 from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import Recording
-from models.thermal.artifact import model_to_json
-from models.thermal.lagged_artifact import lagged_model_to_json
-from models.thermal.lagged_model import LaggedModel
-from models.thermal.model import ThermalModel
+from models.thermal.family import ThermalModel
 from models.thermal.training.evaluation import ResidualMetrics
-from models.thermal.training.train import TrainingChoices, TrainingResult, train
+from models.thermal.training.recipes import Recipe
 from models.thermal.training.train_family import FamilyTraining, train_family
 
 
@@ -34,29 +31,13 @@ def train_from_files(
     paths: Sequence[Path],
     recording_map: RecordingMap | None,
     selection: Selection,
-    choices: TrainingChoices,
-    progress: Callable[[str, int, int], None],
-) -> TrainingResult:
-    """Read the recordings and train; raises RecordingFileError or DatasetError."""
-    return train(
-        _read(paths, recording_map, selection, progress),
-        choices,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        progress=lambda done, total: progress("training", done, total),
-    )
-
-
-def train_family_from_files(
-    paths: Sequence[Path],
-    recording_map: RecordingMap | None,
-    selection: Selection,
-    family: str,
+    recipe: str | Recipe,
     progress: Callable[[str, int, int], None],
 ) -> FamilyTraining:
-    """Read the recordings and fit a family of models; raises RecordingFileError or DatasetError."""
+    """Read the recordings and train; raises RecordingFileError or DatasetError."""
     return train_family(
         _read(paths, recording_map, selection, progress),
-        family,
+        recipe,
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
@@ -84,18 +65,12 @@ def _selected(recording: Recording, selection: Selection) -> Recording:
     return recording
 
 
-def write_model(result: TrainingResult, path: Path) -> None:
-    """Write the model's file in one step; raises OSError."""
-    write_model_file(result.model, path)
-
-
-def write_model_file(model: ThermalModel | LaggedModel, path: Path) -> None:
+def write_model_file(model: ThermalModel, path: Path) -> None:
     """Write a model's file in one step, so that nobody ever reads half of one; raises OSError."""
-    text = lagged_model_to_json(model) if isinstance(model, LaggedModel) else model_to_json(model)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
+            file.write(model.to_json())
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
@@ -103,36 +78,8 @@ def write_model_file(model: ThermalModel | LaggedModel, path: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def summary(result: TrainingResult, path: Path) -> dict[str, Any]:
-    """Return what was trained and how good it is on what it had not seen, for JSON."""
-    model, report = result.model, result.report
-    return {
-        "model": {
-            "file": str(path),
-            "model_id": model.model_id,
-            "kind": model.kind,
-            "interval_min": model.interval_min,
-            "ridge_k2": report.ridge_k2,
-            "sensors": len(model.sensor_ids),
-            "drift_um_per_min": dict(zip(model.channels, model.drift_um_per_min.tolist(), strict=True)),
-            "band_um": {c: _finite(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
-        },
-        "training": [
-            {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}
-            for data in model.training
-        ],
-        "increments": {"used": report.increments_used, "left_out": report.increments_left_out, "rank": report.rank},
-        "held_out": {
-            "folds": list(report.folds),
-            "relative_rmse": _finite(report.score),
-            "channels": {} if report.held_out is None else channel_figures(report.held_out),
-        },
-        "warnings": list(report.warnings),
-    }
-
-
-def family_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
-    """Return what was trained and how far it may be trusted, for JSON."""
+def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
+    """Return what was trained, and how good it is on what it had not seen, for JSON."""
     model, trust = result.model, result.trust
     return {
         "model": {
@@ -152,10 +99,21 @@ def family_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "folds": result.folds,
             "relative_rmse": _finite(trust.held_out_relative_rmse),
             "forward_skill": [_finite(value) for value in trust.forward_skill],
+            "channels": {} if trust.held_out is None else channel_figures(trust.held_out),
         },
         "temperatures_left_out": result.left_out,
         "warnings": list(result.warnings),
     }
+
+
+def increments_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
+    """Return `summary` with the figures of the source's model on increments."""
+    found, chosen = summary(result, path), result.hyper_parameters
+    drift = zip(result.model.channels, result.drift_um_per_min.tolist(), strict=True)
+    found["model"] |= {"interval_min": chosen["interval_min"], "ridge_k2": chosen["ridge_k2"]}
+    found["model"]["drift_um_per_min"] = dict(drift)
+    found["held_out"]["folds"] = list(result.fold_names)
+    return found | {"increments": dict(result.counts)}
 
 
 def channel_figures(metrics: ResidualMetrics) -> dict[str, dict[str, dict[str, float | None]]]:

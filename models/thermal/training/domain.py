@@ -10,20 +10,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, RidgeSolution, design_columns
+from models.thermal.layout import BoolArray, design_columns
+from models.thermal.solution import Solution
 from models.thermal.training.inputs import Inputs
 
 REFERENCES = 30
 """So many instants of every stretch are tried as its reference."""
 
 
-def leverage_positions(ridges: Sequence[RidgeSolution], features: FloatArray) -> FloatArray:
+def leverage_positions(ridges: Sequence[Solution], features: FloatArray) -> FloatArray:
     """Return features as points whose squared distance is the leverage of their difference, shape (n, k).
 
     Parameters
     ----------
     ridges
-        The fitted ridges; without any the points have no coordinates, and no distance.
+        The fitted ridges; without any, or without directions, the points have no coordinates, and no distance.
     features : shape (n, d)
         Temperatures, lags and lagged speed.
 
@@ -32,11 +33,12 @@ def leverage_positions(ridges: Sequence[RidgeSolution], features: FloatArray) ->
         (design_columns(features, ridge.layout, ridge.design) * ridge.gain)
         @ (ridge.directions * np.sqrt(ridge.remaining))
         for ridge in ridges
+        if ridge.directions is not None and ridge.remaining is not None
     ]
     return np.hstack(points) if points else np.zeros((len(features), 0))
 
 
-def farthest_leverage(inputs: Inputs, rows: BoolArray, ridges: Sequence[RidgeSolution]) -> float:
+def farthest_leverage(inputs: Inputs, rows: BoolArray, ridges: Sequence[Solution]) -> float:
     """Return the largest leverage of what followed on instants of training that could have been the reference.
 
     Parameters

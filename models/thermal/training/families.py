@@ -4,15 +4,18 @@ Every family ends in coefficients of the same features (temperatures, their lags
 a drift, so that the estimate is always the difference of the features since the reference.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, Design, IntArray, RidgeSolution
+from models.thermal.layout import BoolArray, Design, IntArray
+from models.thermal.model import HyperParameters
+from models.thermal.solution import Solution
+from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.folds import fold_segments
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
@@ -26,8 +29,6 @@ DEFAULT_DESIGNS = (
 )
 """The two ridges of the default model: levels on departures from the lags, and generalised least squares on lags."""
 
-HyperParameters = dict[str, float | int | str | bool | list[float]]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fit:
@@ -39,8 +40,10 @@ class Fit:
     """b_0 [um/min], shape (n_channels,)."""
     refit: Callable[[tuple[int, ...]], "Fit"]
     """Returns the fit of the same rows and hyper-parameters without some sensors (indices from 0)."""
-    solutions: tuple[RidgeSolution, ...] = ()
+    solutions: tuple[Solution, ...] = ()
     """The ridges whose mean it is, where it is one."""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """Of what it was fitted on, by name; for the report."""
 
     def estimate_um(self, features: FloatArray, reference: FloatArray, elapsed_min: FloatArray | float) -> FloatArray:
         """Return the thermal error since the reference [um], shape (n, n_channels)."""
@@ -74,26 +77,43 @@ def held_out_um(inputs: Inputs, rows: BoolArray, fit: Fit) -> tuple[list[FloatAr
     return measured, estimated
 
 
-def relative_rmse(
-    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit], probe_min: float | None = None
-) -> float:
-    """Return the mean over the channels of the RMSE with / without the model, every fold predicted by its fit.
+def held_out_metrics(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: Mapping[int, Fit], probe_min: float | None = None
+) -> ResidualMetrics:
+    """Return the residuals with and without the model [um], every fold predicted by its fit, from its own first row.
 
     With a time between probes [min], they reset the offset that often: a model is chosen for how it is used.
     """
-    remaining, without = np.zeros(len(inputs.channels)), np.zeros(len(inputs.channels))
+    squares, largest, count = np.zeros((2, len(inputs.channels))), np.zeros((2, len(inputs.channels))), 0
     for number, fit in fits.items():
         for measured, estimated in zip(*held_out_um(inputs, rows & (fold == number), fit), strict=True):
             residual: FloatArray = measured - estimated
             if probe_min is not None:
                 times_min = inputs.period_min * np.arange(len(residual), dtype=np.float64)
                 residual = probed_residual_um(times_min, residual, probe_min)
-            remaining += np.square(residual).sum(axis=0)
-            without += np.square(measured).sum(axis=0)
-    moves = without > 0.0
+            both = np.stack([measured, residual])
+            squares += np.square(both).sum(axis=1)
+            largest = np.maximum(largest, np.abs(both).max(axis=1))
+            count += len(residual)
+    rmse_um = np.sqrt(squares / max(count, 1))
+    return ResidualMetrics(
+        channels=inputs.channels,
+        rmse_without_um=rmse_um[0],
+        max_without_um=largest[0],
+        rmse_with_um=rmse_um[1],
+        max_with_um=largest[1],
+    )
+
+
+def relative_rmse(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fits: Mapping[int, Fit], probe_min: float | None = None
+) -> float:
+    """Return the mean over the channels that move of the RMSE with / without the model, see `held_out_metrics`."""
+    found = held_out_metrics(inputs, rows, fold, fits, probe_min)
+    moves = found.rmse_without_um > 0.0
     if not moves.any():
         return float("nan")
-    return float(np.sqrt(remaining[moves] / without[moves]).sum() / moves.sum())
+    return float((found.rmse_with_um[moves] / found.rmse_without_um[moves]).sum() / moves.sum())
 
 
 def fold_numbers(rows: BoolArray, fold: IntArray) -> list[int]:
@@ -120,7 +140,7 @@ def chosen(
     return int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
 
 
-def ridge_fit(solutions: Sequence[RidgeSolution], without: tuple[int, ...] = ()) -> Fit:
+def ridge_fit(solutions: Sequence[Solution], without: tuple[int, ...] = ()) -> Fit:
     """Return the mean of several ridges as a fit."""
     mean = np.mean([solution.coefficients(without) for solution in solutions], axis=0)
     return Fit(

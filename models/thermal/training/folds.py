@@ -67,10 +67,10 @@ def cycles(inputs: Inputs, rows: BoolArray) -> list[BoolArray]:
     return found
 
 
-def inner_folds(inputs: Inputs, rows: BoolArray) -> tuple[IntArray, str]:
+def inner_folds(inputs: Inputs, rows: BoolArray, fewest_runs: int = FEWEST_CYCLES) -> tuple[IntArray, str]:
     """Return what is left out in turn when something is to be chosen on some rows.
 
-    Three runs or more are left out one by one; else spindle cycles; else blocks of equal length.
+    Runs are left out one by one where there are enough; else spindle cycles; else blocks of equal length.
 
     Parameters
     ----------
@@ -78,6 +78,8 @@ def inner_folds(inputs: Inputs, rows: BoolArray) -> tuple[IntArray, str]:
         The recordings.
     rows : shape (n,)
         Training rows; nothing else is looked at.
+    fewest_runs
+        With fewer runs than this they are not left out one by one.
 
     Returns
     -------
@@ -88,7 +90,7 @@ def inner_folds(inputs: Inputs, rows: BoolArray) -> tuple[IntArray, str]:
     """
     fold = np.full(inputs.rows, -1, dtype=np.intp)
     runs = [run for run in np.unique(inputs.run[rows]) if (rows & (inputs.run == run)).sum() >= SHORTEST_FOLD_ROWS]
-    if len(runs) >= FEWEST_CYCLES:
+    if len(runs) >= fewest_runs:
         for number, group in enumerate(np.array_split(np.array(runs), min(len(runs), MOST_FOLDS))):
             fold[rows & np.isin(inputs.run, group)] = number
         return fold, "run"

@@ -5,13 +5,12 @@ Differences are taken over any interval, every row being the end of one, and nev
 or from one run into another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from models.align import contiguous_runs
-from models.recordings.dataset import DatasetError, Recording
+from models.recordings.dataset import DatasetError
 from models.records import FloatArray
 
 
@@ -55,45 +54,38 @@ class LinearFit:
     """Numerical rank of the temperature increments."""
 
 
-def increments(runs: Sequence[Recording], interval_min: float, period_s: float) -> Increments:
-    """Return all differences over an interval within each run.
+def increments(stretches: Iterable[tuple[FloatArray, FloatArray]], interval_min: float, period_s: float) -> Increments:
+    """Return all differences over an interval within each stretch.
 
     Parameters
     ----------
-    runs
-        Recordings with the same columns and the same time between rows; gaps in them are kept.
+    stretches
+        Temperatures [degC], shape (n, n_sensors), and displacements [um], shape (n, n_channels), of rows that follow
+        each other without a gap.
     interval_min
         A whole multiple of the time between rows [min].
     period_s
-        Nominal time between rows [s]; a longer step is a gap.
+        Time between rows [s].
 
     Returns
     -------
     Increments
-        In the order of the runs and of time.
+        In the order of the stretches and of time; perhaps none.
 
     Raises
     ------
     DatasetError
-        When the interval is no multiple of the sampling, or no difference is left.
+        When the interval is no multiple of the sampling.
 
     """
     step = rows_per_interval(interval_min, period_s)
     temperature, displacement, left_out = [], [], 0
-    for run in runs:
-        for first, stop in contiguous_runs(run.time_s, period_s):
-            d_temperature = _difference(run.temperatures_degc[first:stop], step)
-            d_displacement = _difference(run.displacements_um[first:stop], step)
-            known = np.isfinite(d_temperature).all(axis=1) & np.isfinite(d_displacement).all(axis=1)
-            left_out += int((~known).sum())
-            temperature.append(d_temperature[known])
-            displacement.append(d_displacement[known])
-    if not sum(map(len, temperature)):
-        reason = f"all {left_out} had a missing value" if left_out else "every run is shorter than that"
-        raise DatasetError(
-            f"no temperature increment over {interval_min:g} min is left ({reason}); "
-            "take incomplete columns out of the map, or choose another interval"
-        )
+    for degc, um in stretches:
+        d_temperature, d_displacement = degc[step:] - degc[:-step], um[step:] - um[:-step]
+        known = np.isfinite(d_temperature).all(axis=1) & np.isfinite(d_displacement).all(axis=1)
+        left_out += int((~known).sum())
+        temperature.append(d_temperature[known])
+        displacement.append(d_displacement[known])
     return Increments(
         interval_min=interval_min,
         temperature_k=np.concatenate(temperature),
@@ -111,10 +103,6 @@ def rows_per_interval(interval_min: float, period_s: float) -> int:
             f"choose {period_s / 60.0:g} min or a multiple of it"
         )
     return round(step)
-
-
-def _difference(values: FloatArray, step: int) -> FloatArray:
-    return values[step:] - values[:-step]
 
 
 def factorise(data: Increments) -> Factor:

@@ -12,7 +12,7 @@ import numpy as np
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.jumps import remove_sudden_jumps
 from models.records import FloatArray
-from models.thermal.lags import lag_table, speed_inputs
+from models.thermal.lags import feature_table
 from models.thermal.layout import BRIDGE_MIN, BoolArray, IntArray, Layout
 
 TEMPERATURE_LAGS_MIN = (10.0, 30.0, 90.0, 240.0)
@@ -193,30 +193,6 @@ def _one(recording: Recording, layout: Layout, with_speed: bool, scale_rpm: floa
         speed_missing=speed_missing[:, 0],
         features=features,
     )
-
-
-def feature_table(
-    layout: Layout, time_min: FloatArray, degc: FloatArray, speed_rpm: FloatArray, scale_rpm: float
-) -> FloatArray:
-    """Return temperatures, their lags and lagged speed of one run, shape (n, layout.columns).
-
-    Parameters
-    ----------
-    layout
-        Which columns.
-    time_min : shape (n,)
-        Increasing times [min].
-    degc : shape (n, n_sensors)
-        Temperatures [degC], finite.
-    speed_rpm : shape (n,)
-        Spindle speed [1/min], finite.
-    scale_rpm
-        Speed that becomes 1 [1/min].
-
-    """
-    lagged = lag_table(time_min, degc, layout.lags_min)
-    speed = lag_table(time_min, speed_inputs(speed_rpm, scale_rpm), layout.speed_lags_min)
-    return np.hstack([degc, *lagged, *speed])
 
 
 def bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:

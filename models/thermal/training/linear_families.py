@@ -1,93 +1,23 @@
-"""Families of models on temperatures alone: the source's increments, partial least squares, LASSO."""
+"""Families of models on temperatures alone that scikit-learn fits: partial least squares, LASSO."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from models.recordings.dataset import DatasetError
 from models.records import FloatArray
 from models.thermal.layout import BoolArray, IntArray
+from models.thermal.model import HyperParameters
 from models.thermal.training.families import (
     Fit,
-    HyperParameters,
-    Prepare,
-    Problem,
     chosen,
-    default_family,
     require_enough,
-    ridge_family,
 )
-from models.thermal.training.increments import Factor, Increments, combine, factorise, fit
 from models.thermal.training.inputs import Inputs
 
-SPEED_CHANGE_RPM = 100.0
-"""No increment is taken across a change of spindle speed by more than this [1/min]."""
 MOST_COMPONENTS = 20
 """Partial least squares tries so many components."""
 RELATIVE_ALPHAS: tuple[float, ...] = tuple(10.0 ** (-quarter / 4.0) for quarter in range(1, 18))
 """LASSO penalties that are tried, relative to the one that leaves no temperature."""
-
-
-class IncrementProblem:
-    """Ordinary least squares on increments (equations 3-1 to 3-5), with or without b_0."""
-
-    def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, *, intercept: bool) -> None:
-        require_enough(inputs, rows)
-        self._interval_min = inputs.period_min
-        self._intercept = intercept
-        self._factors = _increment_factors(inputs, rows, fold, self._interval_min)
-        self.hyper_parameters: HyperParameters = {"interval_min": self._interval_min, "intercept": intercept}
-
-    def fit(self, left_out: frozenset[int] = frozenset(), without: tuple[int, ...] = ()) -> Fit:
-        """Return the fit on everything but some folds."""
-        used = [factor for number, factor in self._factors.items() if number not in left_out]
-        if not used:
-            raise DatasetError("no increment is left to fit on; record longer")
-        factor = combine(used)
-        kept = [sensor for sensor in range(factor.sensors) if sensor not in without]
-        columns = [0, *(1 + sensor for sensor in kept), *range(1 + factor.sensors, factor.upper.shape[1])]
-        fitted = fit(
-            Factor(upper=factor.upper[:, columns], sensors=len(kept), rows=factor.rows), intercept=self._intercept
-        )
-        coefficients = np.zeros((factor.sensors, len(fitted.intercept_um)))
-        coefficients[kept] = fitted.coefficients_um_per_k.T
-        return Fit(
-            coefficients=coefficients,
-            drift_um_per_min=fitted.intercept_um / self._interval_min,
-            refit=lambda sensors: self.fit(left_out, tuple(sorted({*without, *sensors}))),
-        )
-
-
-def _increment_factors(inputs: Inputs, rows: BoolArray, fold: IntArray, interval_min: float) -> dict[int, Factor]:
-    used = np.flatnonzero(rows)
-    follows = (np.diff(inputs.run[used]) == 0) & (np.diff(fold[used]) == 0)
-    follows &= np.diff(inputs.time_min[used]) <= 1.5 * interval_min
-    if inputs.speed_rpm is not None:
-        follows &= np.diff(_stretches(inputs.speed_rpm[used])) == 0
-    temperature, displacement = np.diff(inputs.degc[used], axis=0), np.diff(inputs.cleansed_um[used], axis=0)
-    found = {}
-    for number in np.unique(fold[used]):
-        part = follows & (fold[used][1:] == number)
-        if part.any():
-            data = Increments(
-                interval_min=interval_min,
-                temperature_k=temperature[part],
-                displacement_um=displacement[part],
-                left_out=0,
-            )
-            found[int(number)] = factorise(data)
-    return found
-
-
-def _stretches(speed_rpm: FloatArray) -> IntArray:
-    """Return the number of the stretch of constant speed of each row."""
-    number, level_rpm = 0, speed_rpm[0]
-    found = np.empty(len(speed_rpm), dtype=np.intp)
-    for row, speed in enumerate(speed_rpm):
-        if abs(speed - level_rpm) > SPEED_CHANGE_RPM:
-            number, level_rpm = number + 1, speed
-        found[row] = number
-    return found
 
 
 class _CentredRows:
@@ -220,22 +150,3 @@ def lasso_path(x: FloatArray, y: FloatArray, relative_alphas: Sequence[float]) -
     )
     wanted = np.asarray(relative_alphas) * largest
     return np.column_stack([np.interp(wanted, knots[::-1], row[::-1]) for row in path])
-
-
-def _increments_without_drift(inputs: Inputs, rows: BoolArray, fold: IntArray, _: float | None) -> Problem:
-    return IncrementProblem(inputs, rows, fold, intercept=False)
-
-
-def _increments_with_drift(inputs: Inputs, rows: BoolArray, fold: IntArray, _: float | None) -> Problem:
-    return IncrementProblem(inputs, rows, fold, intercept=True)
-
-
-FAMILIES: dict[str, tuple[Prepare, bool]] = {
-    "default": (default_family, True),
-    "increments": (_increments_without_drift, False),
-    "increments-b0": (_increments_with_drift, False),
-    "ridge": (ridge_family, False),
-    "pls": (PartialLeastSquaresProblem, False),
-    "lasso": (LassoProblem, False),
-}
-"""Name -> how it is prepared, and whether it works on lags (else on temperatures alone)."""

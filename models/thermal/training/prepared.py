@@ -10,7 +10,7 @@ from models.thermal.layout import BoolArray, IntArray
 from models.thermal.training.families import Problem, fold_numbers, relative_rmse
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs
-from models.thermal.training.linear_families import FAMILIES
+from models.thermal.training.recipes import Recipe
 
 SPEED_MUST_LEAVE = 0.9
 """Spindle speed counts when it leaves less than this share of the left-out error: speeds that training did not see
@@ -36,7 +36,7 @@ class Prepared:
 def prepare(
     recordings: Sequence[Recording],
     sample_s: float,
-    family: str,
+    recipe: Recipe,
     wanted: BoolArray | None = None,
     probe_min: float | None = None,
 ) -> Prepared:
@@ -50,8 +50,8 @@ def prepare(
     ----------
     recordings, sample_s
         See `build_inputs`.
-    family
-        A key of `FAMILIES`.
+    recipe
+        How the family is prepared.
     wanted : shape (n,)
         Rows that may be trained on; None for all.
     probe_min
@@ -63,16 +63,15 @@ def prepare(
         When too few rows are complete.
 
     """
-    lagged = FAMILIES[family][1]
-    inputs = build_inputs(recordings, sample_s=sample_s) if lagged else _plain(recordings, sample_s)
+    inputs = build_inputs(recordings, sample_s=sample_s) if recipe.lags else _plain(recordings, sample_s)
     wanted = np.ones(inputs.rows, dtype=np.bool_) if wanted is None else wanted
     rows = wanted & inputs.trainable()
     require_rows(inputs, wanted, rows)
-    fold, folds = inner_folds(inputs, rows)
+    fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
 
     def prepared(one: Inputs) -> Prepared:
         """Return the family on some inputs of the same rows."""
-        problem = FAMILIES[family][0](one, rows, fold, probe_min)
+        problem = recipe.prepare(one, rows, fold, probe_min)
         return Prepared(inputs=one, rows=rows, fold=fold, folds=folds, problem=problem)
 
     found = prepared(inputs)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.align import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
@@ -128,7 +129,14 @@ def prepare(number: int, recording: Recording, length_sensors: Sequence[str]) ->
         number=number,
         speed_rpm=float(recording.speed_rpm.max()),
         recording=recording,
-        factor=factorise(increments([trained], 1.0, 60.0)),
+        factor=_factor(trained),
         length_inputs=length_inputs,
-        length_factor=factorise(increments([length], 1.0, 60.0)),
+        length_factor=_factor(length),
     )
+
+
+def _factor(recording: Recording) -> Factor:
+    """Return the factor of the increments over a minute, none of which crosses a gap."""
+    runs = contiguous_runs(recording.time_s, 60.0)
+    stretches = [(recording.temperatures_degc[a:b], recording.displacements_um[a:b]) for a, b in runs]
+    return factorise(increments(stretches, 1.0, 60.0))

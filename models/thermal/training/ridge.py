@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BRIDGE_MIN, BoolArray, Design, IntArray, RidgeSolution, design_columns
+from models.thermal.layout import BRIDGE_MIN, BoolArray, Design, IntArray, design_columns
+from models.thermal.solution import Solution
 from models.thermal.training.inputs import Inputs
 
 PENALTIES: tuple[float, ...] = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
@@ -67,7 +68,7 @@ class RidgeProblem:
             scaled = scaled @ self._basis
         self._pieces = _pieces(inputs, rows, fold, design, scaled)
 
-    def solve(self, left_out: frozenset[int], penalties: Sequence[float]) -> list[RidgeSolution]:
+    def solve(self, left_out: frozenset[int], penalties: Sequence[float]) -> list[Solution]:
         """Return the fits on everything but some folds, one per relative penalty."""
         used = [piece for piece in self._pieces if piece.fold not in left_out]
         xx, xy = _centred(used)
@@ -82,7 +83,7 @@ class RidgeProblem:
         for relative in penalties:
             damped = eigenvalues + relative * unit
             found.append(
-                RidgeSolution(
+                Solution(
                     layout=self._layout,
                     design=self._design,
                     gain=self._gain,

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.domain import band_factor
 from models.thermal.lags import lag_table
 from models.thermal.layout import BoolArray, IntArray
+from models.thermal.solution import band_factor
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs

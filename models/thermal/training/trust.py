@@ -7,10 +7,11 @@ import numpy as np
 from models.recordings.dataset import DatasetError
 from models.recordings.jumps import scatter_um
 from models.records import FloatArray
-from models.thermal.domain import band_factor
 from models.thermal.layout import BoolArray, IntArray
+from models.thermal.solution import band_factor
 from models.thermal.training.domain import REFERENCES, farthest_leverage, leverage_positions
-from models.thermal.training.families import Fit, Problem, fold_numbers, relative_rmse
+from models.thermal.training.evaluation import ResidualMetrics
+from models.thermal.training.families import Fit, Problem, fold_numbers, held_out_metrics, relative_rmse
 from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import BiasFilter, probed_residual_um, wander_um2_per_min
@@ -53,6 +54,8 @@ class Trust:
     """1 - RMSE with / without of each fold, predicted from the folds before it."""
     bias_filter: BiasFilter | None = None
     """How a probe corrects the offset, from what was left out; None without probes."""
+    held_out: ResidualMetrics | None = None
+    """Residuals on what was left out; None when nothing was."""
 
 
 def judge(
@@ -107,6 +110,7 @@ def judge(
         held_out_relative_rmse=score,
         forward_skill=tuple(skill),
         bias_filter=bias_filter,
+        held_out=held_out_metrics(inputs, rows, fold, fits, probe_min),
     )
 
 

@@ -1,24 +1,25 @@
-"""Runs a model with lags sample by sample: what it remembers is an explicit record that can be stored.
+"""Runs a linear model sample by sample: what it remembers is an explicit record.
 
-`LaggedEstimator.rebuild` makes a `LagState` of a history, `advance` takes every further sample into
+`LinearEstimator.rebuild` makes a `ModelState` of a history, `advance` takes every further sample into
 it, the state at the instant of a reference is kept as the reference, and `estimate` gives the
-thermal error from the state now and the state at the reference.
+thermal error from the state now and the state at the reference. A model without lags remembers no more
+than which temperatures are known.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.domain import band_factor, leverage
-from models.thermal.estimate import DOMAIN_MARGIN_K, DOMAIN_WIDENING, Estimation
-from models.thermal.lag_imputation import imputed_features, started_lags
-from models.thermal.lagged_model import LaggedModel
+from models.thermal.estimation import Estimation
 from models.thermal.lags import lag_step, speed_inputs
 from models.thermal.layout import BRIDGE_MIN
-from models.thermal.watch import Watcher, WatchState
+from models.thermal.left_out import LeftOut
+from models.thermal.model import LinearParameters
+from models.thermal.solution import band_factor
+from models.thermal.watch import SensorFault, Watcher, WatchState
 
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
@@ -26,13 +27,15 @@ SPEED_MARGIN = 1.05
 """Spindle speed may exceed that of training by this factor."""
 FADED_DISTANCE = 2.0
 """At this many times the largest distance of training (the root of leverage), confidence is zero."""
-MOST_EXCLUSIONS_KEPT = 64
-"""So many sets of excluded sensors keep their coefficients at hand."""
+DOMAIN_WIDENING = 0.5
+"""The range seen in training is widened on both sides by this share of its width."""
+DOMAIN_MARGIN_K = 0.5
+"""And by at least this [K]: eight steps of a TMP102, so that a quiet sensor's noise is no departure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LagState:
-    """What a model with lags remembers from one sample to the next."""
+class ModelState:
+    """What a model remembers from one sample to the next."""
 
     time_min: float
     """Time of the latest sample [min], on the caller's clock."""
@@ -59,29 +62,35 @@ class LagState:
     """Memory of the watch of the sensors; None when the model carries none."""
 
 
-class LaggedEstimator:
-    """A model with lags, prepared once; every method is pure in the state.
+class LinearEstimator:
+    """A linear model, prepared once; every method is pure in the state.
 
     Parameters
     ----------
     model
         The model.
+    components
+        Machine component of each sensor of the model, in its order; empty: all are on one.
 
     """
 
-    def __init__(self, model: LaggedModel) -> None:
+    def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:
+        if components and len(components) != len(model.sensor_ids):
+            raise ValueError(f"{len(components)} components for {len(model.sensor_ids)} sensors of {model.model_id}")
         self.model = model
+        names = sorted(set(components))
+        beside = np.array([names.index(each) for each in components], dtype=np.intp) if components else None
+        self.left_out = LeftOut(model, beside)
         self._watcher = None if model.watch is None else Watcher(model.watch)
-        self._coefficients: dict[tuple[int, ...], FloatArray] = {}
-        widening_k = np.maximum(DOMAIN_WIDENING * (model.highest_degc - model.lowest_degc), DOMAIN_MARGIN_K)
-        self._lowest_degc = model.lowest_degc - widening_k
-        self._highest_degc = model.highest_degc + widening_k
+        domain = model.domain
+        widening = np.maximum(DOMAIN_WIDENING * (domain.highest - domain.lowest), DOMAIN_MARGIN_K)
+        self._lowest, self._highest = domain.lowest - widening, domain.highest + widening
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         constants = (*model.layout.lags_min, *model.layout.speed_lags_min)
         self.history_min = SETTLED_LAGS * max(constants, default=0.0)
         """So much history the states need [min]."""
 
-    def begin(self, time_min: float, degc: FloatArray, speed_rpm: float = float("nan")) -> LagState:
+    def begin(self, time_min: float, degc: FloatArray, speed_rpm: float = float("nan")) -> ModelState:
         """Return the state at a first sample, as if it had lasted for ever; nothing is settled yet.
 
         Parameters
@@ -106,12 +115,12 @@ class LaggedEstimator:
         filled = np.where(known, degc, model.centre[: model.layout.sensors])
         speed = speed_rpm if np.isfinite(speed_rpm) else 0.0
         inputs = speed_inputs(np.array([speed]), model.speed_scale_rpm)[0]
-        return LagState(
+        return ModelState(
             time_min=time_min,
             degc=filled,
             missing=~known,
             known_min=np.where(known, time_min, -np.inf),
-            since_min=np.full(len(degc), time_min),
+            since_min=np.full(len(degc), time_min if self.history_min else -np.inf),
             filled_min=np.full(len(degc), time_min),
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
@@ -130,13 +139,19 @@ class LaggedEstimator:
             raise ValueError(f"time_min must be finite, got {time_min}")
 
     def advance(
-        self, state: LagState, time_min: float, degc: FloatArray, speed_rpm: float = float("nan"), *, blame: bool = True
-    ) -> LagState:
+        self,
+        state: ModelState,
+        time_min: float,
+        degc: FloatArray,
+        speed_rpm: float = float("nan"),
+        *,
+        blame: bool = True,
+    ) -> ModelState:
         """Return the state after a sample.
 
         Gaps up to `BRIDGE_MIN` are bridged by a straight line. After a longer one the lags of a sensor begin where
         the other sensors let them be expected; those of spindle speed, and those of sensors that were silent all
-        together, are settled again only after `history_min`.
+        together, are settled again only after `history_min`. A model without lags has nothing to begin.
 
         Parameters
         ----------
@@ -154,12 +169,12 @@ class LaggedEstimator:
             return state
         known = np.isfinite(degc)
         filled = np.where(known, degc, state.degc)
-        returned = known & (time_min - state.known_min > self._bridge_min)
+        returned = known & (time_min - state.known_min > self._bridge_min) & (self.history_min > 0.0)
         speed_known = bool(np.isfinite(speed_rpm))
         speed = float(speed_rpm) if speed_known else state.speed_rpm
         anew = speed_known and time_min - state.speed_known_min > self._bridge_min
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
-        advanced = LagState(
+        advanced = ModelState(
             time_min=time_min,
             degc=filled,
             missing=~known,
@@ -175,7 +190,7 @@ class LaggedEstimator:
         )
         return self.begun(advanced, np.flatnonzero(returned).tolist()) if returned.any() else advanced
 
-    def begun(self, state: LagState, sensors: Sequence[int]) -> LagState:
+    def begun(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
         """Return the state in which the lags of sensors (indices) that speak again begin where the others expect them.
 
         They are filled from then on as those of the others are.
@@ -189,12 +204,12 @@ class LaggedEstimator:
         filled_min = state.time_min if alone else float(np.max(state.filled_min[~without]))
         return replace(
             state,
-            lagged=started_lags(self.model, self.features(state), returned, np.flatnonzero(without).tolist()),
+            lagged=self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist()),
             filled_min=np.where(returned, filled_min, state.filled_min),
         )
 
     def _lags(
-        self, state: LagState, elapsed_min: float, degc: FloatArray, speed_rpm: float
+        self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float
     ) -> tuple[FloatArray, FloatArray]:
         layout, scale_rpm = self.model.layout, self.model.speed_scale_rpm
         before, now = speed_inputs(np.array([state.speed_rpm, speed_rpm]), scale_rpm)
@@ -219,7 +234,7 @@ class LaggedEstimator:
             return watch
         return self._watcher.step(watch, time_min, degc, speed_rpm, blame=blame)
 
-    def rebuild(self, samples: Iterable[tuple[float, FloatArray, float]]) -> LagState | None:
+    def rebuild(self, samples: Iterable[tuple[float, FloatArray, float]]) -> ModelState | None:
         """Return the state after a history of (time [min], temperatures [degC], speed [1/min]); None when empty."""
         state = None
         for time_min, degc, speed_rpm in samples:
@@ -229,7 +244,7 @@ class LaggedEstimator:
                 state = self.advance(state, time_min, degc, speed_rpm, blame=False)
         return state
 
-    def settled(self, state: LagState) -> float:
+    def settled(self, state: ModelState) -> float:
         """Return how far the states are filled, 0..1; below 1 the estimate must not be enabled."""
         if self.history_min <= 0.0:
             return 1.0
@@ -241,22 +256,11 @@ class LaggedEstimator:
             oldest_min = max(oldest_min, state.speed_since_min)
         return float(np.clip((state.time_min - oldest_min) / self.history_min, 0.0, 1.0))
 
-    def excluded(self, state: LagState, reference: LagState) -> tuple[int, ...]:
-        """Return the indices of the sensors that must not count.
-
-        Blamed by the watch, missing now or at the reference, or lost for longer than is bridged since the
-        reference, unless it was set anew in `reference` when it returned.
-        """
-        out = state.missing | reference.missing | (state.since_min > reference.known_min)
-        if state.watch is not None:
-            out[list(state.watch.excluded)] = True
-        return tuple(int(index) for index in np.flatnonzero(out))
-
-    def features(self, state: LagState) -> FloatArray:
+    def features(self, state: ModelState) -> FloatArray:
         """Return temperatures, their lags and lagged speed of a state, shape (layout.columns,)."""
         return np.concatenate([state.degc, state.lagged.ravel(), state.speed_lagged.ravel()])
 
-    def estimate(self, state: LagState, reference: LagState) -> Estimation | None:
+    def estimate(self, state: ModelState, reference: ModelState) -> Estimation | None:
         """Return the thermal error since the reference.
 
         Sensors that must not count are left out of the model over the whole interval since the
@@ -269,57 +273,90 @@ class LaggedEstimator:
             sensors and of the distance from training; None without any usable sensor.
 
         """
-        excluded = self.excluded(state, reference)
+        excluded = excluded_sensors(state, reference)
         sensors = self.model.layout.sensors
         if len(excluded) == sensors:
             return None
-        now = self.features(state)
-        error_um = (now - self.features(reference)) @ self._without(excluded)
+        change = self.features(state) - self.features(reference)
+        elapsed_min = max(state.time_min - reference.time_min, 0.0)
         counted = np.ones(sensors, dtype=np.bool_)
         counted[list(excluded)] = False
-        increment_k = state.degc - reference.degc
-        outside = counted & ((state.degc < self._lowest_degc) | (state.degc > self._highest_degc))
-        distance = self._distance(now - self.features(reference), excluded)
-        slow_enough = state.speed_rpm <= SPEED_MARGIN * self.model.highest_speed_rpm or not self.model.highest_speed_rpm
+        seen = change[:sensors] if self.model.domain.of_increments else state.degc
+        outside = counted & ((seen < self._lowest) | (seen > self._highest))
+        distance = self.left_out.distance(change, excluded)
+        highest_rpm = self.model.domain.highest_speed_rpm
+        slow_enough = state.speed_rpm <= SPEED_MARGIN * highest_rpm or not highest_rpm
         near = float(np.clip((FADED_DISTANCE - distance) / (FADED_DISTANCE - 1.0), 0.0, 1.0))
         settled = min(self.settled(state), self.settled(reference))
         return Estimation(
-            thermal_error_um=error_um,
-            confidence=settled * near * (1.0 - len(excluded) / sensors),
+            thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
+            confidence=settled * near * self.left_out.share(excluded),
             in_domain=not outside.any() and distance <= 1.0 and slow_enough,
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),
-            increment_k=np.where(counted, increment_k, increment_k[counted].mean()),
             band_factor=float(band_factor(distance)),
         )
 
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:
         return tuple(self.model.sensor_ids[index] for index in indices)
 
-    def _without(self, excluded: tuple[int, ...]) -> FloatArray:
-        if excluded not in self._coefficients:
-            if len(self._coefficients) >= MOST_EXCLUSIONS_KEPT:
-                self._coefficients.clear()
-            self._coefficients[excluded] = self.model.coefficients(excluded)
-        return self._coefficients[excluded]
-
-    def _distance(self, change: FloatArray, excluded: tuple[int, ...]) -> float:
-        """Return how far the features have gone since the reference, 1 at the farthest that training went."""
-        known = imputed_features(self.model, change, excluded)
-        return float(np.sqrt(leverage(self.model.ridges, known[None])[0] / self.model.leverage_limit))
-
-    def reinitialised(self, state: LagState, sensors: Sequence[int]) -> LagState:
+    def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
         """Return the state in which sensors (indices) that were silent are watched anew, and blamed for it no longer.
 
-        See `Watcher.welcomed`; a model without a watch blames nobody.
+        See `Watcher.reinitialised`; a model without a watch blames nobody.
         """
         if self._watcher is None or state.watch is None:
             return state
         return replace(state, watch=self._watcher.reinitialised(state.watch, sensors))
 
-    def readmit(self, state: LagState, sensors: tuple[int, ...]) -> LagState:
-        """Return the state in which some sensors (indices) are not blamed any more; then set a new reference."""
-        if state.watch is None:
-            return state
-        kept = tuple(blame for blame in state.watch.blamed if blame.sensor not in sensors)
-        return replace(state, watch=replace(state.watch, blamed=kept))
+
+def excluded_sensors(state: ModelState, reference: ModelState) -> tuple[int, ...]:
+    """Return the indices of the sensors that must not count.
+
+    Blamed by the watch, missing now or at the reference, or lost for longer than is bridged since the
+    reference, unless it was set anew in `reference` when it returned.
+    """
+    out = state.missing | reference.missing | (state.since_min > reference.known_min)
+    if state.watch is not None:
+        out[list(state.watch.excluded)] = True
+    return tuple(int(index) for index in np.flatnonzero(out))
+
+
+def blamed_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:
+    """Return the sensors that the watch excludes, by ID, each with the sign by which it was found."""
+    if state.watch is None:
+        return {}
+    return {model.sensor_ids[blame.sensor]: blame.sign for blame in reversed(state.watch.blamed)}
+
+
+def blamed_again(model: LinearParameters, state: ModelState, signs: Mapping[int, str]) -> ModelState:
+    """Return the state in which these sensors are excluded as well.
+
+    Parameters
+    ----------
+    model
+        The model of the state.
+    state
+        As it was rebuilt from the history, which does not tell who was excluded.
+    signs
+        IDs of sensors with the sign by which each was found, from `blamed_signs`; IDs that the model does not
+        have are passed over, and so are all of them for a model without a watch.
+
+    """
+    if state.watch is None:
+        return state
+    already = blamed_signs(model, state)
+    more = tuple(
+        SensorFault(sensor=model.sensor_ids.index(sensor_id), time_min=state.time_min, sign=sign)
+        for sensor_id, sign in signs.items()
+        if sensor_id in model.sensor_ids and sensor_id not in already
+    )
+    return replace(state, watch=replace(state.watch, blamed=(*state.watch.blamed, *more)))
+
+
+def readmitted(state: ModelState, sensors: Sequence[int]) -> ModelState:
+    """Return the state in which some sensors (indices) are not blamed any more; then set a new reference."""
+    if state.watch is None:
+        return state
+    kept = tuple(blame for blame in state.watch.blamed if blame.sensor not in sensors)
+    return replace(state, watch=replace(state.watch, blamed=kept))

@@ -1,13 +1,17 @@
-"""Training: what is left out, what is chosen on it, and what the model says of its data."""
+"""Training the model of increments: what is left out, what is chosen on it, and what the model says of its data."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from models.recordings.dataset import DatasetError, Recording
-from models.thermal.training.train import TrainingChoices, TrainingResult, sensor_ids_from_names, train
-from models.thermal.training.validation import BAND_QUANTILE, make_folds
+from models.thermal.linear import LinearModel
+from models.thermal.training.increment_family import IncrementChoices
+from models.thermal.training.making import sensor_ids_from_names
+from models.thermal.training.recipes import increment_recipe
+from models.thermal.training.train_family import FamilyTraining, train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
 WEIGHTS = np.random.default_rng(3).normal(0.0, 2.0, (5, 2))
@@ -27,17 +31,25 @@ def day(seed: int, *, rows: int = 240, noise_k: float = 0.02, period_s: float = 
     )
 
 
-def trained(recordings: list[Recording], **choices: object) -> TrainingResult:
-    return train(recordings, TrainingChoices(**choices), created=CREATED)  # type: ignore[arg-type]
+def trained(recordings: list[Recording], *, sample_s: float = 60.0, **choices: Any) -> FamilyTraining:
+    recipe = increment_recipe(IncrementChoices(**{"split_at_speed_changes": False, **choices}))
+    return train_family(recordings, recipe, sample_s=sample_s, created=CREATED)
+
+
+def model_of(recordings: list[Recording], **choices: Any) -> LinearModel:
+    made = trained(recordings, **choices).model
+    assert isinstance(made, LinearModel)
+    return made
 
 
 def test_days_are_left_out_as_a_whole_and_the_true_weights_are_found() -> None:
-    result = trained([day(1, noise_k=0.0), day(2, noise_k=0.0), day(3, noise_k=0.0)])
-    np.testing.assert_allclose(result.model.coefficients_um_per_k, WEIGHTS.T, rtol=1e-6)
-    assert result.report.folds == ("day 1", "day 2", "day 3")
-    assert result.report.score == pytest.approx(0.0, abs=1e-6)
+    days = [day(seed, noise_k=0.0) for seed in (1, 2, 3)]
+    result = trained(days)
+    np.testing.assert_allclose(model_of(days).coefficients(), WEIGHTS, rtol=1e-6)
+    assert result.fold_names == ("day 1", "day 2", "day 3")
+    assert result.trust.held_out_relative_rmse == pytest.approx(0.0, abs=1e-6)
     assert result.model.sensor_ids == (3, 1, 4, 10, 5)
-    assert result.report.increments_used == 3 * 239
+    assert result.counts == {"used": 3 * 239, "left_out": 0, "rank": 5}
 
 
 def test_a_held_out_day_was_not_seen() -> None:
@@ -45,91 +57,75 @@ def test_a_held_out_day_was_not_seen() -> None:
     odd = day(3, noise_k=0.0)
     odd = replace(odd, displacements_um=-odd.displacements_um)
     result = trained([day(1, noise_k=0.0), odd])
-    assert result.report.held_out is not None
-    assert np.all(result.report.held_out.rmse_with_um > 1.2 * result.report.held_out.rmse_without_um)
-    assert result.report.score > 1.2
+    assert result.fold_names == ("day 1", "day 3")
+    assert result.trust.held_out is not None and result.trust.refused is not None
+    assert np.all(result.trust.held_out.rmse_with_um > 1.2 * result.trust.held_out.rmse_without_um)
+    assert result.model.refused == result.trust.refused
 
 
 def test_the_penalty_is_the_one_that_predicts_left_out_days_best() -> None:
     noise_um = np.random.default_rng(7).normal(0.0, 4.0, (3, 60, 2))
     days = [day(seed, rows=60) for seed in (1, 2, 3)]
     days = [replace(d, displacements_um=d.displacements_um + n) for d, n in zip(days, noise_um, strict=True)]
-    auto = trained(days, kind="ridge")
-    scores = {
-        penalty: trained(days, kind="ridge", ridge_k2=penalty).report.score
-        for penalty in (auto.report.ridge_k2 * factor for factor in (0.1, 1.0, 10.0))
-    }
-    assert scores[auto.report.ridge_k2] == pytest.approx(auto.report.score)
-    assert sorted(scores.values())[1] > min(scores.values()) == pytest.approx(auto.report.score)
-    assert auto.model.ridge_k2 == auto.report.ridge_k2 > 0.0
-
-
-def test_the_band_is_the_largest_quantile_of_the_folds() -> None:
-    days = [day(1), day(2)]
-    result = trained(days)
-    expected = []
-    for left_out, other in ((0, 1), (1, 0)):
-        model = trained([days[other]]).model
-        raw = days[left_out]
-        estimate = (raw.temperatures_degc - raw.temperatures_degc[0]) @ model.coefficients_um_per_k.T
-        residual = np.abs(raw.displacements_um - raw.displacements_um[0] - estimate)
-        expected.append(np.quantile(residual, BAND_QUANTILE, axis=0))
-    np.testing.assert_allclose(result.model.band_um, np.max(expected, axis=0), rtol=1e-9)
+    auto = trained(days, ridge_k2="auto")
+    chosen, score = auto.hyper_parameters["ridge_k2"], auto.trust.held_out_relative_rmse
+    assert isinstance(chosen, float) and chosen > 0.0
+    scores = {f: trained(days, ridge_k2=chosen * f).trust.held_out_relative_rmse for f in (0.1, 1.0, 10.0)}
+    assert scores[1.0] == pytest.approx(score)
+    assert sorted(scores.values())[1] > min(scores.values()) == pytest.approx(score)
+    assert (auto.model.kind, model_of(days).kind) == ("ridge", "increments")
 
 
 def test_one_recording_is_cut_into_cycles_or_blocks() -> None:
-    assert trained([day(1, speed=True)]).report.folds == tuple(f"cycle {n}" for n in range(1, 7))
-    assert trained([day(1)]).report.folds == tuple(f"block {n}" for n in range(1, 6))
-    fast = day(1, rows=600, speed=True)
-    assert trained([fast]).report.folds == tuple(f"block {n}" for n in range(1, 6))
+    assert trained([day(1, speed=True)]).fold_names == tuple(f"cycle {n}" for n in range(1, 7))
+    assert trained([day(1)]).fold_names == tuple(f"block {n}" for n in range(1, 6))
 
 
-def test_cycles_begin_where_the_spindle_starts() -> None:
-    one = day(1, speed=True)
-    folds = make_folds([one], [one], TrainingChoices(), 60.0)
-    assert [float(fold.measured.time_s[0]) / 60.0 for fold in folds] == [0.0, 60.0, 100.0, 140.0, 180.0, 220.0]
-    turning = replace(one.part(30, 240))
-    folds = make_folds([turning], [turning], TrainingChoices(), 60.0)
-    assert [float(fold.measured.time_s[0]) / 60.0 for fold in folds] == [30.0, 60.0, 100.0, 140.0, 180.0, 220.0]
+def test_a_fit_of_everything_takes_differences_across_what_was_left_out_in_turn() -> None:
+    assert trained([day(1)], interval_min=20.0).counts["used"] == 220
 
 
-def test_a_recording_too_short_to_leave_anything_out_says_so() -> None:
+def test_a_recording_too_short_to_leave_anything_out_is_refused_with_the_reason() -> None:
     short = trained([day(1, rows=10)])
-    assert short.report.held_out is None
-    assert np.isnan(short.report.score)
+    assert short.trust.held_out is None and short.fold_names == ()
+    assert short.model.refused is not None
     assert np.isnan(short.model.band_um).all()
     with pytest.raises(DatasetError, match="two stretches to leave out"):
-        trained([day(1, rows=10)], kind="ridge", interval_min=5.0)
+        trained([day(1, rows=10)], ridge_k2="auto", interval_min=5.0)
+    with pytest.raises(DatasetError, match="every run is shorter"):
+        trained([day(1, rows=10)], interval_min=10.0)
 
 
 def test_jumps_at_switching_are_removed_from_training_and_kept_in_the_judgement() -> None:
     clean = day(1, speed=True, noise_k=0.0)
     jumps = clean.displacements_um + np.where(np.asarray(clean.speed_rpm) > 0.0, 8.0, 0.0)[:, None]
     jumping = replace(clean, displacements_um=jumps)
-    result = trained([jumping])
-    untouched = trained([jumping], jump_threshold_um=None)
-    wrong = [np.abs(r.model.coefficients_um_per_k - WEIGHTS.T).max() for r in (result, untouched)]
+    untouched = replace(jumping, speed_rpm=None)  # without a speed nobody knows of switching
+    wrong = [np.abs(model_of([each]).coefficients() - WEIGHTS).max() for each in (jumping, untouched)]
     assert wrong[0] < 0.4 * wrong[1]  # the rule takes the true change of that minute off as well: not exact
-    assert result.report.held_out is not None
-    assert np.all(result.report.held_out.max_with_um > 7.0)
+    held_out = trained([jumping]).trust.held_out
+    assert held_out is not None
+    assert np.all(held_out.max_with_um > 7.0)
 
 
 def test_differences_across_a_change_of_speed_can_be_left_out() -> None:
     result = trained([day(1, speed=True)], split_at_speed_changes=True)
-    assert result.report.increments_used == 12 * 19
+    assert result.counts["used"] == 12 * 19
+    with pytest.raises(DatasetError, match="the recording needs a speed column"):
+        trained([day(1)], split_at_speed_changes=True)
 
 
 def test_a_drift_is_fitted_per_minute() -> None:
     drifting = day(1, noise_k=0.0)
     drifting = replace(drifting, displacements_um=drifting.displacements_um + 0.03 * np.arange(240)[:, None])
-    with_drift = trained([drifting], intercept=True, interval_min=5.0)
-    np.testing.assert_allclose(with_drift.model.drift_um_per_min, 0.03, rtol=1e-6)
-    assert not trained([drifting], interval_min=5.0).model.drift_um_per_min.any()
+    with_drift = model_of([drifting], intercept=True, interval_min=5.0)
+    np.testing.assert_allclose(with_drift.drift_um_per_min, 0.03, rtol=1e-6)
+    assert not model_of([drifting], interval_min=5.0).drift_um_per_min.any()
 
 
 def test_recordings_are_averaged_to_the_minute_first() -> None:
     result = trained([day(1, rows=960, period_s=15.0)])
-    assert result.report.increments_used == 239
+    assert result.counts["used"] == 239
 
 
 def test_the_range_of_increments_holds_for_a_reference_at_any_earlier_time() -> None:
@@ -138,8 +134,8 @@ def test_the_range_of_increments_holds_for_a_reference_at_any_earlier_time() -> 
     values[:, 0] = 20.0
     values[50:100, 0] = 23.0
     values[100:, 0] = 18.0
-    model = trained([replace(one, temperatures_degc=values)]).model
-    assert (model.lowest_increment_k[0], model.highest_increment_k[0]) == (-5.0, 3.0)
+    domain = model_of([replace(one, temperatures_degc=values)]).domain
+    assert domain.of_increments and (domain.lowest[0], domain.highest[0]) == (-5.0, 3.0)
 
 
 def test_the_model_names_its_data() -> None:
@@ -154,7 +150,8 @@ def test_the_model_names_its_data() -> None:
 
 def test_progress_ends_at_its_total() -> None:
     steps: list[tuple[int, int]] = []
-    train([day(1), day(2)], TrainingChoices(), created=CREATED, progress=lambda *step: steps.append(step))
+    recipe = increment_recipe(IncrementChoices())
+    train_family([day(1), day(2)], recipe, sample_s=60.0, created=CREATED, progress=lambda *step: steps.append(step))
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
@@ -186,21 +183,17 @@ def test_a_single_impossible_value_changes_no_more_than_a_missing_one() -> None:
     broken[100, 2], gap[100, 2] = 850.0, np.nan
     result = trained([replace(good, temperatures_degc=broken), day(2), day(3)])
     other = trained([replace(good, temperatures_degc=gap), day(2), day(3)])
-    np.testing.assert_array_equal(result.model.coefficients_um_per_k, other.model.coefficients_um_per_k)
-    assert any("day 1: column T4, row 101: 850 degC cannot be" in warning for warning in result.report.warnings)
+    assert (result.model.model_id, result.trust.held_out_relative_rmse) == (
+        other.model.model_id,
+        other.trust.held_out_relative_rmse,
+    )
+    assert any("day 1: column T4, row 101: 850 degC cannot be" in warning for warning in result.warnings)
 
 
 def test_temperatures_that_never_change_make_no_model() -> None:
     still = replace(day(1), temperatures_degc=np.full((240, 5), 25.0))
-    with pytest.raises(DatasetError, match="no temperature changes in these recordings"):
+    with pytest.raises(DatasetError, match="no temperature can be used; every one is constant"):
         trained([still])
-
-
-def test_choices_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(ValueError, match="needs kind ridge"):
-        TrainingChoices(ridge_k2=1.0)
-    with pytest.raises(ValueError, match="interval_min"):
-        TrainingChoices(interval_min=0.0)
 
 
 def test_sensor_ids_are_the_numbers_of_the_columns_or_their_places() -> None:

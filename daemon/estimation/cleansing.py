@@ -1,0 +1,81 @@
+"""Temperatures of the whole machine from the cycles of its lines: cleansed, and their means over a window."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from config.schema import Configuration
+from drivers.clock import Clock
+from models.align import RollingMean
+from models.cleanse import CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
+from models.quality import Quality, Reason
+from models.records import FloatArray, MachineTemperatures, TemperatureCycle
+
+
+class Cleansing:
+    """What is known of every sensor; owned by the thermal task."""
+
+    def __init__(self, configuration: Configuration, clock: Clock) -> None:
+        temperatures = configuration.temperatures
+        self._clock = clock
+        position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
+        self._lines = {
+            line.name: (np.array([position[i] for i in line.sensor_ids]), line.cycle_period_s)
+            for line in temperatures.lines
+        }
+        self._rules = CleansingRules(**temperatures.cleansing.model_dump())
+        self._state: CleansingState = initial_state(len(position))
+        self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        self._measured = np.full(len(position), np.nan)
+        self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
+        self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
+        self.latest: MachineTemperatures | None = None
+        """After the latest cycle of any line."""
+
+    @property
+    def stale_after_s(self) -> float:
+        """A sensor without a value for longer has none [s]."""
+        return self._rules.stale_after_s
+
+    @property
+    def window_s(self) -> float:
+        """Time over which means are taken [s]."""
+        return self._mean.window_s
+
+    def mean_degc(self) -> FloatArray:
+        """Return the mean of each sensor over the window [degC], in the machine's order, NaN where there is none."""
+        return self._mean.mean()
+
+    def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
+        """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
+        self._state = initial_state(len(degc), degc, at_s)
+
+    def on_cycle(self, cycle: TemperatureCycle) -> MachineTemperatures:
+        """Take a cycle of one line; return the temperatures of the machine after it."""
+        indices, period_s = self._lines[cycle.line]
+        now_s = cycle.trace.first_byte.monotonic_s
+        result = cleanse_cycle(
+            self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
+        )
+        self._state = result.state
+        self._measured[indices] = cycle.degc
+        degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
+        degc[indices] = result.degc
+        self._quality[indices] = result.quality
+        self._reason[indices] = result.reason
+        ages_s = age_s(self._state, now_s)
+        stale = ages_s > self._rules.stale_after_s
+        degc[stale] = np.nan
+        unsaid = stale & (self._quality != Quality.MISSING)
+        self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
+        self._mean.add(now_s, degc)
+        self.latest = MachineTemperatures(
+            line=cycle.line,
+            measured_degc=self._measured.copy(),
+            degc=degc,
+            quality=self._quality.copy(),
+            reason=self._reason.copy(),
+            age_s=ages_s,
+            trace=replace(cycle.trace, cleansed=self._clock.now()),
+        )
+        return self.latest

@@ -1,0 +1,150 @@
+"""The thermal model in use: in the machine's order of sensors, on the daemon's clock, with the history behind it."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import structlog
+
+from models.records import FloatArray, Reference
+from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
+from models.thermal.family import ThermalModel
+
+log = structlog.get_logger(__name__)
+
+FILLED = 0.999
+"""From here on the states count as filled."""
+SPARE_PERIODS = 2.0
+"""A rebuild begins this many samples earlier than the states need."""
+SHOWN = 20
+"""Sensors named in one line of the log."""
+LATE_PERIODS = 1.5
+"""A reference older than this many samples is looked up in the history."""
+PERIOD_S = 60.0
+"""Time between the samples of a history where the model does not say [s]."""
+
+History = Callable[[float, float, float], Iterable[tuple[float, FloatArray, float]]]
+"""Between two times [s of the monotonic clock] and per period [s]: time, temperatures [degC], spindle speed [1/min]."""
+Answer = tuple[Estimation, Reference]
+"""The estimate, and the reference it counts from: another record when returned sensors were set anew."""
+
+
+class ModelInUse:
+    """One model in use; owned by the thermal task. Temperatures come in the machine's order.
+
+    Parameters
+    ----------
+    model
+        Of whatever family.
+    sensor_ids, components
+        Of the machine's sensors, in its order.
+    history
+        Reads the store.
+
+    """
+
+    def __init__(
+        self, model: ThermalModel, sensor_ids: Sequence[int], components: Sequence[str], history: History
+    ) -> None:
+        self.model = model
+        position = {sensor_id: index for index, sensor_id in enumerate(sensor_ids)}
+        self.places: npt.NDArray[np.intp] = np.array([position[i] for i in model.sensor_ids], dtype=np.intp)
+        """Of the model's sensors in the machine's order; they are set anew when they return."""
+        self._online = model.runtime(Machine(components=dict(zip(sensor_ids, components, strict=True))))
+        self._period_s = model.period_s or PERIOD_S
+        self._history = history
+
+    def prepare(self, now_s: float) -> None:
+        """Fill the states from the history of the last hours; called once, in a thread, before the first sample."""
+        if self._online.history_min > 0.0:
+            self._online.rebuild(self._samples(now_s))
+            log.info("states.rebuilt", model=self.model.model_id, filled=round(self._online.filled, 3))
+
+    def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
+        """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
+        self._online.on_sample(now_s / 60.0, degc[self.places], speed_rpm)
+
+    def set_reference(
+        self,
+        reference: Reference,
+        now_s: float,
+        excluded: Mapping[int, str] | None = None,
+        kept: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Count from this reference from now on.
+
+        A new one admits every sensor. One that is taken up again comes with the sensors that were `excluded`
+        since (ID: sign) and with what a model has `kept`, this one or another; it may be read up in the
+        history, which takes its time: call it in a thread then.
+        """
+        then_s = reference.time.monotonic_s
+        late = now_s - then_s > LATE_PERIODS * self._period_s
+        stateless = self._online.history_min <= 0.0
+        admitted = self._online.set_reference(
+            OnlineReference(
+                time_min=then_s / 60.0,
+                now_min=now_s / 60.0,
+                degc=reference.degc[self.places],
+                history=self._samples(then_s) if late and not stateless else None,
+                excluded=excluded,
+                kept=kept,
+            )
+        )
+        if admitted:
+            log.info("sensors.readmitted", sensors=list(admitted[:SHOWN]), count=len(admitted))
+
+    def estimate(
+        self, reference: Reference, now_s: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> Answer | None:
+        """Return the thermal error since the reference; None without any usable sensor.
+
+        `absent` says in the machine's order which sensors have been imputed until now.
+        """
+        estimation, anew = self._online.estimate(now_s / 60.0, degc[self.places], absent[self.places])
+        if anew:
+            log.info("reference.rebased", reference=reference.reference_id, sensors=list(anew[:SHOWN]), count=len(anew))
+            reference = self._rebased(reference)
+        return None if estimation is None else (estimation, reference)
+
+    def _rebased(self, reference: Reference) -> Reference:
+        """Return the reference with the temperatures that returned sensors count from, where it is what holds them."""
+        counted = self._online.reference_degc
+        if counted is None:
+            return reference
+        degc = reference.degc.copy()
+        degc[self.places] = counted
+        return replace(reference, degc=degc)
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""
+        return self._online.excluded
+
+    @property
+    def kept(self) -> dict[str, Any] | None:
+        """What sensors that returned count from, as JSON, where the reference itself does not hold it."""
+        return self._online.kept
+
+    def inhibit(self, mean_s: float) -> str:
+        """Return why the model cannot be followed yet with means over a time [s], '' when it can."""
+        wanted_s = self.model.period_s
+        if wanted_s is not None and abs(wanted_s - mean_s) > 1e-6:
+            return (
+                f"model {self.model.model_id} was fitted on means over {wanted_s:g} s; "
+                f"set compensation.reference.mean_s: {wanted_s:g}"
+            )
+        filled = self._online.filled
+        if filled >= FILLED:
+            return ""
+        needed_h = self._online.history_min / 60.0
+        return (
+            f"the states of model {self.model.model_id} need {needed_h:.1f} h of {self._online.inputs} "
+            f"without a longer gap, and {filled * needed_h:.1f} h are there; wait, and leave the daemon running"
+        )
+
+    def _samples(self, until_s: float) -> Samples:
+        span_s = self._online.history_min * 60.0 + SPARE_PERIODS * self._period_s
+        history = self._history(until_s - span_s, until_s, self._period_s)
+        return ((time_s / 60.0, degc[self.places], rpm) for time_s, degc, rpm in history)

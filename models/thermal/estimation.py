@@ -1,0 +1,112 @@
+"""What a thermal model on line takes and gives, whichever its family."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+
+Samples = Iterable[tuple[float, FloatArray, float]]
+"""Time [min], temperatures in the model's order [degC], spindle speed [1/min]; NaN where unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """What a model on line must know of the machine."""
+
+    components: Mapping[int, str]
+    """Component of each sensor, by its ID."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimation:
+    """Thermal error since the reference, and how far it may be trusted."""
+
+    thermal_error_um: FloatArray
+    """Actual minus nominal [um], shape (n_channels,); always finite."""
+    confidence: float
+    """How far it may be followed, 0..1."""
+    in_domain: bool
+    """Every usable sensor, and the change since the reference, lie within what training covered."""
+    imputed: tuple[int, ...]
+    """IDs of the sensors that do not count; the others speak for them."""
+    outside: tuple[int, ...]
+    """IDs of the sensors outside the range that training covered."""
+    band_factor: float = 1.0
+    """By how much the model's band is widened here, beyond the domain of training; at least 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnlineReference:
+    """What a model on line counts from."""
+
+    time_min: float
+    now_min: float
+    """When it is set: later than the reference itself when it is taken up again."""
+    degc: FloatArray
+    """Temperatures at the reference [degC], in the model's order, NaN where there is none."""
+    history: Samples | None = None
+    """Samples up to the reference, when it lies back and states must be rebuilt."""
+    excluded: Mapping[int, str] | None = None
+    """Of a reference that is taken up again: sensors found wrong since (ID: sign). None: a new one admits all."""
+    kept: Mapping[str, Any] | None = None
+    """What this or another model kept since, see `OnlineModel.kept`."""
+
+
+class OnlineModel(Protocol):
+    """A model in use. Times [min] are on the caller's clock, temperatures in the model's sensor order."""
+
+    @property
+    def history_min(self) -> float:
+        """So much history the states need [min]; 0 for a model without states."""
+        ...
+
+    @property
+    def inputs(self) -> str:
+        """What the history must hold, in words."""
+        ...
+
+    @property
+    def filled(self) -> float:
+        """How far the states are filled, 0..1."""
+        ...
+
+    def rebuild(self, history: Samples) -> None:
+        """Fill the states from the history; once, before the first sample."""
+        ...
+
+    def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
+        """Take temperatures [degC] and spindle speed [1/min], NaN where unknown."""
+        ...
+
+    def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
+        """Count from this reference from now on; return the IDs of the sensors that count again by that."""
+        ...
+
+    def estimate(
+        self, time_min: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> tuple[Estimation | None, tuple[int, ...]]:
+        """Return the thermal error since the reference, and the IDs of sensors that were set anew for it.
+
+        Without any usable sensor there is None. `absent` says which sensors have been imputed until now. One that
+        returns counts on from where it was imputed, so that its return moves nothing.
+        """
+        ...
+
+    @property
+    def reference_degc(self) -> FloatArray | None:
+        """Temperatures that a reference holds with sensors set anew [degC]; None where `kept` tells that instead."""
+        ...
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""
+        ...
+
+    @property
+    def kept(self) -> dict[str, Any] | None:
+        """What sensors that returned count from, as JSON, where the reference itself does not hold it."""
+        ...

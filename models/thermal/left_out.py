@@ -1,0 +1,98 @@
+"""A linear model without some of its sensors: what is left of it, and what it takes their features for."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+from models.thermal.layout import IntArray
+from models.thermal.model import LinearParameters
+from models.thermal.solution import leverage
+
+MOST_EXCLUSIONS_KEPT = 64
+"""So many sets of excluded sensors keep their coefficients at hand."""
+
+
+class LeftOut:
+    """A model of which sensors (indices from 0) are left out.
+
+    Parameters
+    ----------
+    model
+        The model.
+    beside : shape (n_sensors,)
+        Component of each sensor, as a number; None: all are on one.
+
+    """
+
+    def __init__(self, model: LinearParameters, beside: IntArray | None) -> None:
+        self.model = model
+        self._beside = beside
+        self._weight = np.abs(model.coefficients()[: model.layout.sensors])
+        self._coefficients: dict[tuple[int, ...], FloatArray] = {}
+
+    def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
+        """Return the coefficients of the features without some sensors, kept at hand, shape (d, n_channels)."""
+        if excluded not in self._coefficients:
+            if len(self._coefficients) >= MOST_EXCLUSIONS_KEPT:
+                self._coefficients.clear()
+            self._coefficients[excluded] = self.model.coefficients(excluded, self._beside)
+        return self._coefficients[excluded]
+
+    def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> float:
+        """Return how far the features have gone since the reference, 1 at the farthest that training went."""
+        limit = self.model.domain.leverage_limit
+        if limit is None:
+            return 0.0
+        known = self.imputed(change, excluded)
+        return float(np.sqrt(leverage(self.model.solutions, known[None])[0] / limit))
+
+    def share(self, excluded: tuple[int, ...]) -> float:
+        """Return how much of the model counts without some sensors, 0..1.
+
+        Ridges replace a sensor by all others, so that sensors are counted; means do not, so that the weight that
+        is lost is, of the worst channel.
+        """
+        if not excluded:
+            return 1.0
+        if self.model.domain.leverage_limit is not None:
+            return 1.0 - len(excluded) / self.model.layout.sensors
+        lost, total = self._weight[list(excluded)].sum(axis=0), self._weight.sum(axis=0)
+        share = np.divide(lost, total, out=np.zeros_like(lost), where=total > 0.0)
+        return float(np.clip(1.0 - share.max(), 0.0, 1.0))
+
+    def imputed(self, change: FloatArray, without: Sequence[int]) -> FloatArray:
+        """Return a change of the features with that of some sensors imputed from all other features.
+
+        Each solution gives with its own imputation exactly what it gives without these sensors; of several
+        the mean is taken.
+
+        Parameters
+        ----------
+        change : shape (layout.columns,)
+            Change of the features; what it holds for the sensors left out does not count.
+        without
+            Indices of the sensors, from 0.
+
+        """
+        if not len(without):
+            return change
+        solutions = self.model.solutions
+        return np.asarray(np.mean([one.imputed(change, without, self._beside) for one in solutions], axis=0))
+
+    def started_lags(self, features: FloatArray, started: npt.NDArray[np.bool_], without: Sequence[int]) -> FloatArray:
+        """Return the lags, those of some sensors started so that they stand as far from them as expected [degC].
+
+        A sensor that has a value after a long silence has no lags of its own. Those of the others tell how far each
+        lag is behind; from there on the lags follow the sensor, and what was wrong in the beginning fades with them.
+        """
+        layout = self.model.layout
+        count, lags = layout.sensors, len(layout.lags_min)
+        degc, lagged = features[:count], features[count : layout.temperature_columns].reshape(lags, count)
+        if len(without) == count:
+            return np.where(started, degc, lagged)
+        centre = self.model.centre
+        expected = self.imputed(features - centre, without) + centre
+        expected_lags = expected[count : layout.temperature_columns].reshape(lags, count)
+        return np.where(started, degc + expected_lags - expected[:count], lagged)

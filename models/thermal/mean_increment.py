@@ -1,0 +1,92 @@
+"""The mean increment of some sensors since a reference, which no coming or going moves."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeanIncrement:
+    """What the mean increment of some sensors since a reference counts from, so that no coming or going moves it."""
+
+    reference_degc: FloatArray
+    """What each sensor counts from [degC], shape (n_sensors,); NaN without a value yet."""
+    counted: npt.NDArray[np.bool_]
+    """Which sensors had a temperature of their own at the latest renewal."""
+    offset_k: FloatArray
+    """How far each sensor that is away is imputed above the mean of those that count [K]; NaN for those."""
+    increment_k: FloatArray
+    """Increment that each sensor counted with at the latest renewal [K]; NaN where it is not known."""
+
+    @property
+    def mean_k(self) -> float:
+        """Mean increment since the reference [K]; NaN while no sensor has a temperature."""
+        return float(self.increment_k.mean()) if self.counted.any() else float("nan")
+
+
+def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
+    """Return the mean increment at the reference.
+
+    Parameters
+    ----------
+    reference_degc : shape (n_sensors,)
+        Temperatures at the reference [degC], NaN where there is none. Such a sensor is imputed by the mean of the
+        others; without any other the mean stays unknown.
+
+    """
+    known = np.isfinite(reference_degc)
+    begin_k = 0.0 if known.any() else np.nan
+    return MeanIncrement(
+        reference_degc=reference_degc,
+        counted=known,
+        offset_k=np.where(known, np.nan, begin_k),
+        increment_k=np.full(len(reference_degc), begin_k),
+    )
+
+
+def renewed_mean_increment(before: MeanIncrement, degc: FloatArray) -> MeanIncrement:
+    """Return the mean increment with new temperatures.
+
+    A sensor that leaves is imputed from there on by the change of the mean increment of the others, or held where
+    none is left; one that returns counts on from where it was imputed. Neither moves the mean.
+
+    Parameters
+    ----------
+    before
+        As it was. Increments that are not known (after a restart) are taken for the mean of the others.
+    degc : shape (n_sensors,)
+        Temperatures now [degC], NaN where there is none.
+
+    """
+    known = np.isfinite(degc)
+    if known.all() and before.counted.all():  # nobody comes or goes: the usual case
+        return replace(before, increment_k=degc - before.reference_degc)
+    stayed, left = known & before.counted, before.counted & ~known
+    if not stayed.any() and np.isnan(before.increment_k[left]).any():
+        return before  # nothing is left to impute from, and where these were is not known
+    offset_k = _offsets_without(before, stayed, left)
+    increment_k = np.where(stayed, degc - before.reference_degc, _mean(degc - before.reference_degc, stayed) + offset_k)
+    if (known == before.counted).all():
+        return replace(before, increment_k=increment_k)
+    return MeanIncrement(
+        reference_degc=np.where(known & ~before.counted, degc - increment_k, before.reference_degc),
+        counted=known,
+        offset_k=np.where(known, np.nan, increment_k - _mean(increment_k, known)),
+        increment_k=increment_k,
+    )
+
+
+def _offsets_without(before: MeanIncrement, stayed: npt.NDArray[np.bool_], left: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return the offsets of all sensors that are away, from the mean of those that stayed [K]."""
+    if not left.any():
+        return before.offset_k
+    offset_k = before.increment_k - _mean(before.increment_k, stayed)
+    unknown_k = np.where(before.counted, 0.0, before.offset_k)
+    return np.where(np.isfinite(offset_k), offset_k, unknown_k)
+
+
+def _mean(values: FloatArray, which: npt.NDArray[np.bool_]) -> float:
+    return float(values[which].mean()) if which.any() else 0.0

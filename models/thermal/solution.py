@@ -1,0 +1,186 @@
+"""One fitted linear map from features to thermal error, from which sensors can be left out afterwards."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from models.model_file import ModelError, Numbers, Packed
+from models.records import FloatArray
+from models.thermal.layout import Design, IntArray, Layout, canonical, design_columns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """A ridge with all that leaving sensors out takes, or a fit of which only the weights are known.
+
+    A sensor that is left out of a ridge is expected from all other features, and the rest is then exactly
+    the ridge fitted without it. Of any other fit a sensor is taken for the mean of those beside it.
+    """
+
+    layout: Layout
+    design: Design
+    gain: Numbers
+    """1 / scale of each column; 0 for a column that does not move, shape (d,)."""
+    weights: Numbers
+    """Solution in scaled columns [um], shape (d, n_channels)."""
+    directions: Packed | None = None
+    """Of a ridge: orthonormal principal directions of the scaled columns, shape (d, k)."""
+    remaining: Numbers | None = None
+    """Of a ridge: penalty / (eigenvalue + penalty) of each direction, shape (k,)."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers; raises ModelError."""
+        columns = self.layout.columns
+        if self.gain.shape != (columns,) or self.weights.ndim != 2 or len(self.weights) != columns:
+            raise ModelError("solutions", f"has shapes {self.gain.shape}, {self.weights.shape}; {columns} columns")
+        arrays: list[npt.NDArray[np.floating[Any]]] = [self.gain, self.weights]
+        if (self.directions is None) != (self.remaining is None):
+            raise ModelError("solutions", "directions and remaining go together")
+        if self.directions is not None and self.remaining is not None:
+            if self.directions.shape != (columns, len(self.remaining)):
+                raise ModelError("solutions", f"directions have shape {self.directions.shape} for {columns} columns")
+            if np.any(self.remaining < 0.0) or np.any(self.remaining > 1.0):
+                raise ModelError("solutions", "a remaining share lies between 0 and 1")
+            arrays += [self.directions, self.remaining]
+        elif self.layout.lags_min or self.design.departures:
+            raise ModelError("solutions", "only a model without lags does without directions")
+        for array in arrays:
+            if not np.isfinite(array).all():
+                raise ModelError("solutions", "holds a number that is not finite")
+            array.flags.writeable = False
+        if np.any(self.gain < 0.0):
+            raise ModelError("solutions", "a gain is not negative")
+
+    def coefficients(self, without: Sequence[int] = (), beside: IntArray | None = None) -> FloatArray:
+        """Return the coefficients of the features, fitted without some sensors.
+
+        Leaving columns S out of the ridge ``(G + penalty) w = b`` changes the others to
+        ``w - Q[:, S] Q[S, S]^-1 w[S]`` with Q the inverse of ``G + penalty``.
+
+        Parameters
+        ----------
+        without
+            Indices of the sensors, from 0, with all their lags.
+        beside : shape (n_sensors,)
+            Component of each sensor, as a number; None: all are on one. A ridge does not need it.
+
+        Returns
+        -------
+        numpy.ndarray, shape (layout.columns, n_channels)
+            [um per unit of the feature]; zeros for the columns left out.
+
+        """
+        weights = self.weights
+        if len(without) and self.directions is None:
+            full = canonical(weights * self.gain[:, None], self.layout, self.design)
+            return np.asarray(self._means(without, beside).T @ full)
+        if len(without):
+            out = self.layout.of_sensors(without)
+            to_out = self._inverse(out)
+            weights = weights - to_out @ np.linalg.solve(to_out[out], weights[out])
+            weights[out] = 0.0
+        return canonical(weights * self.gain[:, None], self.layout, self.design)
+
+    def imputed(self, change: FloatArray, without: Sequence[int], beside: IntArray | None = None) -> FloatArray:
+        """Return a change of the features with what the fit without some sensors takes theirs for.
+
+        The ridge fitted without them gives what the whole one gives when the scaled columns S left out are
+        ``-Q[S, S]^-1 Q[S, R] x[R]``, R the others: the values that the penalised fit expects of them.
+
+        Parameters
+        ----------
+        change : shape (layout.columns,)
+            Change of the features; what it holds for the sensors left out does not count.
+        without
+            Indices of the sensors, from 0, with all their lags.
+        beside
+            See `coefficients`.
+
+        Returns
+        -------
+        numpy.ndarray, shape (layout.columns,)
+            In the units of the features; a column that did not move in training is taken not to move.
+
+        """
+        if self.directions is None:
+            return np.asarray(self._means(without, beside) @ change)
+        out = self.layout.of_sensors(without)
+        columns = design_columns(change[None], self.layout, self.design)[0].copy()
+        scaled = columns * self.gain
+        scaled[out] = 0.0
+        to_out = self._inverse(out)
+        expected = -np.linalg.solve(to_out[out], to_out.T @ scaled)
+        moves = self.gain[out] > 0.0
+        columns[out] = np.where(moves, expected / np.where(moves, self.gain[out], 1.0), 0.0)
+        found = change.copy()
+        found[out] = design_columns(columns[None], self.layout, self.design)[0][out]
+        return found
+
+    def _inverse(self, out: IntArray) -> FloatArray:
+        """Return some columns of Q, the inverse of ``G + penalty``, but for a factor; shape (d, len(out))."""
+        assert self.directions is not None and self.remaining is not None
+        if self.directions.shape[0] == self.directions.shape[1]:
+            return np.asarray(self.directions @ (self.directions[out] * self.remaining).T)
+        to_out = self.directions @ (self.directions[out] * (self.remaining - 1.0)).T
+        to_out[out] += np.eye(len(out))
+        return np.asarray(to_out)
+
+    def _means(self, without: Sequence[int], beside: IntArray | None) -> FloatArray:
+        """Return the matrix that puts means for the sensors left out: of those beside them, else of all others."""
+        count = self.layout.sensors
+        group = np.zeros(count, dtype=np.intp) if beside is None else beside
+        used = np.ones(count, dtype=np.bool_)
+        used[list(without)] = False
+        found = np.eye(self.layout.columns)
+        for sensor in without:
+            near = used & (group == group[sensor])
+            others = near if near.any() else used
+            found[sensor] = 0.0
+            found[sensor, np.flatnonzero(others)] = 1.0 / max(int(others.sum()), 1)
+        return found
+
+
+def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:
+    """Return the summed leverage of changes of the features, shape (n,): how little training says about them.
+
+    A ridge with penalty p on columns with cross products G says of a change x how little training knows of it:
+    ``p x^T (G + p)^-1 x``. With Gaussian weights that is the variance of the estimate but for a constant, so its
+    root is a length, and a residual beyond the domain is expected to grow with it.
+
+    Parameters
+    ----------
+    solutions
+        The fitted ridges; one without directions adds nothing.
+    change : shape (n, d)
+        Features minus features at a reference.
+
+    """
+    total = np.zeros(len(change))
+    for ridge in solutions:
+        if ridge.directions is None or ridge.remaining is None:
+            continue
+        scaled = design_columns(change, ridge.layout, ridge.design) * ridge.gain
+        scores = scaled.astype(ridge.directions.dtype, copy=False) @ ridge.directions
+        total += np.square(scores) @ ridge.remaining
+    return total
+
+
+def band_factor(distance: FloatArray | float) -> FloatArray:
+    """Return by how much a band is widened at a distance from the reference: not at all inside the domain.
+
+    Parameters
+    ----------
+    distance
+        The root of leverage over its largest value in training: 1 at the farthest that training went.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of the same shape; beyond the domain the distance itself, because the deviation of the estimate
+        is proportional to it.
+
+    """
+    return np.maximum(1.0, distance)

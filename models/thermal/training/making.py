@@ -1,0 +1,169 @@
+"""Makes the model that the daemon loads of what was fitted."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from models.recordings.dataset import Recording
+from models.records import FloatArray
+from models.thermal.layout import BoolArray
+from models.thermal.linear import LinearModel, increment_model
+from models.thermal.model import Domain, HyperParameters, TestVector, TrainingData
+from models.thermal.solution import Solution
+from models.thermal.training.domain import farthest_leverage
+from models.thermal.training.families import Fit
+from models.thermal.training.inputs import Inputs
+from models.thermal.training.trust import Trust
+from models.thermal.watch import SensorWatch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fitted:
+    """What a model is made of."""
+
+    name: str
+    kind: str
+    created: str
+    inputs: Inputs
+    rows: BoolArray
+    """Training rows, shape (n,)."""
+    fit: Fit
+    trust: Trust
+    hyper_parameters: HyperParameters
+    training: tuple[TrainingData, ...]
+    sensor_ids: tuple[int, ...]
+    increments_k: tuple[FloatArray, FloatArray]
+    """Lowest and highest increment of each sensor since any earlier instant [K], shape (n_sensors,)."""
+    watch: SensorWatch | None
+    """Of its sensors, where the model works on lags."""
+
+    @property
+    def proof_rows(self) -> tuple[int, int, int]:
+        """Return the first, the middle and the last training row, of which test vectors are made."""
+        used = np.flatnonzero(self.rows)
+        return int(used[0]), int(used[len(used) // 2]), int(used[-1])
+
+
+def make_linear_model(fitted: Fitted) -> LinearModel:
+    """Return the model of a fit that is linear in its features: with its ridges, or telescoped where it has no lags."""
+    inputs, fit, trust = fitted.inputs, fitted.fit, fitted.trust
+    if not (fit.solutions and inputs.layout.lags_min):
+        return _telescoped(fitted)
+    features, rows = inputs.features, fitted.rows
+    first, *others = fitted.proof_rows
+    speed_rpm = inputs.speed_rpm if inputs.speed_rpm is not None else np.zeros(inputs.rows)
+    return LinearModel(
+        model_id=f"{fitted.name}-{digest(fit.coefficients)[:8]}",
+        kind=fitted.kind,
+        channels=inputs.channels,
+        sensor_ids=fitted.sensor_ids,
+        sensor_names=inputs.sensor_names,
+        layout=inputs.layout,
+        speed_scale_rpm=inputs.speed_scale_rpm,
+        period_min=inputs.period_min,
+        solutions=tuple(_in_single_precision(solution) for solution in fit.solutions),
+        drift_um_per_min=fit.drift_um_per_min.copy(),
+        centre=features[rows].mean(axis=0),
+        domain=Domain(
+            of_increments=False,
+            lowest=inputs.degc[rows].min(axis=0),
+            highest=inputs.degc[rows].max(axis=0),
+            highest_speed_rpm=float(np.abs(speed_rpm[rows]).max()),
+            leverage_limit=farthest_leverage(inputs, rows, fit.solutions),
+        ),
+        band_um=trust.band_um.copy(),
+        watch=None if fitted.watch is None else replace(fitted.watch, precision=_single(fitted.watch.precision)),
+        hyper_parameters=fitted.hyper_parameters,
+        refused=trust.refused,
+        training=fitted.training,
+        created=fitted.created,
+        axis_positions=inputs.axis_positions,
+        test_vectors=tuple(
+            TestVector(
+                features=features[row].copy(),
+                reference=features[first].copy(),
+                elapsed_min=0.0,
+                thermal_error_um=(features[row] - features[first]) @ fit.coefficients,
+            )
+            for row in others
+        ),
+    )
+
+
+def _telescoped(fitted: Fitted) -> LinearModel:
+    inputs, fit = fitted.inputs, fitted.fit
+    coefficients = np.ascontiguousarray(fit.coefficients.T)
+    first, *others = fitted.proof_rows
+    return increment_model(
+        model_id=f"{fitted.name}-{digest(coefficients, fit.drift_um_per_min)[:8]}",
+        kind=fitted.kind,
+        channels=inputs.channels,
+        sensor_ids=fitted.sensor_ids,
+        sensor_names=inputs.sensor_names,
+        coefficients_um_per_k=coefficients,
+        drift_um_per_min=fit.drift_um_per_min.copy(),
+        lowest_increment_k=fitted.increments_k[0],
+        highest_increment_k=fitted.increments_k[1],
+        band_um=fitted.trust.band_um.copy(),
+        training=fitted.training,
+        created=fitted.created,
+        test_pairs=[(inputs.degc[row].copy(), inputs.degc[first].copy()) for row in others],
+        hyper_parameters=fitted.hyper_parameters,
+        period_min=inputs.period_min,
+        refused=fitted.trust.refused,
+        axis_positions=inputs.axis_positions,
+    )
+
+
+def _in_single_precision(solution: Solution) -> Solution:
+    """Return the ridge with the directions that its file holds; they only serve to leave sensors out."""
+    assert solution.directions is not None
+    return replace(solution, directions=_single(solution.directions))
+
+
+def _single(matrix: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
+    """Return a matrix rounded to single precision, as the file holds it."""
+    return matrix.astype(np.float32)
+
+
+def sensor_ids_from_names(names: Sequence[str]) -> tuple[int, ...]:
+    """Return the machine's sensor IDs: the number where every column is T<number>, else 1, 2 .. in order."""
+    numbers = [int(name[1:]) for name in names if name[:1] in "tT" and name[1:].isascii() and name[1:].isdigit()]
+    if len(numbers) == len(names) == len(set(numbers)) and min(numbers, default=1) >= 1:
+        return tuple(numbers)
+    return tuple(range(1, len(names) + 1))
+
+
+def increment_range_k(recordings: Sequence[Recording]) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and highest increment of each sensor since any earlier row of its recording [K]."""
+    lowest, highest = [], []
+    for recording in recordings:
+        temperatures = recording.temperatures_degc
+        lowest.append(np.nanmin(temperatures - np.fmax.accumulate(temperatures, axis=0), axis=0))
+        highest.append(np.nanmax(temperatures - np.fmin.accumulate(temperatures, axis=0), axis=0))
+    return np.asarray(np.min(lowest, axis=0)), np.asarray(np.max(highest, axis=0))
+
+
+def training_data(recording: Recording) -> TrainingData:
+    """Return what a recording contributes to a model: its name, checksum and extent."""
+    names = "\n".join((*recording.temperature_names, *recording.displacement_names)).encode()
+    arrays = [recording.time_s, recording.temperatures_degc, recording.displacements_um]
+    return TrainingData(
+        name=recording.name,
+        sha256=hashlib.sha256(names + bytes.fromhex(digest(*arrays))).hexdigest(),
+        from_hours=float(recording.time_s[0] / 3600.0),
+        to_hours=float(recording.time_s[-1] / 3600.0),
+        rows=recording.rows,
+    )
+
+
+def digest(*arrays: FloatArray) -> str:
+    """Return a checksum of numbers, the same on every computer."""
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return found.hexdigest()
