@@ -1,1 +1,1 @@
-"""Families of thermal models on line: with increments since the reference, and with lagged states."""
+"""From line cycles to the estimate: cleansing, and the thermal model in use, of whatever family."""

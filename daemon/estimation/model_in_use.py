@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
+from daemon.telemetry.memory import give_memory_back
 from models.records import FloatArray, Reference
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
 from models.thermal.family import ThermalModel
@@ -55,6 +56,7 @@ class ModelInUse:
         self._online = model.runtime(Machine(components=dict(zip(sensor_ids, components, strict=True))))
         self._period_s = model.period_s or PERIOD_S
         self._history = history
+        give_memory_back()  # of reading the file and of preparing the model
 
     def prepare(self, now_s: float) -> None:
         """Fill the states from the history of the last hours; called once, in a thread, before the first sample."""

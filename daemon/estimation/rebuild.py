@@ -1,12 +1,12 @@
 """Means per period of what the store holds, for states that must be rebuilt."""
 
-import ctypes
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from daemon.history import HistoryError, HistoryReader
+from daemon.telemetry.memory import give_memory_back
 from drivers.clock import Clock
 from models.quality import Quality
 from models.records import FloatArray
@@ -42,7 +42,7 @@ class Past:
                 end_s = min(begin_s + window_s, to_s)
                 yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
                 begin_s = end_s
-        _give_memory_back()
+        give_memory_back()
 
     def last_accepted(self) -> tuple[FloatArray, FloatArray]:
         """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is."""
@@ -70,13 +70,6 @@ class Past:
             inside = (at_s > last_s - period_s) & (at_s <= last_s)
             speeds = cnc.spindle_speed_rpm[(cnc_s > last_s - period_s) & (cnc_s <= last_s)]
             yield float(last_s), _mean_of_known(degc[inside]), float(_mean_of_known(speeds[:, None])[0])
-
-
-def _give_memory_back() -> None:
-    """Return freed memory to the system, where the C library keeps it and can be asked to (glibc)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 def _mean_of_known(values: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ import numpy as np
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
 from models.thermal.layout import IntArray, Layout
+from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
-from models.thermal.watch import SensorWatch
 
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""

@@ -173,10 +173,10 @@ def resumed(
         As if nobody had been away.
 
     """
-    welcome = estimator.reinitialised(state, sorted(columns))
+    watched = estimator.reinitialised(state, sorted(columns))
     lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)
     then = _with_columns(reference.state, columns, state.time_min)
-    return replace(welcome, lagged=lagged), replace(reference, state=then)
+    return replace(watched, lagged=lagged), replace(reference, state=then)
 
 
 def _faded_shift(estimator: LinearEstimator, reference: StateReference, time_min: float) -> FloatArray:

@@ -1,97 +1,41 @@
 """Watches temperature sensors: each is predicted from all others, and the one that departs is excluded.
 
-Three signs, each with limits from training: a slew no healthy sensor showed (spike, step, open
-circuit), a value that does not change any more (stuck), and a departure from what the other
-sensors say (step, drift, scale). The last needs no regression per sensor: with P the inverse of
-the damped covariance of all columns, sensor s departs from its prediction by
-``(P[S, S]^-1 P[S, :] x)[0]``, S its own columns. Leaving a suspect out is a block elimination in P.
+Three signs, each with limits from training (`models.thermal.sensor_watch`): a slew no healthy sensor showed
+(spike, step, open circuit), a value that does not change any more (stuck), and a departure from what the
+other sensors say (step, drift, scale).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
 from models.thermal.lags import lag_step, speed_inputs
-from models.thermal.layout import BRIDGE_MIN, Layout
+from models.thermal.layout import BRIDGE_MIN
+from models.thermal.sensor_watch import (
+    FAST_MIN,
+    SAME_K,
+    SLOW_MIN,
+    Precision,
+    SensorWatch,
+    departure_maps,
+    without_columns,
+)
 
-WATCH_LAGS_MIN = (10.0, 90.0)
-"""Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
-FAST_MIN = 10.0
-"""Departures are smoothed over this time [min] ..."""
-SLOW_MIN = 240.0
-"""... and count against their own mean over this time [min]: what a machine does slowly is no fault."""
 CONFIRM_MIN = 10.0
 """A departure must last so long [min] before a sensor is blamed."""
-THRESHOLD_FACTOR = 2.0
-"""Limits are this many times the largest value on stretches that were left out in training."""
-SLEW_MARGIN_K_PER_MIN = 0.3
-"""Added to twice the largest slew of training [K/min]."""
-FLAT_MIN = 15.0
-"""A value that stays identical for so long [min] is stuck, unless training saw longer."""
-FLAT_FACTOR = 1.5
-"""... and then this many times the longest that training saw."""
-SAME_K = 1e-6
-"""Values closer than this are identical [K]."""
 MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
 MISSING = "missing"
-"""Sign of a sensor that is silent: no fault of its values, so it counts again when it speaks."""
+"""Sign of a sensor that is silent: no fault of its values, so it counts again when it has a value."""
 EXPLAINED = 0.75
 """An exclusion explains an alarm when the others then depart by no more than this share of their limits ..."""
 EXPLAINED_SHARE = 0.3
 """... or of the departure before it."""
 MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
-
-
-Precision = npt.NDArray[np.floating[Any]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SensorWatch:
-    """What healthy sensors look like, fitted in training."""
-
-    layout: Layout
-    centre: Numbers
-    """Mean of each column in training, shape (d,)."""
-    gain: Numbers
-    """1 / standard deviation of each column, 0 where it does not move, shape (d,)."""
-    precision: Packed
-    """Inverse of the damped covariance of the scaled columns, shape (d, d)."""
-    threshold_k: Numbers
-    """Largest departure of a healthy sensor [K], shape (n_sensors,)."""
-    slew_k_per_min: Numbers
-    """Largest slew of a healthy sensor [K/min], shape (n_sensors,)."""
-    flat_min: Numbers
-    """Longest time for which a healthy sensor stays identical [min], shape (n_sensors,)."""
-    speed_scale_rpm: float
-    """Speed that stands for 1 in the columns [1/min]."""
-
-    def __post_init__(self) -> None:
-        """Check shapes and numbers; raises ModelError."""
-        sensors, columns = self.layout.sensors, self.layout.columns
-        shapes: dict[str, tuple[int, ...]] = {
-            "centre": (columns,),
-            "gain": (columns,),
-            "precision": (columns, columns),
-            "threshold_k": (sensors,),
-            "slew_k_per_min": (sensors,),
-            "flat_min": (sensors,),
-        }
-        for key, shape in shapes.items():
-            array = getattr(self, key)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise ModelError(f"watch.{key}", f"has shape {array.shape}; {shape} of finite numbers is needed")
-            if key in ("threshold_k", "slew_k_per_min", "flat_min") and np.any(array <= 0.0):
-                raise ModelError(f"watch.{key}", "a limit is positive")
-            array.flags.writeable = False
-        if not 0.0 < self.speed_scale_rpm < np.inf:
-            raise ModelError("watch.speed_scale_rpm", f"{self.speed_scale_rpm} must be positive and finite")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,47 +78,6 @@ class WatchState:
     def excluded(self) -> tuple[int, ...]:
         """Indices of the excluded sensors, sorted."""
         return tuple(sorted({blame.sensor for blame in self.blamed}))
-
-
-def without_columns(precision: Precision, columns: Sequence[int]) -> Precision:
-    """Return the precision of what is left without some columns; those become zero."""
-    out = np.asarray(columns, dtype=np.intp)
-    if not len(out):
-        return precision
-    inside = precision[np.ix_(out, out)].astype(np.float64)
-    found = np.asarray(precision - precision[:, out] @ np.linalg.solve(inside, precision[out]), dtype=np.float64)
-    found[out], found[:, out] = 0.0, 0.0
-    return found
-
-
-def departure_maps(
-    layout: Layout, precision: Precision, gain: FloatArray, skip: Sequence[int] = ()
-) -> tuple[FloatArray, FloatArray]:
-    """Return what turns scaled columns into the departure of every sensor from its prediction.
-
-    Parameters
-    ----------
-    layout, precision, gain
-        See `SensorWatch`.
-    skip
-        Sensors that `precision` does not hold any more.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard
-        deviation that the model itself expects [K], shape (n_sensors,).
-
-    """
-    sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
-    maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
-    if not sensors:
-        return maps, expected
-    own = np.stack([layout.of_sensors([s]) for s in sensors])
-    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]].astype(np.float64))
-    maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
-    expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
-    return maps, expected
 
 
 def _expected(precision: Precision, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:

@@ -8,10 +8,11 @@ import pytest
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.lags import lag_table
+from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.watch_fit import fit_watch, smoothed
-from models.thermal.watch import SensorWatch, Watcher, WatchState, departure_maps, without_columns
+from models.thermal.watch import Watcher, WatchState
 
 SENSORS = 6
 

@@ -13,12 +13,12 @@ from models.records import FloatArray
 from models.thermal.layout import BoolArray
 from models.thermal.linear import LinearModel, increment_model
 from models.thermal.model import Domain, HyperParameters, TestVector, TrainingData
+from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
 from models.thermal.training.domain import farthest_leverage
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.trust import Trust
-from models.thermal.watch import SensorWatch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

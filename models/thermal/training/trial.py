@@ -9,12 +9,13 @@ import numpy as np
 from models.records import FloatArray
 from models.thermal.lags import lag_table
 from models.thermal.layout import BoolArray, IntArray
+from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import band_factor
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import BiasFilter, probed_residual_um
-from models.thermal.watch import SensorFault, SensorWatch, Watcher, WatchState
+from models.thermal.watch import SensorFault, Watcher, WatchState
 
 OPEN_CIRCUIT_DEGC = 850.0
 """What a resistance thermometer's input reads when its wire breaks: the top of the scale of a Pt100."""

@@ -8,9 +8,7 @@ import numpy as np
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.layout import BoolArray, IntArray
-from models.thermal.training.families import fold_numbers
-from models.thermal.training.inputs import Inputs, build_inputs
-from models.thermal.watch import (
+from models.thermal.sensor_watch import (
     FAST_MIN,
     FLAT_FACTOR,
     FLAT_MIN,
@@ -22,6 +20,8 @@ from models.thermal.watch import (
     SensorWatch,
     departure_maps,
 )
+from models.thermal.training.families import fold_numbers
+from models.thermal.training.inputs import Inputs, build_inputs
 
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Damping of the covariance that is tried, relative to the variance of a column."""
