@@ -78,6 +78,9 @@ class Daemon:
         self._clock = clock
         self._telemetry = Telemetry(line_timings(configuration), scaled=clock.speed != 1.0)
         self._service_manager = ServiceManager()
+        self.acknowledged: dict[str, int] = {}
+        """Line -> number of its last committed cycle."""
+        self._history_problem = ""
         self._history = HistoryWriter(
             configuration.history.path,
             clock=clock,
@@ -140,8 +143,6 @@ class Daemon:
             self._publish_thermal,
         )
         self.snapshots = self._first_snapshots()
-        self.acknowledged: dict[str, int] = {}
-        """Line -> number of its last committed cycle."""
         self._models = ModelReload(
             self._loaded,
             lambda: parts.load_model(configuration),
@@ -241,7 +242,8 @@ class Daemon:
         self._publish_output()
         self.snapshots.links = self._links.snapshots()
         self.snapshots.jobs = tuple(job.snapshot() for job in self._jobs)
-        self._publish_history(self.snapshots.history.problem)
+        problem = self._history_problem
+        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=problem)
 
     def _publish_output(self) -> None:
         self.snapshots.control = control_snapshot(self.control)
@@ -255,9 +257,6 @@ class Daemon:
 
     def _publish_displacements(self, snapshot: DisplacementSnapshot) -> None:
         self.snapshots.displacements = snapshot
-
-    def _publish_history(self, problem: str) -> None:
-        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=problem)
 
     def _on_displacement(self, sample: DisplacementSample) -> None:
         self._history.displacement(sample)
@@ -284,4 +283,4 @@ class Daemon:
         if problem:
             log.error("history.problem", problem=problem)
             self._telemetry.history_problem()
-        self._publish_history(problem)
+        self._history_problem = problem  # this is the store's thread: the next tick publishes it

@@ -1,14 +1,19 @@
-"""How much of the project the daemon that runs day and night holds in memory."""
+"""How much of the project the daemon that runs day and night holds in memory, its drivers included."""
 
 import json
 import subprocess
 import sys
 
-MODULES, LINES = 206, 27_300
+from config.machines import shipped_file
+
+MODULES, LINES = 209, 27_550
 """The limits; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
 import daemon.app, daemon.cli, daemon.cli.operate.run
+from config.loader import load_configuration
+from drivers.registry import import_drivers
+import_drivers(load_configuration(pathlib.Path(sys.argv[1])))
 own = ("daemon", "drivers", "models", "config")
 files = [m.__file__ for n, m in sys.modules.items() if n.split(".")[0] in own and getattr(m, "__file__", None)]
 print(json.dumps([len(files), sum(len(pathlib.Path(file).read_text("utf-8").splitlines()) for file in files)]))
@@ -16,7 +21,8 @@ print(json.dumps([len(files), sum(len(pathlib.Path(file).read_text("utf-8").spli
 
 
 def test_the_resident_daemon_stays_small() -> None:
-    done = subprocess.run([sys.executable, "-P", "-c", COUNT], capture_output=True, text=True, check=False)
+    machine = str(shipped_file("cfrpmt.yaml"))
+    done = subprocess.run([sys.executable, "-P", "-c", COUNT, machine], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     modules, lines = json.loads(done.stdout)
     print(f"resident: {modules} modules, {lines} lines")
