@@ -29,7 +29,7 @@ from daemon.housekeeping.jobs import scheduled_jobs
 from daemon.links import DisplacementLog, Links
 from daemon.messages import SpindleSpeed
 from daemon.model_release.file_access import own_account
-from daemon.model_release.loading import load_released
+from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.reload import ModelReload
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
@@ -46,6 +46,7 @@ from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
 from drivers.contract import Cnc
 from models.records import DisplacementSample
+from models.thermal.family import AnyThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -65,6 +66,16 @@ def load_record(path: Path | None) -> CommissioningRecord | None:
     except CommissioningError as error:
         log.error("commissioning.unreadable", problem=str(error))
         return None
+
+
+def load_model(configuration: Configuration) -> LoadedModel[AnyThermalModel]:
+    """Return the released model, or why there is none; what stands against it is in the log."""
+    loaded = load_released(configuration, own_account())
+    if loaded.obstacle:
+        log.error("model.missing", problem=loaded.obstacle)
+    elif loaded.warning:
+        log.warning("model.unprotected", problem=loaded.warning)
+    return loaded
 
 
 class Daemon:
@@ -89,21 +100,12 @@ class Daemon:
             on_problem=self._on_history_problem,
         )
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
-        self._loaded = load_released(configuration, own_account())
+        self._loaded = load_model(configuration)
         model, obstacle = self._loaded.model, self._loaded.obstacle
-        if obstacle:
-            log.error("model.missing", problem=obstacle)
-        elif self._loaded.warning:
-            log.warning("model.unprotected", problem=self._loaded.warning)
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
-        self._block = MacroBlock(
-            configuration.cnc.macros,
-            axes,
-            commissioned_factors(record, axes),
-            echo_slack_um(configuration),
-            configuration.cnc.guard,
-        )
+        factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
+        self._block = MacroBlock(configuration.cnc.macros, axes, factors, slack_um, configuration.cnc.guard)
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
