@@ -46,7 +46,7 @@ from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
 from drivers.contract import Cnc
 from models.records import DisplacementSample
-from models.thermal.family import AnyThermalModel
+from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
 
@@ -68,7 +68,7 @@ def load_record(path: Path | None) -> CommissioningRecord | None:
         return None
 
 
-def load_model(configuration: Configuration) -> LoadedModel[AnyThermalModel]:
+def load_model(configuration: Configuration) -> LoadedModel[ThermalModel]:
     """Return the released model, or why there is none; what stands against it is in the log."""
     loaded = load_released(configuration, own_account())
     if loaded.obstacle:

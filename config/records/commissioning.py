@@ -1,14 +1,13 @@
 """The record of a commissioning: proof that sign, scale and axis of the compensation are right."""
 
 import json
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from config.files import write_whole
 from config.schema.base import Section
 from config.schema.cnc import MacroMapConfig
 
@@ -118,24 +117,9 @@ def commissioning_text(record: CommissioningRecord) -> str:
 
 def save_commissioning(record: CommissioningRecord, path: Path) -> None:
     """Write a record whole or not at all; raises CommissioningError, and the old file then stands."""
-    text = commissioning_text(record)
-    temporary = ""
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fchmod(file.fileno(), 0o644)
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_whole(path, commissioning_text(record), 0o644)
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise CommissioningError(f"{path}: the record cannot be written ({error.strerror})") from error
 
 

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import BinaryIO
 
+from config.files import sha256_of_stream
 from config.schema import Configuration
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
@@ -25,7 +26,6 @@ from daemon.backup.manifest import (
     BackupError,
     Manifest,
     last_block_beside,
-    sha256_of_stream,
 )
 from daemon.backup.names import existing_backups
 from daemon.history.database import HistoryError, schema_version

@@ -1,8 +1,7 @@
 """What a back-up holds, and how each file in it is proved."""
 
-import hashlib
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -15,7 +14,6 @@ CONFIGURATION_NAME = "configuration/toolpoint.yaml"
 COMMISSIONING_NAME = "commissioning/record.json"
 MODEL_NAME = "models/model.json"
 RELEASES_NAME = "models/releases"
-READ_BYTES = 2**20
 LEFT_OUT = (
     "the CNC's password, private keys and certificates: keep those apart, or make new ones",
     "the program itself: install the version named here",
@@ -56,11 +54,3 @@ class Manifest(Section):
 def last_block_beside(store: Path) -> Path:
     """Return the small file that says what was being written, which belongs to a store."""
     return store.with_name(f"{store.name}.last-block")
-
-
-def sha256_of_stream(stream: IO[bytes]) -> str:
-    """Return the digest of what is left in a stream."""
-    digest = hashlib.sha256()
-    while chunk := stream.read(READ_BYTES):
-        digest.update(chunk)
-    return digest.hexdigest()

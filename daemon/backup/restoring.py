@@ -21,6 +21,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from config.files import sha256_of_stream
 from config.loader import ConfigurationError, load_yaml_model, with_absolute_paths
 from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
@@ -34,7 +35,6 @@ from daemon.backup.manifest import (
     BackupError,
     Manifest,
     last_block_beside,
-    sha256_of_stream,
 )
 from daemon.history.database import HistoryError, WriterLock, connect_reader, connect_writer
 

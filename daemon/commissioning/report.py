@@ -1,7 +1,6 @@
 """The report that a person signs: one HTML file, nothing loaded, nothing that runs, fit for paper."""
 
-import hashlib
-
+from config.files import sha256_of
 from config.html_page import Section, html_page
 from config.records.commissioning import PROOF_TOLERANCE, CommissioningRecord, commissioning_text, macro_map_digest
 from config.schema import Configuration
@@ -47,7 +46,7 @@ def report_html(record: CommissioningRecord, configuration: Configuration) -> st
 
 def record_digest(record: CommissioningRecord) -> str:
     """Return the digest of a record's file as it is written, by which paper and file can be held together."""
-    return hashlib.sha256(commissioning_text(record).encode()).hexdigest()
+    return sha256_of(commissioning_text(record).encode())
 
 
 def _facts(record: CommissioningRecord) -> Section:

@@ -10,6 +10,7 @@ import structlog
 
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.writer import HistoryWriter
+from models.json_values import plain
 from models.records import FloatArray, Reference
 from models.thermal.mean_increment import MeanIncrement, first_mean_increment, renewed_mean_increment
 
@@ -108,16 +109,12 @@ class SinceReference:
             return known[1]
         state = {
             "sensor_ids": self._ids(self._labels[label]),
-            "reference_degc": _plain(mean.reference_degc),
+            "reference_degc": plain(mean.reference_degc),
             "counted": mean.counted.tolist(),
-            "offset_k": _plain(mean.offset_k),
+            "offset_k": plain(mean.offset_k),
         }
         self._states[label] = (counts_from, state)
         return state
-
-
-def _plain(values: FloatArray) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _numbers(values: Sequence[float | None]) -> FloatArray:

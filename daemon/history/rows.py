@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from daemon.history.layout import Layout, MachineLayout
+from models.json_values import finite_or_none
 from models.quality import Quality
 from models.records import (
     CncSample,
@@ -85,15 +86,11 @@ def _times(instant: Instant) -> tuple[int, int]:
     return utc_ms(instant), utc_ms(instant) - round((instant.utc_s - instant.monotonic_s) * 1e3)
 
 
-def _number(value: float, decimals: int) -> float | None:
-    return round(float(value), decimals) if math.isfinite(value) else None
-
-
 def _mapping(keys: Iterable[str], values: Iterable[float], decimals: int | None = None) -> str:
     numbers = zip(keys, values, strict=True)
     if decimals is None:
         return _json({key: None if math.isnan(value) else float(value) for key, value in numbers})
-    return _json({key: _number(value, decimals) for key, value in numbers})
+    return _json({key: finite_or_none(value, decimals) for key, value in numbers})
 
 
 def _json(value: object) -> str:
@@ -143,8 +140,8 @@ def cnc_row(layout: MachineLayout, sample: CncSample) -> Parameters:
         int(sample.alarm),
         sample.program,
         sample.sequence_number,
-        _number(sample.spindle_speed_rpm, 2),
-        _number(sample.motor_temperature_degc, 2),
+        finite_or_none(sample.spindle_speed_rpm, 2),
+        finite_or_none(sample.motor_temperature_degc, 2),
         round(clock_ms) if math.isfinite(clock_ms) else None,
         sample.power_on_count,
         sample.work_offset,
@@ -176,7 +173,7 @@ def estimate_row(estimate: ThermalErrorEstimate) -> Parameters:
         _mapping(estimate.label_degc, estimate.label_degc.values(), 3),
         _mapping(labels, (estimate.label_degc[key] - estimate.label_increment_degc[key] for key in labels), 3),
         int(estimate.in_domain),
-        _number(estimate.confidence, 4),
+        finite_or_none(estimate.confidence, 4),
         _json(estimate.imputed),
         estimate.model_id,
         estimate.reference_id,
@@ -260,8 +257,8 @@ def probe_row(probe: ProbeSample) -> Parameters:
         *_times(probe.time),
         probe.axis,
         probe.deviation_um,
-        _number(probe.applied_um, 4),
-        _number(probe.thermal_error_um, 4),
+        finite_or_none(probe.applied_um, 4),
+        finite_or_none(probe.thermal_error_um, 4),
         probe.reference_id,
         int(probe.accepted),
         probe.reason,

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
+from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.file_access import Account, how_it_could_change
 from daemon.model_release.gate import training_inhibit
-from daemon.model_release.repository import released, sha256_of
+from daemon.model_release.repository import released
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
 from models.thermal.family import ThermalModel, model_from_json

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from config.files import sha256_of
 from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
 from daemon.model_release.gate import channels_in_use, gate_inhibit, policy_inhibit
 from daemon.model_release.loading import Named, model_from_text
-from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder, sha256_of
+from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder
 from models.thermal.family import ThermalModel
 
 LARGEST_MODEL = 64 * 2**20

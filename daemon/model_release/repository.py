@@ -10,7 +10,6 @@ same place has a folder of releases of its own.
 """
 
 import fcntl
-import hashlib
 import os
 import shutil
 import stat
@@ -19,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from config.files import sha256_of, sync_folder
 from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record
 from config.schema import Configuration
 
@@ -30,11 +30,6 @@ READABLE_FILE, READABLE_FOLDER = 0o644, 0o755
 
 class ReleaseError(Exception):
     """A release is refused or failed; the text says why and what to do."""
-
-
-def sha256_of(content: bytes) -> str:
-    """Return the digest that release records carry."""
-    return hashlib.sha256(content).hexdigest()
 
 
 def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
@@ -136,7 +131,7 @@ class ReleaseRepository:
                 made.rename(folder)
             finally:
                 shutil.rmtree(made, ignore_errors=True)
-            _sync_folder(self.releases)
+            sync_folder(self.releases)
             self._point_to(folder)
         except OSError as error:
             raise self._unwritable(error) from error
@@ -146,7 +141,7 @@ class ReleaseRepository:
         link.unlink(missing_ok=True)
         link.symlink_to(Path(self.releases.name) / folder.name / MODEL_NAME)
         link.replace(self.model_file)
-        _sync_folder(self.model_file.parent)
+        sync_folder(self.model_file.parent)
 
     def _unwritable(self, error: OSError) -> ReleaseError:
         return ReleaseError(
@@ -161,14 +156,6 @@ def _write(path: Path, content: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     path.chmod(READABLE_FILE)
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def proposals_folder(configuration: Configuration) -> Path:

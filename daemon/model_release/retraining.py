@@ -1,12 +1,11 @@
 """Train a model on the daemon's own history and put it among the proposals; run in a process of its own."""
 
-import math
-import os
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from config.files import write_whole
 from config.records.commissioning import load_commissioning
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
@@ -14,6 +13,7 @@ from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.model_release.past_recordings import recordings_from_history
 from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER, proposals_folder
+from models.json_values import finite_or_none
 from models.thermal.family import ThermalModel
 from models.thermal.training.train_family import train_family
 
@@ -48,13 +48,9 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
         "recordings": len(recordings),
         "hours": round(sum(float(recording.time_s[-1]) for recording in recordings) / 3600.0, 2),
         "channels": list(trained.model.channels),
-        "held_out_relative_rmse": _number(trained.trust.held_out_relative_rmse),
+        "held_out_relative_rmse": finite_or_none(trained.trust.held_out_relative_rmse, 4),
         "refused": trained.trust.refused,
     }
-
-
-def _number(value: float) -> float | None:
-    return round(value, 4) if math.isfinite(value) else None
 
 
 MOST_PROPOSALS = 20
@@ -67,16 +63,7 @@ def propose(configuration: Configuration, model: ThermalModel) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(READABLE_FOLDER)
     path = folder / f"{_file_name(model.model_id)}.json"
-    temporary = folder / f".{path.name}.{os.getpid()}.tmp"
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(model.to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.chmod(READABLE_FILE)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, model.to_json(), READABLE_FILE)
     for old in sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime)[:-MOST_PROPOSALS]:
         old.unlink(missing_ok=True)
     return path

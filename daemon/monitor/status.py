@@ -1,7 +1,7 @@
 """What the daemon tells people and programs about itself: one picture, ready for JSON, made from the snapshots."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from config.schema import Configuration
 from daemon.snapshots import ControlSnapshot, ModelSnapshot, SnapshotBoard, ThermalSnapshot
 from drivers.clock import Clock
+from models.json_values import plain
 from models.quality import Quality, describe
 
 SHOWN_SENSORS = 20
@@ -63,7 +64,7 @@ class StatusBoard:
             "history": {"acknowledged": dict(board.history.acknowledged), "problem": board.history.problem},
             "jobs": [asdict(job) for job in board.jobs],
         }
-        cleaned = without_nan(picture)
+        cleaned = plain(picture)
         assert isinstance(cleaned, dict)
         return cleaned
 
@@ -198,18 +199,3 @@ def _cnc(control: ControlSnapshot) -> dict[str, Any] | None:
 
 def _model(model: ModelSnapshot | None) -> dict[str, Any] | None:
     return None if model is None else asdict(model)
-
-
-def without_nan(value: "Mapping[str, Any] | Sequence[Any] | Any") -> Any:
-    """Return plain JSON values: numpy numbers as Python's, NaN and infinities as None."""
-    if isinstance(value, Mapping):
-        return {str(key): without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(item) for item in value]
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -8,13 +8,13 @@ file, line and column. Lines `# key: value` before the header say what the recor
 
 import csv
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from config.files import write_whole
 from config.recordings.recording_map import ColumnError, Columns, RecordingMap, resolve_columns, usual_map
 from drivers.contract import FatalDriverError
 from models.recordings.dataset import DatasetError, Recording
@@ -144,12 +144,7 @@ def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping
     for row in table:
         text = whole % tuple(row.tolist())
         lines.append(text if np.isfinite(row).all() else text.replace("-inf", "").replace("inf", "").replace("nan", ""))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text("".join(lines), encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, "".join(lines))
 
 
 def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:

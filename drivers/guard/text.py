@@ -1,6 +1,5 @@
 """Fills the templates of the NC programs in for one machine."""
 
-import hashlib
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
 
+from config.files import sha256_of
 from config.records.commissioning import macro_map_digest
 from config.schema import Configuration
 from config.schema.cnc import MacroMapConfig
@@ -86,7 +86,7 @@ def guard_program(configuration: Configuration) -> str:
 
 def guard_digest(text: str) -> str:
     """Return the SHA-256 of a text of NC programs, as the commissioning record names it."""
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
+    return sha256_of(text.encode("ascii"))
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:

@@ -12,6 +12,7 @@ from control_rig import SENSOR_IDS
 from model_shelf import configured, open_folder, proposal
 from small_model import model
 
+from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
 from config.sample import sample_configuration
 from config.schema.compensation import ReleaseConfig
@@ -19,7 +20,7 @@ from daemon.cli import main
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import proposals, release, release_by_policy, shelf_of
-from daemon.model_release.repository import ReleaseError, sha256_of
+from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
 from models.recordings.dataset import Recording
 from models.thermal.linear import LinearModel

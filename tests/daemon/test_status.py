@@ -11,7 +11,7 @@ from memory_cnc import MemoryNc
 from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import ThermalTask
 from daemon.monitor.control_socket import RequestError
-from daemon.monitor.status import StatusBoard, without_nan
+from daemon.monitor.status import StatusBoard
 from daemon.snapshots import HistorySnapshot
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle, Trace
@@ -115,11 +115,6 @@ async def test_without_the_link_the_applied_value_is_not_known(board):
     picture = strict(board.picture())
     assert picture["cnc"] is None and picture["axes"]["z"]["applied_um"] is None
     assert picture["output"]["state"] == "HOLD"
-
-
-def test_numbers_become_plain():
-    given = {1: np.float64("nan"), "a": [np.int64(3), np.bool_(True), np.inf], "b": (None, "x", 2.5)}
-    assert without_nan(given) == {"1": None, "a": [3, True, None], "b": [None, "x", 2.5]}
 
 
 async def test_commands_are_taken_or_refused_in_words(board):

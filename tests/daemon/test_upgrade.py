@@ -1,6 +1,5 @@
 """A store of an earlier version: brought up to date, readable as before, and the way back."""
 
-import io
 import sqlite3
 import tarfile
 from contextlib import closing
@@ -9,8 +8,9 @@ from pathlib import Path
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
 
+from config.files import sha256_of
 from daemon.backup import making
-from daemon.backup.manifest import BackupError, sha256_of_stream
+from daemon.backup.manifest import BackupError
 from daemon.backup.restoring import disarm, read_manifest
 from daemon.history import HistoryError, HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
@@ -122,7 +122,7 @@ def test_a_backup_of_an_earlier_version_is_brought_up_to_date_when_restored(stor
         stream = archive.extractfile("store/history.sqlite")
         assert stream is not None
         content = stream.read()
-    assert sha256_of_stream(io.BytesIO(content)) == manifest.files[0].sha256
+    assert sha256_of(content) == manifest.files[0].sha256
     restored = tmp_path / "restored.sqlite"
     restored.write_bytes(content)
     disarm(restored, manifest, "anna")

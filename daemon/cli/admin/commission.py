@@ -1,7 +1,6 @@
 """`toolpoint commission`: prove sign, scale and axis on the machine, and write the record of it."""
 
 import asyncio
-import hashlib
 import math
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from config.files import sha256_of
 from daemon.cli.common import BAD_USAGE, FiniteFloat, config_option, read_configuration, refuse
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def commission(
         overwrite_foreign=overwrite_foreign,
         accept_reversed=frozenset(accept_reversed),
         accept_scale=frozenset(accept_scale),
-        guard_program_sha256=None if guard_program is None else hashlib.sha256(guard_program.read_bytes()).hexdigest(),
+        guard_program_sha256=None if guard_program is None else sha256_of(guard_program.read_bytes()),
     )
     sources = Sources(channels=channels, given=readings, samples=samples)
     sys.exit(_commission(configuration, plan, sources, record_file, report_path, simulated_clock, consent=yes))

@@ -16,6 +16,7 @@ from daemon.history import HistoryError, HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
 from daemon.history.tables import Table
+from models.json_values import plain
 from models.records import ProbeSample
 
 KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
@@ -107,7 +108,7 @@ def _probe_row(probe: ProbeSample) -> dict[str, Any]:
     return {
         "time_utc": iso(probe.time.utc_s),
         "axis": probe.axis,
-        **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        **plain(numbers),
         "reference_id": probe.reference_id,
         "accepted": probe.accepted,
         "reason": probe.reason,

@@ -12,6 +12,7 @@ from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, 
 from daemon.cli.stability.recordings import chatter, roughness
 from daemon.cli.stability.studies import coefficients, compare, modes
 from daemon.cli.stability.warm_up import warm_up
+from models.json_values import finite_or_none
 
 if TYPE_CHECKING:
     from models.stability.lobes import StabilityLobes
@@ -276,7 +277,7 @@ def choose(
         refuse(f"{case_path}: {error}")
     for warning in warnings:
         click.echo(f"warning: {warning}", err=True)
-    depth = choice.limiting_depth_mm if math.isfinite(choice.limiting_depth_mm) else None
+    depth = finite_or_none(choice.limiting_depth_mm)
     words = "unlimited" if depth is None else f"{depth:.3g} mm"
     click.echo(f"S{choice.speed_rpm:.0f}: limiting depth {words}" if choice.stable else str(choice.alarm), err=True)
     content = {

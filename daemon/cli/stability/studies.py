@@ -1,6 +1,5 @@
 """`toolpoint stability compare`, `modes` and `coefficients`."""
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import click
 
 from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+from models.json_values import finite_or_none
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
 
@@ -65,7 +65,7 @@ def compare(
                 "case": str(path),
                 "minimum": None if lobes.minimum is None else asdict(lobes.minimum),
                 "speed_rpm": None if choice is None else choice.speed_rpm,
-                "limiting_depth_mm": _finite(None if choice is None else choice.limiting_depth_mm),
+                "limiting_depth_mm": finite_or_none(None if choice is None else choice.limiting_depth_mm),
                 "alarm": None if choice is None else choice.alarm,
             }
         )
@@ -79,10 +79,6 @@ def compare(
             depth_mm=depth_mm,
         )
     write_json(json_path, {"method": method, "cases": content})
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 @click.command()

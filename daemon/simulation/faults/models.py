@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from config.files import write_whole
 from daemon.simulation.faults.script import WATCHED_SENSORS, Happening, Incident
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.recordings.dataset import Recording
@@ -79,13 +80,13 @@ class ModelShelf:
         """Release the next model."""
         self._turn = (self._turn + 1) % len(IN_TURN)
         self.current, self.damaged = IN_TURN[self._turn], False
-        self._replace(self._texts[self.current])
+        write_whole(self._path, self._texts[self.current])
 
     def damage(self) -> None:
         """Leave half of the file."""
         text = self._texts[self.current]
         self.damaged = True
-        self._replace(text[: len(text) // 2])
+        write_whole(self._path, text[: len(text) // 2])
 
     def ended(self, happening: Happening) -> None:
         """Make a damaged file whole when that is over."""
@@ -96,12 +97,7 @@ class ModelShelf:
         """Make the file whole again."""
         if self.damaged:
             self.damaged = False
-            self._replace(self._texts[self.current])
-
-    def _replace(self, text: str) -> None:
-        temporary = self._path.with_suffix(".new")
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(self._path)
+            write_whole(self._path, self._texts[self.current])
 
     def _train(self) -> None:
         recordings = _recordings()

@@ -1,6 +1,5 @@
 """An impact campaign: responses over time and temperatures -> regressions of the bearings on temperatures."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -9,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from config.files import sha256_of
 from config.machine.spindle_chain import Spindle
 from config.recordings.recording_map import RecordingMap, usual_map
 from config.schema import Configuration
@@ -237,11 +237,11 @@ def run_campaign(
         source="impact campaign: " + "; ".join(str(run.folder.name) for run in runs),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         rigid_rotary_inertia=spindle.rotary,
-        spindle_sha256=hashlib.sha256(spindle_file.read_bytes()).hexdigest(),
+        spindle_sha256=sha256_of(spindle_file.read_bytes()),
         axes={axis: fit[0] for axis, fit in fits.items()},
         training=tuple(_training(run) for run in runs),
     )
-    digest = hashlib.sha256(model_to_json(model).encode("ascii")).hexdigest()
+    digest = sha256_of(model_to_json(model).encode("ascii"))
     return CampaignResult(
         runs=tuple(runs),
         frequency_hz=frequency_hz,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivers.files.accelerometer_recording import AccelerationRecording
+from models.json_values import finite_or_none
 from models.records import FloatArray
 from models.stability.chatter import ChatterVerdict, detect_chatter
 from models.stability.errors import StabilityError
@@ -71,7 +72,7 @@ def _content(verdict: ChatterVerdict, recording: AccelerationRecording, begin_s:
         "frequency_hz": verdict.frequency_hz,
         "onset_s": None if verdict.onset_s is None else verdict.onset_s + offset_s,
         "share": verdict.share,
-        "power_ratio": verdict.power_ratio if math.isfinite(verdict.power_ratio) else None,
+        "power_ratio": finite_or_none(verdict.power_ratio),
         "tooth_passing_hz": verdict.tooth_passing_hz,
         "sample_rate_hz": recording.sample_rate_hz,
         "frames": [

@@ -1,6 +1,5 @@
 """Evaluates thermal models on recordings: what is trained on, what is tested, and the figures of both."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from config.recordings.recording_map import RecordingMap
 from drivers.files.recording_csv import read_recording
+from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
@@ -235,8 +235,8 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
         "rows": sum(len(trial.rows) for trial in outcome.trials),
         "reduction_rmse": mean["reduction_rmse"],
         "reduction_max": mean["reduction_max"],
-        "held_out_relative_rmse": _number(outcome.trust.held_out_relative_rmse),
-        "forward_skill": [_number(value) for value in outcome.trust.forward_skill],
+        "held_out_relative_rmse": finite_or_none(outcome.trust.held_out_relative_rmse),
+        "forward_skill": [finite_or_none(value) for value in outcome.trust.forward_skill],
         "temperatures_left_out": outcome.dropped,
     }
 
@@ -279,7 +279,3 @@ def _mean(channels: dict[str, dict[str, float | None]]) -> dict[str, float | Non
         known = [value for value in values if value is not None]
         found[key] = (max(known) if key == "max_um" else sum(known) / len(known)) if known else None
     return found
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

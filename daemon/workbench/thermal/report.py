@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from daemon.workbench.thermal.estimates import RecordedEstimates
+from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
@@ -105,8 +106,8 @@ def _rotation(series: _Series, stretch: Stretch) -> dict[str, Any]:
     return {
         "from_h": round(float(series.time_min[stretch.first]) / 60.0, 4),
         "minutes": round(float(series.time_min[stretch.stop - 1] - series.time_min[stretch.first]), 2),
-        "lowest_rpm": _finite(float(np.nanmin(turning))) if len(turning) else None,
-        "highest_rpm": _finite(float(np.nanmax(turning))) if len(turning) else None,
+        "lowest_rpm": _rounded(float(np.nanmin(turning))) if len(turning) else None,
+        "highest_rpm": _rounded(float(np.nanmax(turning))) if len(turning) else None,
     }
 
 
@@ -120,7 +121,7 @@ def _channel(
         found[f"worst_{kind}"] = {
             "first_60_min_um": _largest([turn[kind]["first_60_min_um"] for turn in spindle if kind in turn]),
             "whole_period_um": _largest([turn[kind]["whole_period_um"] for turn in spindle if kind in turn]),
-            "environmental_temperature_variation_error_um": _largest([_finite(each) for each in ranges]),
+            "environmental_temperature_variation_error_um": _largest([_rounded(each) for each in ranges]),
         }
     return found
 
@@ -132,10 +133,10 @@ def _spindle(series: _Series, name: str, stretch: Stretch, choices: ReportChoice
         ranges = distortion(time_min, values)
         stable = stable_after_min(time_min, values, ahead_min=choices.ahead_min, tolerance_um=choices.tolerance_um)
         found[kind] = {
-            "first_60_min_um": _finite(ranges.first_60_min_um),
-            "whole_period_um": _finite(ranges.whole_um),
-            "end_um": _finite(ranges.end_um),
-            "time_to_stability_min": _finite(stable),
+            "first_60_min_um": _rounded(ranges.first_60_min_um),
+            "whole_period_um": _rounded(ranges.whole_um),
+            "end_um": _rounded(ranges.end_um),
+            "time_to_stability_min": _rounded(stable),
         }
     found["warm_up"] = _advice(series, stretch, time_min, series.error_um(name, stretch), choices)
     return found
@@ -157,7 +158,7 @@ def _advice(
     wait = fitted.wait_min(ahead_min=choices.ahead_min, tolerance_um=choices.tolerance_um)
     end_min = time_min[-1:] - time_min[0]
     return {
-        "wait_min": _finite(wait),
+        "wait_min": _rounded(wait),
         "expected_drift_at_the_end_um": round(float(fitted.drift_um(end_min, choices.ahead_min)[0]), 3),
         "fit_rmse_um": round(fitted.rmse_um, 3),
         "beyond_what_was_measured": bool(wait > end_min[0]),
@@ -180,7 +181,7 @@ def _environment(
             {
                 "from_h": round(float(time_min[stretch.first]) / 60.0, 4),
                 "minutes": round(float(time_min[stretch.stop - 1] - time_min[stretch.first]), 2),
-                "temperature_range_k": _finite(value_range_um(air)),
+                "temperature_range_k": _rounded(value_range_um(air)),
             }
         )
     why = None
@@ -216,7 +217,7 @@ def _energy(recording: Recording, time_min: FloatArray, choices: ReportChoices) 
     found: dict[str, Any] = {
         "chiller_kw": power,
         "recording_h": round(hours, 4),
-        "rotating_h": _finite(rotating_h),
+        "rotating_h": _rounded(rotating_h),
         "chiller_kwh": {
             "always_on": round(power * hours, 4),
             "idle_reduction": None if rotating_h is None else round(power * rotating_h, 4),
@@ -251,5 +252,5 @@ def _largest(values: Sequence[float | None]) -> float | None:
     return max(known) if known else None
 
 
-def _finite(value: float | None) -> float | None:
-    return round(value, 4) if value is not None and math.isfinite(value) else None
+def _rounded(value: float | None) -> float | None:
+    return finite_or_none(value, 4)

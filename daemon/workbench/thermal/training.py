@@ -1,15 +1,15 @@
 """Trains a thermal model from recordings on disk, and reports what came of it."""
 
-import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from drivers.files.recording_csv import read_recording
+from models.json_values import finite_or_none
 from models.recordings.dataset import Recording
 from models.thermal.family import ThermalModel
 from models.thermal.training.evaluation import ResidualMetrics
@@ -67,15 +67,7 @@ def _selected(recording: Recording, selection: Selection) -> Recording:
 
 def write_model_file(model: ThermalModel, path: Path) -> None:
     """Write a model's file in one step, so that nobody ever reads half of one; raises OSError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(model.to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, model.to_json())
 
 
 def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
@@ -87,7 +79,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "model_id": model.model_id,
             "kind": model.kind,
             "sensors": len(model.sensor_ids),
-            "band_um": {c: _finite(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
+            "band_um": {c: finite_or_none(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
         },
         "hyper_parameters": result.hyper_parameters,
         "refused": trust.refused,
@@ -97,8 +89,8 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
         ],
         "held_out": {
             "folds": result.folds,
-            "relative_rmse": _finite(trust.held_out_relative_rmse),
-            "forward_skill": [_finite(value) for value in trust.forward_skill],
+            "relative_rmse": finite_or_none(trust.held_out_relative_rmse),
+            "forward_skill": [finite_or_none(value) for value in trust.forward_skill],
             "channels": {} if trust.held_out is None else channel_figures(trust.held_out),
         },
         "temperatures_left_out": result.left_out,
@@ -121,17 +113,13 @@ def channel_figures(metrics: ResidualMetrics) -> dict[str, dict[str, dict[str, f
     return {
         channel: {
             "without": {
-                "rmse_um": _finite(float(metrics.rmse_without_um[index])),
-                "max_um": _finite(float(metrics.max_without_um[index])),
+                "rmse_um": finite_or_none(float(metrics.rmse_without_um[index])),
+                "max_um": finite_or_none(float(metrics.max_without_um[index])),
             },
             "with": {
-                "rmse_um": _finite(float(metrics.rmse_with_um[index])),
-                "max_um": _finite(float(metrics.max_with_um[index])),
+                "rmse_um": finite_or_none(float(metrics.rmse_with_um[index])),
+                "max_um": finite_or_none(float(metrics.max_with_um[index])),
             },
         }
         for index, channel in enumerate(metrics.channels)
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

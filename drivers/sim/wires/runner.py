@@ -19,6 +19,7 @@ from drivers.sim.wires.displacement_wire import DisplacementCsv
 from drivers.sim.wires.latsis_wire import LatsisWires
 from drivers.sim.wires.opcua_server import STATE, ServerSecurity, SimulatedCncServer
 from drivers.sim.wires.tcp_relay import TcpRelay
+from models.json_values import finite_or_none
 
 TICK_REAL_S = 0.01
 """The machine is moved on once in this time of the wall clock [s]."""
@@ -202,8 +203,8 @@ class _Run:
             }
         return {
             "time_s": now_s,
-            "nc": {attribute: _jsonable(getattr(nc, attribute)) for attribute, _ in STATE.values()}
-            | {"macros": {str(number): _jsonable(nc.macros.get(number)) for number in self._macros}},
+            "nc": {attribute: finite_or_none(getattr(nc, attribute)) for attribute, _ in STATE.values()}
+            | {"macros": {str(number): finite_or_none(nc.macros.get(number)) for number in self._macros}},
             "truth": truth,
             "cycles_sent": self._wires.cycles_sent,
             "cycles_disturbed": self._wires.cycles_disturbed,
@@ -256,8 +257,3 @@ def _logger(
         start_s=machine.time_s,
         faults=faults,
     )
-
-
-def _jsonable(value: float | int | None) -> float | int | None:
-    """Return a number that JSON can carry."""
-    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,40 @@
+"""Files are written whole or not at all."""
+
+import io
+from pathlib import Path
+
+import pytest
+
+from config.files import sha256_of, sha256_of_stream, write_whole
+
+EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+
+
+def test_a_file_is_put_in_the_place_of_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_whole(path, "old")
+    write_whole(path, b"\x00new", 0o640)
+    assert path.read_bytes() == b"\x00new"
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert list(tmp_path.iterdir()) == [path], "nothing is left beside it"
+
+
+def test_the_old_file_stands_where_the_new_one_cannot_be_written(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_whole(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(path, "\ud800")
+    assert path.read_text() == "old"
+    folder = tmp_path / "folder"
+    (folder / "inside").mkdir(parents=True)
+    with pytest.raises(OSError, match="directory"):
+        write_whole(folder, "a folder is in the way")
+    assert sorted(tmp_path.iterdir()) == [path, folder], "nothing is left beside it"
+    with pytest.raises(OSError, match="No such file"):
+        write_whole(tmp_path / "nowhere" / "file", "x")
+
+
+def test_digests() -> None:
+    assert sha256_of(b"") == sha256_of_stream(io.BytesIO()) == EMPTY
+    content = bytes(range(256)) * 10_000
+    assert sha256_of(content) == sha256_of_stream(io.BytesIO(content))
