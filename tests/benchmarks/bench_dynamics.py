@@ -12,10 +12,15 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
+
 from receptance_coupling import ground_stiffness
 
 from config.machine.spindle import SpindleDescription, load_spindle, spindle_folder

@@ -10,14 +10,18 @@ per line cycle. Then it is packed and read. Sizes are extrapolated from whole pa
 import argparse
 import asyncio
 import sqlite3
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import history_records as make
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
+
+import history_records as make
 from history_records import AXES, BLOCK, EPOCH_S, FULL, StillClock
 
 from config.schema.service import HistoryConfig

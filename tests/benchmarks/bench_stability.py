@@ -6,11 +6,15 @@ Run by hand: `python tests/benchmarks/bench_stability.py [--cases 500]`. Nothing
 import argparse
 import math
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
+
 from milling_cases import OFF_BOUNDARY, random_cases
 
 from config.machine.published_bearings import published_model

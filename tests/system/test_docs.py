@@ -1,6 +1,8 @@
 """The documentation names everything there is, and points nowhere in vain."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -125,3 +127,26 @@ def test_readme_names_the_two_commands_and_every_folder() -> None:
     assert "make test" in text
     for folder in ("models", "config", "drivers", "daemon", "systemd", "tests", "docs"):
         assert f"| `{folder}/` |" in text
+
+
+START_EACH = """
+import runpy, sys
+path = list(sys.path)
+for benchmark in sys.argv[1:]:
+    sys.path[:], sys.argv = path, [benchmark, "--help"]
+    try:
+        runpy.run_path(benchmark, run_name="__main__")
+    except SystemExit as end:
+        assert not end.code, benchmark
+    for name, module in list(sys.modules.items()):
+        if "/tests/support/" in str(vars(module).get("__file__")):
+            del sys.modules[name]
+"""
+
+
+def test_every_benchmark_is_named_and_starts_by_hand() -> None:
+    benchmarks = sorted(map(str, (ROOT / "tests/benchmarks").glob("bench_*.py")))
+    text = page("benchmarks.md")
+    assert all(f"tests/benchmarks/{Path(each).name}" in text for each in benchmarks)
+    done = subprocess.run([sys.executable, "-c", START_EACH, *benchmarks], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.count("usage:") == len(benchmarks), done.stderr
