@@ -278,7 +278,21 @@ class Restarted(WholeLoop):
 
 
 @pytest.fixture
-async def restarted(installed: Installed) -> Any:
+def asked(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Every key of the state that is read."""
+    keys: set[str] = set()
+    get_state = HistoryWriter.get_state
+
+    def listed(history: HistoryWriter, key: str) -> Any:
+        keys.add(key)
+        return get_state(history, key)
+
+    monkeypatch.setattr(HistoryWriter, "get_state", listed)
+    return keys
+
+
+@pytest.fixture
+async def restarted(asked: set[str], installed: Installed) -> Any:
     model = load_released(installed.configuration, own_account()).model
     assert model is not None
     loop = Restarted(installed, model)
@@ -316,6 +330,13 @@ async def test_a_restart_goes_on_where_the_old_version_was_killed(restarted: Res
         await restarted.moment()
     assert control.memory is not None and control.memory.state.value == "ACTIVE"
     agree(plain(control.memory.offset_um), wanted["memory_after_30_moments"]["offset_um"], "offset_um")
+
+
+async def test_every_state_that_was_kept_is_read(restarted: Restarted, asked: set[str]) -> None:
+    await restarted.moment()
+    assert asked >= set(expected("store/expected.json")["state"])
+    kept = plain(restarted.rig.resume.kept_reference)
+    agree(kept, expected("store/resumed.json")["resume_point"]["kept_reference"], "kept_reference")
 
 
 async def test_a_latched_fault_and_a_switch_survive(tmp_path: Path) -> None:
