@@ -49,12 +49,18 @@ async def _bench(endpoint: str, keys: Keys | None, count: int) -> None:
     print(f"  connect                    {(time.perf_counter() - started_s) * 1e3:6.1f} ms")
     gc.freeze()
     block = config.macros.block
+    ours = tuple(number for group in GROUPS for number, _ in group)
 
     async def write_and_read_back() -> None:
         await cnc.write_macros(GROUPS)
         await cnc.read_macros(block)
 
+    async def compare_write_and_read_back() -> None:
+        await cnc.read_macros(ours)
+        await write_and_read_back()
+
     print("  write 3 groups, read back ", await _measure(write_and_read_back, count))
+    print("  the same, compared before ", await _measure(compare_write_and_read_back, count))
     print("  poll (state and block)    ", await _measure(lambda: cnc.read(block), count))
     await cnc.close()
 
