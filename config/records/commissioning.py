@@ -124,6 +124,8 @@ def save_commissioning(record: CommissioningRecord, path: Path) -> None:
 
 
 ADVICE = "run `toolpoint commission`"
+CHECKING_GUARD = 2
+"""First version of the guard that applies a block only when its check fits; no older one is enabled."""
 
 
 def commissioning_obstacle(
@@ -152,7 +154,19 @@ def commissioning_obstacle(
         )
     if missing := [axis for axis in axes if axis not in record.axes]:
         return f"not commissioned: axis {', '.join(missing)}; {ADVICE} for it"
+    if record.guard_version is not None and (older := older_guard(record.guard_version)):
+        return f"the commissioning was made with {older}, and {ADVICE} again"
     return "" if guard_version is None else _guard_obstacle(record, guard_version)
+
+
+def older_guard(guard_version: float) -> str:
+    """Return what is wrong with a guard that does not check the block, '' for one that does."""
+    if guard_version >= CHECKING_GUARD:
+        return ""
+    return (
+        f"guard version {guard_version:g}, which applies a block whose check does not fit: load the text that "
+        "`toolpoint guard` prints"
+    )
 
 
 def _guard_obstacle(record: CommissioningRecord, guard_version: float) -> str:

@@ -53,6 +53,11 @@ class MacroMapConfig(Section):
         description="written first; equal to sequence_b when the block is whole", examples=[500]
     )
     sequence_b: MacroNumber = Field(description="written last", examples=[505])
+    check: MacroNumber = Field(
+        description="a whole number made of all others of the block; the guard makes it anew and applies nothing where "
+        "the two differ. Name one within `writable` that nothing else uses",
+        examples=[506],
+    )
     valid_until: MacroNumber = Field(
         description="CNC clock until which the block is valid [s]; must lie where power-off clears it (100-199)",
         examples=[120],
@@ -107,6 +112,7 @@ class MacroMapConfig(Section):
             (("sequence_b",), self.sequence_b),
             (("valid_until",), self.valid_until),
             (("enable",), self.enable),
+            (("check",), self.check),
             *((("values", axis), number) for axis, number in self.values.items()),
             *((("echo_applied", axis), number) for axis, number in self.echo_applied.items()),
             (("echo_time",), self.echo_time),
@@ -140,6 +146,7 @@ class MacroMapConfig(Section):
             *self.values.values(),
             self.valid_until,
             self.enable,
+            self.check,
             self.sequence_b,
             *self.echo_applied.values(),
             self.echo_time,

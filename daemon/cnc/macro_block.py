@@ -8,6 +8,7 @@ import numpy as np
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.guard import GuardConfig
+from drivers.guard.check import PER_SECOND, block_check
 from models.control.state import OutputLimits
 from models.records import CompensationCommand, FloatArray
 
@@ -51,6 +52,7 @@ class MacroBlock:
             *(macros.values[axis] for axis in axes),
             macros.valid_until,
             macros.enable,
+            macros.check,
             macros.sequence_b,
         )
         self.polled = macros.block
@@ -65,13 +67,20 @@ class MacroBlock:
     def encode(
         self, command: CompensationCommand, *, sequence: int, valid_until_s: float
     ) -> tuple[tuple[tuple[int, float], ...], ...]:
-        """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
-        units = command.compensation_um / self._um_per_unit
+        """Return the groups to write, strictly one after another: sequence_a, content with its check, sequence_b.
+
+        Values are whole nanometres and valid_until whole tenths of a second, so that the check is a whole number.
+        """
+        nm_per_unit = self._map.unit_um * 1000.0
+        nm = np.round(command.compensation_um / self._um_per_unit * nm_per_unit)
         bits = sum(1 << index for index, on in enumerate(command.enable) if on)
         content = [
-            (self._map.values[axis], round(float(unit), 7)) for axis, unit in zip(self._axes, units, strict=True)
+            (self._map.values[axis], float(value) / nm_per_unit) for axis, value in zip(self._axes, nm, strict=True)
         ]
-        content += [(self._map.valid_until, round(valid_until_s, 3)), (self._map.enable, float(bits))]
+        tenths = math.floor(valid_until_s * PER_SECOND)
+        content += [(self._map.valid_until, tenths / PER_SECOND), (self._map.enable, float(bits))]
+        held = {**dict(content), self._map.sequence_b: float(sequence)}
+        content.append((self._map.check, block_check(self._map, self._axes, held)))
         return (
             ((self._map.sequence_a, float(sequence)),),
             tuple(content),

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from config.records.commissioning import older_guard
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import Station
@@ -20,6 +21,8 @@ GUARD_SAYS: dict[int, str] = {
     GuardStatus.INCH: "the control is in inch mode (status 6): command G21",
     GuardStatus.MODAL: "cutter compensation or a canned cycle is active (status 7): command G40 and G80",
     GuardStatus.MEMORY: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
+    GuardStatus.CHECK: "the check does not fit the block (status 10): something else writes a macro of it, or guard "
+    "and map of the macros disagree",
     GuardStatus.UNSETTLED: "the external offset was changed in between (status 9): run the initialise program in MDI",
 }
 """What a guard that does not apply the block says by its status."""
@@ -62,6 +65,8 @@ class Movement:
                 f"the guard ran, but its version reads {guard_version}: it must echo a whole number in "
                 f"#{self._version_macro} (cnc.macros.echo_guard_version)"
             )
+        if older := older_guard(guard_version):
+            raise CommissioningRefusedError(f"the control runs {older}, then begin again")
         self._dialogue.say(f"The guard answers: version {guard_version:g}, status {station.echo.status}.")
         return round(guard_version)
 

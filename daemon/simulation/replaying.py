@@ -106,6 +106,7 @@ def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:
         "valid_until": 120,
         "enable": 501,
         "sequence_b": 502,
+        "check": 503,
         "echo_applied": {name: 550 + index for index, name in enumerate(channels)},
         "echo_time": 580,
         "echo_status": 581,

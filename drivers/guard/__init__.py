@@ -1,5 +1,6 @@
 """The programs on the NC side: their text, filled in for one machine, and the sheet of their commissioning."""
 
+from drivers.guard.check import block_check
 from drivers.guard.text import (
     GUARD_VERSION,
     GuardPrograms,
@@ -16,6 +17,7 @@ __all__ = [
     "GuardPrograms",
     "GuardStatus",
     "GuardTextError",
+    "block_check",
     "guard_axes",
     "guard_digest",
     "guard_program",

@@ -5,7 +5,16 @@ from collections.abc import Iterator, Sequence
 from config.html_page import Section, html_page
 from config.schema import Configuration
 from config.schema.guard import SHARED_MEMORY
-from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_digest, guard_program
+from drivers.guard.check import PER_SECOND
+from drivers.guard.text import (
+    GUARD_VERSION,
+    GuardPrograms,
+    GuardStatus,
+    decimal,
+    guard_axes,
+    guard_digest,
+    guard_program,
+)
 
 SIGNATURES = ("Loaded and compared by", "Tested by", "Released for production by")
 UNVERIFIED = (
@@ -164,6 +173,7 @@ def _tests(configuration: Configuration) -> Section:
     return Section(
         title="Try, with the tool clear of everything",
         text="The daemon is stopped; macros are set by hand, except #3001. V is a time to come: #3001/1000 plus 60. "
+        f"C is the check of what the other macros then hold: {_check_expression(configuration)}. "
         f"After each setting the guard is called once (MDI: G65P{configuration.cnc.guard.program}).",
         head=("test", "set", "expected after the guard", "seen"),
         rows=rows,
@@ -179,7 +189,7 @@ def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     step, bound = axis.step_um / unit, axis.absolute_bound_um / unit
     half_um = max(axis.step_um / 2.0 // increment_um, 1.0) * increment_um
     memory = guard.memory + SHARED_MEMORY
-    half, late = f"{half_um / unit:g}", f"#{macros.valid_until}"
+    half, late, fits = f"{half_um / unit:g}", f"#{macros.valid_until}", f"#{macros.check}=C"
 
     def state(code: GuardStatus) -> str:
         return f"#{status}={int(code)}"
@@ -187,31 +197,50 @@ def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     same = f"#{offset} as before"
     yield (f"#{macros.enable}=0", f"{state(GuardStatus.DISABLED)}, {same}, no message")
     yield (
-        f"#{macros.sequence_a}=1 #{value}={half} {late}=V #{macros.enable}=1 #{macros.sequence_b}=1",
+        f"#{macros.sequence_a}=1 #{value}={half} {late}=V #{macros.enable}=1 #{macros.sequence_b}=1 {fits}",
         f"{state(GuardStatus.APPLIED)}, #{echo}={half}, #{offset} larger by {half_um / 1000.0:g} mm",
     )
     yield ("guard called again", f"{state(GuardStatus.APPLIED)}, {same}: nothing is added twice")
-    yield (f"#{value}={min(4 * step, bound):g}", f"#{echo} larger by {step:g}: one step for each call")
+    yield (
+        f"#{value}={min(4 * step, bound):g}",
+        f"{state(GuardStatus.CHECK)}, message, {same}: the check is the old one",
+    )
+    yield (fits, f"#{echo} larger by {step:g}: one step for each call")
     yield (f"#{macros.sequence_a}=2", f"{state(GuardStatus.TORN)}, {same}, no message")
     yield (f"#{macros.sequence_a}=1 {late}=1", f"{state(GuardStatus.EXPIRED)}, message, {_expiry(guard.on_expiry)}")
     yield (f"{late}=V #{value}={bound + step:g}", f"{state(GuardStatus.OVERSIZE)}, message, {same}")
     yield (f"#{value}=#0", f"{state(GuardStatus.VACANT)}, message, {same}")
     yield ("G20, then back to G21", f"{state(GuardStatus.INCH)}, message, {same}")
-    yield (f"{late}=V #{value}={half}, G91 before the call", f"{state(GuardStatus.APPLIED)}, and G91 still active")
     yield (
-        f"EXT of {name} changed by hand by 0.010 mm, then {late}=V #{value}={step:g}",
+        f"{late}=V #{value}={half} {fits}, G91 before the call",
+        f"{state(GuardStatus.APPLIED)}, and G91 still active",
+    )
+    yield (
+        f"EXT of {name} changed by hand by 0.010 mm, then {late}=V #{value}={step:g} {fits}",
         f"#{echo}={step:g}; #{offset} keeps the 0.010 mm",
     )
     yield (
-        f"{late}=V #{value}={half}, single block, RESET after the block with G10, then call again",
+        f"{late}=V #{value}={half} {fits}, single block, RESET after the block with G10, then call again",
         f"{state(GuardStatus.APPLIED)}, #{offset} minus EXT of the operator equals #{memory}",
     )
     yield ("control off and on, guard called", f"{state(GuardStatus.EXPIRED)}, message, {same}")
     yield (
-        f"{late}=V, in one program a feed move of 20 s and the guard in the next block",
+        f"{late}=V {fits}, in one program a feed move of 20 s and the guard in the next block",
         f"#{macros.echo_time} is the clock after the move, not before it: nothing was read ahead",
     )
-    yield (f"{late}=V #{value}=0 until #{echo}=0", f"#{offset} is what the operator had, and the 0.010 mm")
+    yield (f"{late}=V #{value}=0 {fits} until #{echo}=0", f"#{offset} is what the operator had, and the 0.010 mm")
+
+
+def _check_expression(configuration: Configuration) -> str:
+    """Return the check as a person types it in MDI."""
+    macros = configuration.cnc.macros
+    to_nm = f"*{decimal(macros.unit_um * 1000.0).rstrip('.')}"
+    parts = [f"#{macros.sequence_b}+#{macros.enable}+ROUND[#{macros.valid_until}*{PER_SECOND}]"]
+    parts += [
+        f"{place}*ROUND[#{macros.values[axis]}{to_nm}]"
+        for place, axis in enumerate(configuration.compensation.axes, start=1)
+    ]
+    return "+".join(parts)
 
 
 def _expiry(policy: str) -> str:

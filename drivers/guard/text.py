@@ -8,13 +8,14 @@ from enum import IntEnum
 from importlib.resources import files
 
 from config.files import sha256_of
-from config.records.commissioning import macro_map_digest
+from config.records.commissioning import CHECKING_GUARD, macro_map_digest
 from config.schema import Configuration
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
+from drivers.guard.check import NM_PER_MM, PER_SECOND
 
-GUARD_VERSION = 1
+GUARD_VERSION = CHECKING_GUARD
 """Echoed by the guard; raised when what the text does changes."""
 LONGEST_LINE = 76
 POLL_MS = 50
@@ -49,6 +50,8 @@ class GuardStatus(IntEnum):
     """What the guard remembers of the applied offset is vacant, contradictory or outside the bound."""
     UNSETTLED = 9
     """The external offset is neither what it was before the guard's change nor what it was to become."""
+    CHECK = 10
+    """The check is not made of what the block holds: somebody else has written one of its macros."""
 
 
 class GuardTextError(ValueError):
@@ -87,6 +90,11 @@ def guard_program(configuration: Configuration) -> str:
 def guard_digest(text: str) -> str:
     """Return the SHA-256 of a text of NC programs, as the commissioning record names it."""
     return sha256_of(text.encode("ascii"))
+
+
+def alarm_number(status: GuardStatus) -> int:
+    """Return the number with which #3000 stops for a status; 110 and 111 are the initialising program's."""
+    return 112 if status is GuardStatus.CHECK else 100 + status
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:
@@ -194,11 +202,12 @@ def _down(value: float, increment: float) -> float:
 
 
 def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
-    numbers = ("sequence_a", "sequence_b", "valid_until", "enable", "echo_time", "echo_status", "echo_guard_version")
+    block = ("sequence_a", "sequence_b", "valid_until", "enable", "check")
+    echo = ("echo_time", "echo_status", "echo_guard_version")
     flag = {"safe_flag": str(macros.safe_flag)} if macros.safe_flag is not None else {}
-    alarms = {f"alarm{status}": _stop(guard.alarm, 100 + status) for status in GuardStatus if status >= 3}
+    alarms = {f"alarm{status}": _stop(guard.alarm, alarm_number(status)) for status in GuardStatus if status >= 3}
     return {
-        **{name: str(getattr(macros, name)) for name in numbers},
+        **{name: str(getattr(macros, name)) for name in (*block, *echo)},
         **{name: str(guard.memory + place) for place, name in enumerate(("pending", "planned", "before", "after"))},
         **alarms,
         **flag,
@@ -211,6 +220,8 @@ def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dic
         "look_ahead": decimal(guard.max_validity_s),
         "increment": decimal(guard.increment_mm),
         "half": decimal(guard.increment_mm / 2.0),
+        "per_second": str(PER_SECOND),
+        "nm_per_mm": str(NM_PER_MM),
         "all_bits": str((1 << axes) - 1),
         "axis_count": str(axes),
     }

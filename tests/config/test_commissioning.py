@@ -131,6 +131,13 @@ def test_what_the_record_covers_is_permitted():
     assert "no commissioning record" in obstacle(None)
 
 
+@pytest.mark.parametrize("heard", [None, 1.0, 2.0])
+def test_a_guard_that_makes_no_check_is_not_accepted(heard: float | None) -> None:
+    said = obstacle(record(guard_version=1), guard_version=heard)
+    assert "guard version 1, which applies a block whose check does not fit: load the text that" in said
+    assert "run `toolpoint commission` again" in said
+
+
 def test_the_shipped_record_is_that_of_the_simulated_machine():
     shipped = load_commissioning(shipped_file("simulated_machine_commissioning.json"))
     assert shipped.format_version == 2

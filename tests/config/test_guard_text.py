@@ -14,7 +14,15 @@ from config.machines import shipped_file
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.guard import PROGRAM_LABELS, GuardConfig
-from drivers.guard import GuardPrograms, GuardStatus, GuardTextError, guard_digest, guard_program, guard_text
+from drivers.guard import (
+    GuardPrograms,
+    GuardStatus,
+    GuardTextError,
+    block_check,
+    guard_digest,
+    guard_program,
+    guard_text,
+)
 from drivers.guard.sheet import guard_sheet, sheet_html, sheet_markdown
 from drivers.sim.nc.custom_macro import compile_programs
 
@@ -50,7 +58,7 @@ def test_every_program_can_be_compiled_and_every_label_is_jumped_to(shipped: Con
     text = guard_program(shipped)
     for number, program in programs.items():
         part = text.split(f"O{number}(", 1)[1].split("\nO9", 1)[0]
-        jumps = {int(label) for label in re.findall(r"GOTO(\d+)", part)} | {*range(90903, 90910)}
+        jumps = {int(label) for label in re.findall(r"GOTO(\d+)", part)} | {*range(90903, 90911)}
         assert set(program.labels) <= jumps | {90300, 90600}, number
         assert set(program.labels) <= set(PROGRAM_LABELS), number
 
@@ -104,6 +112,7 @@ def test_the_unit_of_the_macros_is_respected(unit_um: float) -> None:
     nc.initialise(macros, 10.0)
     for number, value in ((500, 1.0), (503, -7.3 / unit_um), (120, 30.0), (504, 4.0), (505, 1.0)):
         macros.set(number, value)
+    macros.set(506, 1.0 + 4.0 + 300.0 - 3.0 * 7300.0)
     assert nc.run(macros, 11.0) is GuardStatus.APPLIED
     assert nc.applied_um["z"] == pytest.approx(-7.3)
     assert macros.get(513) == pytest.approx(-7.3 / unit_um)
@@ -165,11 +174,12 @@ def test_what_the_sheet_says_of_the_tests_is_what_happens() -> None:
     bench = GuardBench()
     carried_out = 0
     for _, settings, expected, _ in rows:
-        if re.fullmatch(r"(#\d+=(V|#0|[\d.]+) ?)+", settings) is None and settings != "guard called again":
+        if re.fullmatch(r"(#\d+=(V|C|#0|[\d.]+) ?)+", settings) is None and settings != "guard called again":
             break
         before = list(bench.nc.control.external_mm)
-        for number, value in re.findall(r"#(\d+)=(V|#0|[\d.]+)", settings):
-            found = {"V": bench.clock_s + 60.0, "#0": None}.get(value, 0.0)
+        for number, value in re.findall(r"#(\d+)=(V|C|#0|[\d.]+)", settings):
+            check = block_check(MAP, AXES, {number: bench.macros.get(number) for number in MAP.block})
+            found = {"V": bench.clock_s + 60.0, "C": check, "#0": None}.get(value, 0.0)
             bench.macros.set(int(number), float(value) if found == 0.0 else found)
         shown = bench.nc.control.messages_shown
         bench.call(later_s=1.0)
@@ -180,7 +190,7 @@ def test_what_the_sheet_says_of_the_tests_is_what_happens() -> None:
         if "message" in expected:
             assert (bench.nc.control.messages_shown > shown) is ("no message" not in expected), settings
         carried_out += 1
-    assert carried_out == 8
+    assert carried_out == 9
 
 
 def test_the_sheet_as_html_and_as_markdown(shipped: Configuration) -> None:

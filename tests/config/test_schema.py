@@ -189,6 +189,14 @@ def test_limits_that_move_the_machine_have_no_default() -> None:
     assert missing == {"absolute_bound_um", "slew_um_per_min", "step_um"}
 
 
+def test_a_block_without_a_check_is_refused_with_what_to_add() -> None:
+    content = yaml.safe_load(sample_configuration())
+    del content["cnc"]["macros"]["check"]
+    missing = r"cnc\.macros\.check: this key is required and missing: .*guard.*Name"
+    with pytest.raises(ConfigurationError, match=missing):
+        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
+
+
 def test_every_pattern_is_put_in_words() -> None:
     def patterns(node: Any) -> set[str]:
         if isinstance(node, dict):

@@ -11,7 +11,7 @@ from daemon.cli.simulate.demo import demo_machine
 from daemon.simulation.faults.invariants import Claims, Ledger, WriteWatch
 from daemon.simulation.processes import write_rehearsal_configuration
 
-A, X, Y, Z, VALID, ENABLE, B = 500, 501, 502, 503, 120, 504, 505
+A, X, Y, Z, VALID, ENABLE, CHECK, B = 500, 501, 502, 503, 120, 504, 506, 505
 claims = partial(campaign_claims.claims, wanted=(False, True, True))
 
 
@@ -32,7 +32,7 @@ class Trace:
 
     def block(self, time_s: float, z_um: float, said: Claims | None = None, *, y_um: float = 0.0) -> None:
         self.sequence += 1
-        content = ((X, 0.0), (Y, y_um / 1e3), (Z, z_um / 1e3), (VALID, time_s + 30), (ENABLE, 6.0))
+        content = ((X, 0.0), (Y, y_um / 1e3), (Z, z_um / 1e3), (VALID, time_s + 30), (ENABLE, 6.0), (CHECK, 1.0))
         for group in (((A, self.sequence),), content, ((B, self.sequence),)):
             self.watch.group(time_s, group, said or claims(), taken=True)
 
@@ -126,7 +126,8 @@ def test_a_number_that_is_used_twice(trace: Trace) -> None:
 
 def test_a_block_that_was_cut_short_may_be_sent_again(trace: Trace) -> None:
     trace.watch.group(0.0, ((A, 1.0),), claims(), taken=True)
-    trace.watch.group(0.0, ((X, 0.0), (Y, 0.0), (Z, 0.0), (VALID, 1.0), (ENABLE, 0.0)), claims(), taken=True)
+    content = ((X, 0.0), (Y, 0.0), (Z, 0.0), (VALID, 1.0), (ENABLE, 0.0), (CHECK, 1.0))
+    trace.watch.group(0.0, content, claims(), taken=True)
     trace.watch.group(0.0, ((B, 1.0),), claims(), taken=False)
     trace.block(3.0, 0.0)
     assert trace.violated == set()

@@ -30,14 +30,14 @@ async def test_a_straight_machine_is_commissioned(bench):
     assert {axis: (found.sign, found.scale) for axis, found in record.axes.items()} == dict.fromkeys("xyz", (1, 1.0))
     assert all(found.measured_um == pytest.approx(5.0, abs=0.06) for found in record.axes.values())
     assert record.axes["z"].others_um == pytest.approx({"x": 0.0, "y": 0.0}, abs=0.01)
-    assert (record.guard_version, record.person, record.instrument) == (1, "A. Fitter", "indicator 7")
+    assert (record.guard_version, record.person, record.instrument) == (2, "A. Fitter", "indicator 7")
     configuration = bench.configuration()
     obstacle = commissioning_obstacle(
         record,
         cnc_identity="urn:toolpoint:simulated-cnc",
         macros=configuration.cnc.macros,
         axes=["x", "y", "z"],
-        guard_version=1.0,
+        guard_version=2.0,
     )
     assert obstacle == ""
     assert bench.at_rest()
@@ -52,7 +52,7 @@ async def test_check_compares_the_record_with_the_control_and_its_guard(bench):
 
     record = await bench.commission(Person(bench), axes=("y", "z"))
     assert record is not None
-    for version, passed, words in ((1, True, "O9100"), (9, False, "runs guard version 1")):
+    for version, passed, words in ((2, True, "O9100"), (9, False, "runs guard version 2")):
         save_commissioning(record.model_copy(update={"guard_version": version}), path)
         findings = [f async for f in preflight(bench.configuration(change), bench.clock, devices=True)]
         (cnc,) = (finding for finding in findings if finding.subject == "cnc")

@@ -199,6 +199,21 @@ async def test_a_person_who_calls_the_guard_by_hand_commissions(bench):
     assert bench.at_rest()
 
 
+async def test_a_guard_that_makes_no_check_is_refused_before_anything_moves(bench, monkeypatch):
+    bench.reset(program=STOPPED)
+    echoed, call = bench.configuration().cnc.macros.echo_guard_version, bench.call_guard
+
+    def call_an_older_guard() -> None:
+        call()
+        bench.machine.nc.macros.set(echoed, 1.0)
+
+    monkeypatch.setattr(bench, "call_guard", call_an_older_guard)
+    person = Obedient(bench)
+    said = await refused(bench, person, axes=("z",))
+    assert "the control runs guard version 1, which applies a block whose check does not fit" in said
+    assert "Nothing has been moved" in person.text_said and bench.at_rest()
+
+
 async def test_a_guard_without_memory_asks_for_its_initialise_program(bench):
     bench.reset(program=STOPPED)
     macros = bench.configuration().cnc.macros

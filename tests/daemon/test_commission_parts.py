@@ -121,7 +121,7 @@ def record(**changes) -> CommissioningRecord:
     content = {
         "cnc_identity": "urn:cnc?a=1&b=2",
         "macro_map_sha256": macro_map_digest(CONFIGURATION.cnc.macros),
-        "guard_version": 1,
+        "guard_version": 2,
         "person": "<script>alert('Fitter')</script>",
         "date": "2026-01-31",
         "machine": 'the "big" one',
@@ -259,7 +259,7 @@ def test_check_says_what_a_record_covers_and_makes_the_report_anew(tmp_path):
     report = tmp_path / "report.html"
     found = run("--config", path, "--check", "--report", report)
     assert found.exit_code == 0, found.output
-    assert "guard version 1" in found.output and "axis z: +10 um moved it by +10.00 um" in found.output
+    assert "guard version 2" in found.output and "axis z: +10 um moved it by +10.00 um" in found.output
     assert record_digest(load_commissioning(record_file)) in report.read_text(encoding="utf-8")
 
 

@@ -21,6 +21,7 @@ def macro_map(**changes):
         "valid_until": 120,
         "enable": 503,
         "sequence_b": 504,
+        "check": 505,
         "echo_applied": {"y": 511, "z": 512},
         "echo_time": 514,
         "echo_status": 515,
@@ -43,7 +44,11 @@ def command(um, enable=(True, True)):
 
 def test_the_block_goes_out_first_to_last_in_millimetres():
     groups = MacroBlock(macro_map(), AXES, {}).encode(command([3.0, -12.5]), sequence=7, valid_until_s=100.0)
-    assert groups == (((500, 7.0),), ((501, 0.003), (502, -0.0125), (120, 100.0), (503, 3.0)), ((504, 7.0),))
+    assert groups == (
+        ((500, 7.0),),
+        ((501, 0.003), (502, -0.0125), (120, 100.0), (503, 3.0), (505, 7 + 1000 + 3 + 3000 - 2 * 12500)),
+        ((504, 7.0),),
+    )
 
 
 def test_a_commissioned_sign_turns_the_written_value_and_the_echo_alike():
@@ -59,7 +64,7 @@ def test_what_is_encoded_is_decoded(um):
     block = MacroBlock(macro_map(), AXES, {"y": -1.0})
     content = dict(block.encode(command(um), sequence=1, valid_until_s=1.0)[1])
     echo = block.echo({511: content[501], 512: content[502]})
-    half_a_step_um = 0.5e-7 * 1000.0
+    half_a_step_um = 0.5e-3
     assert echo.applied_um == pytest.approx(np.array(um), abs=1.01 * half_a_step_um)
 
 

@@ -16,17 +16,27 @@ async def test_another_guard_than_the_commissioned_one_is_not_enabled(bench):
     async with running(bench.rig(record=record)) as rig:
         await rig.turn()
         said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-        assert "guard version 1" in said and "made with version 7" in said and "toolpoint commission" in said
+        assert "guard version 2" in said and "made with version 7" in said and "toolpoint commission" in said
 
 
 async def test_a_guard_that_is_exchanged_under_way_holds_the_output(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
-        rig.nc.macros.set(bench.configuration.cnc.macros.echo_guard_version, 2.0)
+        rig.nc.macros.set(bench.configuration.cnc.macros.echo_guard_version, 3.0)
         await rig.turn(rig.estimate(0.0, 0.0), safe=False)
         await rig.turn(rig.estimate(0.0, 0.0), safe=False)
         assert rig.state != "ACTIVE"
-        assert "guard version 2" in rig.control.memory.reason, rig.control.memory
+        assert "guard version 3" in rig.control.memory.reason, rig.control.memory
+
+
+async def test_a_guard_that_makes_no_check_is_not_enabled(bench):
+    record = record_for(bench.configuration, guard_version=1)
+    async with running(bench.rig(record=record)) as rig:
+        rig.nc.macros.set(bench.configuration.cnc.macros.echo_guard_version, 1.0)
+        await rig.turn(safe=False)
+        said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        assert "guard version 1, which applies a block whose check does not fit" in said
+        assert bench.nc.written == []
 
 
 async def test_a_record_that_cannot_be_read_is_named(bench, tmp_path):

@@ -6,10 +6,11 @@ from collections import Counter
 import pytest
 from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
+from drivers.guard import block_check
 from drivers.sim.nc.safe_point import GuardStatus
 
 MEMORY = range(590, 597)
-READS = 7
+READS = 8
 """Macros that the guard reads from the block, and that the daemon writes."""
 
 
@@ -156,6 +157,7 @@ def test_an_enable_word_with_bits_of_no_axis_is_refused(bench: GuardBench, enabl
         (MAP.sequence_b, GuardStatus.TORN),
         *((number, GuardStatus.VACANT) for number in (*MAP.values.values(), MAP.enable)),
         (MAP.valid_until, GuardStatus.EXPIRED),
+        (MAP.check, GuardStatus.CHECK),
         *((number, GuardStatus.MEMORY) for number in MAP.echo_applied.values()),
         (MAP.echo_time, GuardStatus.APPLIED),
         (MAP.echo_status, GuardStatus.APPLIED),
@@ -173,6 +175,71 @@ def test_every_variable_vacant(bench: GuardBench, number: int, expected: GuardSt
     assert bench.call() is expected
     moved = 1.0 if expected is GuardStatus.APPLIED else 0.0
     assert bench.applied_um == pytest.approx({"x": 1.0 + moved, "y": 1.0 + moved, "z": 2.0 + 2.0 * moved})
+
+
+BLOCK = (MAP.sequence_a, *MAP.values.values(), MAP.valid_until, MAP.enable, MAP.check, MAP.sequence_b)
+TIMES = tuple(CLOCK_S + late_s for late_s in (-1.0, 0.1, 29.9, 31.0, 119.0))
+FOREIGN = (
+    *(-0.02, 0.02, 0.0, 1e-6, -1e-6, 0.004, 0.0041, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, -1.0, 0.5, 8.0, 17.0),
+    *(1e3, 1e5, 1e6, 1e9, -1e9, 1e38, 1e-9, 99_999_999.0, *TIMES),
+)
+"""What somebody else may leave in a macro: small and huge, other bits, other times that would be believed."""
+
+
+@pytest.mark.parametrize("enable", [7.0, 6.0])
+@pytest.mark.parametrize("policy", ["keep", "zero"])
+@pytest.mark.parametrize("number", BLOCK)
+def test_one_foreign_value_anywhere_in_the_block_and_nothing_of_it_is_applied(
+    number: int, policy: str, enable: float
+) -> None:
+    said = Counter[GuardStatus]()
+    before, asked = {"x": 1.0, "y": 1.0, "z": 2.0}, {"x": 2.0, "y": -3.0, "z": 4.0}
+    least = 1e-6 if number in MAP.values.values() else 0.1 if number == MAP.valid_until else 1.0
+    for foreign in (None, *FOREIGN, "one more", "one less"):
+        bench = GuardBench(own_um={"z": 50.0}, on_expiry=policy)
+        bench.write(**before)
+        bench.call()
+        bench.write(enable=enable, **asked)
+        ours = bench.macros.get(number)
+        nearest = {"one more": ours + least, "one less": ours - least}
+        value = nearest[foreign] if isinstance(foreign, str) else foreign
+        if value == ours:
+            continue
+        bench.macros.set(number, value)
+        shown = bench.nc.control.messages_shown
+        status = bench.call()
+        said[status] += 1
+        if policy == "zero" and status is GuardStatus.EXPIRED:
+            assert number == MAP.valid_until, "a time that has passed: the policy moves the tool, not the block"
+            continue
+        assert status is not GuardStatus.APPLIED, value
+        assert bench.applied_um == pytest.approx(before), (value, status)
+        silent = (GuardStatus.TORN, GuardStatus.DISABLED)
+        assert (bench.nc.control.messages_shown > shown) is (status not in silent)
+        assert (bench.message == "TOOLPOINT CHECK DIFFERS") is (status is GuardStatus.CHECK)
+        if status is GuardStatus.DISABLED:
+            assert number == MAP.enable and value == 0.0
+    expected = GuardStatus.TORN if number in (MAP.sequence_a, MAP.sequence_b) else GuardStatus.CHECK
+    assert said[expected] >= 3, said
+
+
+def test_two_values_exchanged_or_shifted_against_each_other_do_not_fit_the_check(bench: GuardBench) -> None:
+    for changed in ({"y": 4.0, "z": -3.0}, {"y": -2.0, "z": 3.0}):
+        bench.write(x=2.0, y=-3.0, z=4.0)
+        for axis, um in changed.items():
+            bench.macros.set(MAP.values[axis], um / 1000.0)
+        assert bench.call() is GuardStatus.CHECK
+        assert bench.applied_um == pytest.approx({"x": 0.0, "y": 0.0, "z": 0.0})
+
+
+def test_the_check_stays_below_what_eight_digits_hold() -> None:
+    """Nine axes at the largest bound, the last sequence number, the latest time that the clock can say."""
+    axes = [f"a{place}" for place in range(9)]
+    macros = MAP.model_copy(update={"values": {axis: 600 + place for place, axis in enumerate(axes)}})
+    held = dict.fromkeys(macros.values.values(), 1.0)
+    held |= {MAP.sequence_b: 999_999.0, MAP.enable: 511.0, MAP.valid_until: 2_147_483.6 + 120.0}
+    check = block_check(macros, axes, held)
+    assert check == 999_999 + 511 + 21_476_036 + 45 * 1_000_000 < 10**8
 
 
 @pytest.mark.parametrize("number", [*MAP.echo_applied.values(), 590, 594, 595, 596])

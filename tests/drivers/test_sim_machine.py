@@ -6,6 +6,7 @@ import pytest
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.temperatures import SensorConfig
+from drivers.guard import block_check
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
@@ -16,6 +17,7 @@ MAP = MacroMapConfig(
     writable=["100-149", "500-549"],
     sequence_a=510,
     sequence_b=511,
+    check=513,
     valid_until=100,
     enable=512,
     values={"y": 502, "z": 503},
@@ -60,6 +62,8 @@ def ask(simulated: SimulatedMachine, **um: float) -> None:
     macros.set(MAP.valid_until, simulated.nc.clock_s + 100.0)
     macros.set(MAP.enable, 3.0)
     macros.set(MAP.sequence_b, sequence)
+    held = {number: macros.get(number) for number in MAP.block}
+    macros.set(MAP.check, block_check(MAP, AXES, held))
 
 
 def snapshot(simulated: CfrpMachine) -> tuple[object, ...]:

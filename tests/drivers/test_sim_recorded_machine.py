@@ -23,6 +23,7 @@ def machine(*, request: bool = False) -> RecordedMachine:
         valid_until=120,
         enable=501,
         sequence_b=502,
+        check=503,
         echo_applied={name: 550 + index for index, name in enumerate(CHANNELS)},
         echo_time=580,
         echo_status=581,
@@ -54,6 +55,8 @@ def ask(played: RecordedMachine, z2_um: float) -> None:
     macros = played.nc.macros
     for number, value in ((500, 1.0), (512, z2_um / 1000.0), (120, played.nc.clock_s + 90.0), (501, 7.0), (502, 1.0)):
         macros.set(number, value)
+    z2, tenths = round(z2_um * 1000.0), round((played.nc.clock_s + 90.0) * 10.0)
+    macros.set(503, 1.0 + 7.0 + tenths + (1 + CHANNELS.index("Z2")) * z2)
 
 
 def test_nothing_is_applied_before_the_tool_is_at_a_safe_point() -> None:

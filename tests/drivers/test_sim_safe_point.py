@@ -6,6 +6,7 @@ import pytest
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
+from drivers.guard import block_check
 from drivers.sim.nc.nc import MacroTable, NumericalControl, RunCode
 from drivers.sim.nc.safe_point import GUARD_VERSION, GuardStatus, SafePointApplication
 
@@ -13,6 +14,7 @@ MAP = MacroMapConfig(
     writable=["100-149", "500-549"],
     sequence_a=510,
     sequence_b=511,
+    check=513,
     valid_until=100,
     enable=512,
     values={"x": 501, "y": 502, "z": 503},
@@ -43,6 +45,11 @@ class Guarded:
         self.macros.set(MAP.valid_until, CLOCK_S + 30.0 if valid_until is None else valid_until)
         self.macros.set(MAP.enable, enable)
         self.macros.set(MAP.sequence_b, sequence)
+        self.check()
+
+    def check(self) -> None:
+        held = {number: self.macros.get(number) for number in MAP.block}
+        self.macros.set(MAP.check, block_check(MAP, AXES, held))
 
     def run(self, clock_s: float = CLOCK_S) -> GuardStatus:
         status = self.guard.run(self.macros, clock_s)
@@ -103,6 +110,7 @@ def test_vacant_value_refuses_the_block_unless_its_axis_is_disabled(guarded: Gua
     assert guarded.run() is GuardStatus.VACANT
     assert guarded.guard.applied_um["z"] == 0.0
     guarded.macros.set(MAP.enable, 0b101)
+    guarded.check()
     assert guarded.run() is GuardStatus.APPLIED
     guarded.macros.set(MAP.enable, None)
     assert guarded.run() is GuardStatus.VACANT

@@ -4,6 +4,7 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
+from drivers.guard import block_check
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import standing_program
@@ -33,6 +34,8 @@ def ask(machine: CfrpMachine, **um: float) -> None:
     macros.set(MACROS.valid_until, machine.nc.clock_s + 60.0)
     macros.set(MACROS.sequence_a, 1.0)
     macros.set(MACROS.sequence_b, 1.0)
+    held = {number: macros.get(number) for number in MACROS.block}
+    macros.set(MACROS.check, block_check(MACROS, MACHINE.compensation.axes, held))
 
 
 def test_a_machine_that_stands_takes_a_block_over_within_seconds() -> None:

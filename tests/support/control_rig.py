@@ -45,7 +45,8 @@ from models.records import Instant, Reference, ThermalErrorEstimate, Trace
 SENSOR_IDS = (1, 2, 3, 11, 12)
 LINES = {"spindle": ["1-3"], "column": ["11-12"]}
 SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, SEQUENCE_B = 500, 501, 502, 503, 120, 504, 505
-BLOCK = (SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, SEQUENCE_B)
+CHECK = 506
+BLOCK = (SEQUENCE_A, X, Y, Z, VALID_UNTIL, ENABLE, CHECK, SEQUENCE_B)
 EPOCH_S = 1_760_000_400.0
 TURN_S = 0.5
 FOREVER_S = 30.0
@@ -88,12 +89,13 @@ def machine(directory: Path, **changes: Any) -> Configuration:
             opcua=OpcUaConfig(endpoint="opc.tcp://127.0.0.1:1/none", namespace_uri="urn:toolpoint:cnc"),
             allow_insecure_writes=cnc.get("allow_insecure_writes", True),
             macros=MacroMapConfig(
-                writable=["120", "500-505", "524"],
+                writable=["120", "500-506", "524"],
                 sequence_a=SEQUENCE_A,
                 values={"x": X, "y": Y, "z": Z},
                 valid_until=VALID_UNTIL,
                 enable=ENABLE,
                 sequence_b=SEQUENCE_B,
+                check=CHECK,
                 echo_applied={"x": 511, "y": 512, "z": 513},
                 echo_time=514,
                 echo_status=515,

@@ -6,6 +6,7 @@ from typing import Any
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import GuardConfig
+from drivers.guard import block_check
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 
@@ -16,6 +17,7 @@ MAP = MacroMapConfig(
     valid_until=120,
     enable=504,
     sequence_b=505,
+    check=506,
     echo_applied={"x": 511, "y": 512, "z": 513},
     echo_time=514,
     echo_status=515,
@@ -53,11 +55,18 @@ class GuardBench:
         """Return the next block in the order in which the daemon writes it."""
         self.sequence += 1.0
         valid_until = 0.0 if valid_for_s is None else self.clock_s + valid_for_s
+        held = {
+            **{number: um.get(axis, 0.0) / 1000.0 for axis, number in MAP.values.items()},
+            MAP.valid_until: valid_until,
+            MAP.enable: enable,
+            MAP.sequence_b: self.sequence,
+        }
         return [
             (MAP.sequence_a, self.sequence),
             *((number, um.get(axis, 0.0) / 1000.0) for axis, number in MAP.values.items()),
             (MAP.valid_until, valid_until),
             (MAP.enable, enable),
+            (MAP.check, block_check(MAP, AXES, held)),
             (MAP.sequence_b, self.sequence),
         ]
 

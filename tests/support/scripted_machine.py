@@ -104,6 +104,7 @@ def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> C
             valid_until=100,
             enable=504,
             sequence_b=505,
+            check=506,
             echo_applied={"X": 510, "Y": 511, "Z": 512},
             echo_time=513,
             echo_status=514,
@@ -115,7 +116,7 @@ def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> C
 
 GROUPS = (
     ((500, 1.0),),
-    ((501, 0.001), (502, -0.002), (503, 0.0105), (100, 130.5), (504, 7.0)),
+    ((501, 0.001), (502, -0.002), (503, 0.0105), (100, 130.5), (504, 7.0), (506, 29_813.0)),
     ((505, 1.0),),
 )
 """A whole block in the order in which the daemon writes it."""

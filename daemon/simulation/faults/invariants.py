@@ -110,6 +110,7 @@ class WriteWatch:
         self._allowed = frozenset(self._map.allowed)
         self._axes = configuration.compensation.axes
         self._axis_of = {number: axis for axis, number in self._map.values.items()}
+        self._content = {*self._axis_of, self._map.valid_until, self._map.enable, self._map.check}
         self._bad_after_s = configuration.compensation.output.stale_after_s
         self._hold_limit_s = configuration.compensation.output.hold_limit_s
         self._block: list[tuple[int, float]] | None = None
@@ -223,12 +224,12 @@ class WriteWatch:
         elif self._map.sequence_b in numbers:
             block = self._block or []
             content = {number for number, _ in block[1:]}
-            whole = content == {*self._axis_of, self._map.valid_until, self._map.enable}
+            whole = content == self._content
             same = bool(block) and len(group) == 1 and group[0][1] == block[0][1]
             self._ledger.check("block_order", whole and same, f"{time_s:.1f} s: {group} after {block}")
             self._block = None
             self._sequence = group[0][1] if taken else self._sequence
-        elif set(numbers) & {*self._axis_of, self._map.valid_until, self._map.enable}:
+        elif set(numbers) & self._content:
             self._ledger.check("block_order", self._block is not None, f"{time_s:.1f} s: {group} without sequence_a")
             if self._block is not None:
                 self._block = [*self._block, *group] if taken else None

@@ -80,7 +80,8 @@ class SafePointApplication:
 
     def initialise(self, macros: Macros, clock_s: float) -> None:
         """Bring block, echo and memory to what commissioning leaves in a machine that compensates nothing."""
-        for number in (self._map.sequence_a, self._map.sequence_b, self._map.enable, *self._map.values.values()):
+        block = self._map
+        for number in (block.sequence_a, *block.values.values(), block.enable, block.check, block.sequence_b):
             macros.set(number, 0.0)
         macros.set(self._map.valid_until, None)
         if self._map.request is not None:
