@@ -13,7 +13,8 @@ from config.problems import ConfigurationError, Problem
 from config.renamed import RENAMED, move_renamed_keys
 from config.schema import Configuration
 from config.schema.base import FORMS, KeyProblems, Section
-from config.yaml_document import KeyPath, Position, YamlDocument, read_yaml
+from config.schema.cnc import CHECK_MISSING
+from config.yaml_document import Fault, KeyPath, Position, YamlDocument, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -91,6 +92,9 @@ def _parsed(text: str, model: type[Model], file: str) -> tuple[Model, tuple[Prob
         raise ConfigurationError(problems) from None
     if problems:
         raise ConfigurationError(problems)
+    if isinstance(instance, Configuration) and instance.cnc.macros.check is None:
+        at = ("cnc", "macros")
+        renamed.append(Fault(document.keys[at], (*at, "check"), CHECK_MISSING))
     return instance, tuple(_problem(file, warning.position, warning.path, warning.sentence) for warning in renamed)
 
 

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from config.files import write_whole
 from config.schema.base import Section
-from config.schema.cnc import MacroMapConfig
+from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 
 LEAST_PROOF_UM = 2.0
 """A smaller offset proves neither sign nor scale [um]."""
@@ -154,7 +154,9 @@ def commissioning_obstacle(
         )
     if missing := [axis for axis in axes if axis not in record.axes]:
         return f"not commissioned: axis {', '.join(missing)}; {ADVICE} for it"
-    if record.guard_version is not None and (older := older_guard(record.guard_version)):
+    if axes and macros.check is None:
+        return f"cnc.macros.check {CHECK_MISSING}"
+    if axes and record.guard_version is not None and (older := older_guard(record.guard_version)):
         return f"the commissioning was made with {older}, and {ADVICE} again"
     return "" if guard_version is None else _guard_obstacle(record, guard_version)
 

@@ -42,6 +42,14 @@ class RequestMacrosConfig(Section):
     )
 
 
+CHECK_MISSING = (
+    "names no variable, so the guard cannot tell a foreign value in the block, and no axis is enabled: name one within "
+    "`cnc.macros.writable` that nothing else uses, load the text that `toolpoint guard` prints, and run "
+    "`toolpoint commission` again"
+)
+"""What is wrong with `cnc.macros.check` where it is not given."""
+
+
 class MacroMapConfig(Section):
     """The block of macro variables that carries compensation to the CNC, and its echo."""
 
@@ -53,9 +61,10 @@ class MacroMapConfig(Section):
         description="written first; equal to sequence_b when the block is whole", examples=[500]
     )
     sequence_b: MacroNumber = Field(description="written last", examples=[505])
-    check: MacroNumber = Field(
+    check: MacroNumber | None = Field(
+        None,
         description="a whole number made of all others of the block; the guard makes it anew and applies nothing where "
-        "the two differ. Name one within `writable` that nothing else uses",
+        "the two differ. Name one within `writable` that nothing else uses; without it no axis is enabled",
         examples=[506],
     )
     valid_until: MacroNumber = Field(
@@ -112,7 +121,7 @@ class MacroMapConfig(Section):
             (("sequence_b",), self.sequence_b),
             (("valid_until",), self.valid_until),
             (("enable",), self.enable),
-            (("check",), self.check),
+            *([(("check",), self.check)] if self.check is not None else []),
             *((("values", axis), number) for axis, number in self.values.items()),
             *((("echo_applied", axis), number) for axis, number in self.echo_applied.items()),
             (("echo_time",), self.echo_time),
@@ -125,7 +134,8 @@ class MacroMapConfig(Section):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that decides what a written value does."""
-        content = self.model_dump(mode="json", exclude={"writable", "tolerance", "request", "safe_flag"})
+        unsaid = {"check"} if self.check is None else set()
+        content = self.model_dump(mode="json", exclude={"writable", "tolerance", "request", "safe_flag"} | unsaid)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -146,7 +156,7 @@ class MacroMapConfig(Section):
             *self.values.values(),
             self.valid_until,
             self.enable,
-            self.check,
+            *([self.check] if self.check is not None else []),
             self.sequence_b,
             *self.echo_applied.values(),
             self.echo_time,
@@ -187,7 +197,7 @@ class CncConfig(CncDriverConfig):
     stale_after_s: Seconds = Field(
         3.0, description="without an answer, or with its clock standing still, for this long the link is dead"
     )
-    macros: MacroMapConfig = Field(description="macro variables")
+    macros: MacroMapConfig = Field(description="macro variables", examples=[{"check": 506}])
     temperature_macro: TemperatureMacroConfig | None = Field(
         None, description="one temperature in a macro of its own; none: off"
     )

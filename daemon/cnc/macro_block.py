@@ -52,7 +52,7 @@ class MacroBlock:
             *(macros.values[axis] for axis in axes),
             macros.valid_until,
             macros.enable,
-            macros.check,
+            *(() if macros.check is None else (macros.check,)),
             macros.sequence_b,
         )
         self.polled = macros.block
@@ -79,8 +79,9 @@ class MacroBlock:
         ]
         tenths = math.floor(valid_until_s * PER_SECOND)
         content += [(self._map.valid_until, tenths / PER_SECOND), (self._map.enable, float(bits))]
-        held = {**dict(content), self._map.sequence_b: float(sequence)}
-        content.append((self._map.check, block_check(self._map, self._axes, held)))
+        if self._map.check is not None:
+            held = {**dict(content), self._map.sequence_b: float(sequence)}
+            content.append((self._map.check, block_check(self._map, self._axes, held)))
         return (
             ((self._map.sequence_a, float(sequence)),),
             tuple(content),

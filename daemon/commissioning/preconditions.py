@@ -7,6 +7,7 @@ import numpy as np
 
 from config.records.commissioning import LEAST_PROOF_UM
 from config.schema import Configuration
+from config.schema.cnc import CHECK_MISSING
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import INCREMENT_SLACK, UM_PER_MM, refuse_unsafe
 from daemon.compensation.references import phase_of
@@ -52,6 +53,12 @@ def refuse_insecure(configuration: Configuration) -> None:
         raise CommissioningRefusedError(
             f"nothing is written over an unencrypted, anonymous connection: {cnc.insecure_advice}"
         )
+
+
+def refuse_unchecked(configuration: Configuration) -> None:
+    """Refuse a block without a check: no axis would be enabled with it."""
+    if configuration.cnc.macros.check is None:
+        raise CommissioningRefusedError(f"cnc.macros.check {CHECK_MISSING}")
 
 
 def refuse_clock(clock: Clock, identity: str) -> None:

@@ -21,6 +21,7 @@ from daemon.commissioning.preconditions import (
     refuse_offset,
     refuse_other_speed_program,
     refuse_state,
+    refuse_unchecked,
     told_text,
 )
 from daemon.commissioning.readings import DisplacementLog, Instruments, Moment, Reading
@@ -92,6 +93,8 @@ class Commissioning:
         that is possible, and what is left is said. Raises CommissioningRefusedError or DriverError afterwards.
         """
         refuse_insecure(self._configuration)
+        if not self._plan.initialise_only:
+            refuse_unchecked(self._configuration)
         refuse_offset(self._configuration, self._plan.axes, self._plan.offset_um)
         self._event(f"begun by {_login()}")
         try:

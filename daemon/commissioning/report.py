@@ -106,7 +106,7 @@ def _macros(configuration: Configuration) -> Section:
         **{f"values.{axis}": number for axis, number in macros.values.items()},
         "valid_until": macros.valid_until,
         "enable": macros.enable,
-        "check": macros.check,
+        **({} if macros.check is None else {"check": macros.check}),
         "sequence_b": macros.sequence_b,
         **{f"echo_applied.{axis}": number for axis, number in macros.echo_applied.items()},
         "echo_time": macros.echo_time,

@@ -15,7 +15,9 @@ N90010
 @end
 #3=#{valid_until}(VALID UNTIL)
 #4=#{enable}(ENABLE BITS)
+@check
 #22=#{check}
+@end
 #2=#{sequence_a}
 IF[#1EQ#2]GOTO90020
 #10=#10+1
@@ -88,12 +90,16 @@ IF[#{local}EQ#0]GOTO90540
 IF[ABS[#{local}{to_mm}]GT{bound_tolerance}]GOTO90550
 N{judged}
 @end
+@check
 (THE CHECK, WHOLE NUMBERS ONLY. IT FITS OR NOTHING IS APPLIED)
 #23=#1+#4+ROUND[#3*{per_second}]
-@axes
+@end
+@check_axes
 #23=#23+{number}*ROUND[#{local}{to_mm}*{nm_per_mm}]
 @end
+@check
 IF[#22NE#23]GOTO90595
+@end
 GOTO90600
 (EXPIRED. A BLOCK THAT HAS EXPIRED ONCE NEVER COUNTS AGAIN)
 N90400#7=3
@@ -146,8 +152,10 @@ GOTO90800
 N90580#7=#8
 GOTO90800
 N90590#7=9
+@check
 GOTO90800
 N90595#7=10
+@end
 (ECHO)
 N90800
 #{echo_time}=#6
@@ -170,6 +178,8 @@ GOTO90900
 N90908{alarm8}(TOOLPOINT MEMORY DAMAGED)
 GOTO90900
 N90909{alarm9}(TOOLPOINT OFFSET UNSETTLED)
+@check
 GOTO90900
 N90910{alarm10}(TOOLPOINT CHECK DIFFERS)
+@end
 N90900M99

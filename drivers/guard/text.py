@@ -10,13 +10,15 @@ from importlib.resources import files
 from config.files import sha256_of
 from config.records.commissioning import CHECKING_GUARD, macro_map_digest
 from config.schema import Configuration
-from config.schema.cnc import MacroMapConfig
+from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
 from drivers.guard.check import NM_PER_MM, PER_SECOND
 
 GUARD_VERSION = CHECKING_GUARD
 """Echoed by the guard; raised when what the text does changes."""
+UNCHECKED_GUARD_VERSION = 1
+"""The text without a check, which a control of version 0.1.0 still runs; no axis is enabled on it."""
 LONGEST_LINE = 76
 POLL_MS = 50
 """The request program looks for its answer once in this time [ms]."""
@@ -84,6 +86,8 @@ class GuardPrograms:
 def guard_program(configuration: Configuration) -> str:
     """Return the text of all NC programs for this machine; raises GuardTextError."""
     cnc = configuration.cnc
+    if cnc.macros.check is None:
+        raise GuardTextError(f"cnc.macros.check {CHECK_MISSING}")
     return guard_text(cnc.macros, configuration.compensation.axes, cnc.guard, machine=configuration.machine)
 
 
@@ -202,7 +206,7 @@ def _down(value: float, increment: float) -> float:
 
 
 def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
-    block = ("sequence_a", "sequence_b", "valid_until", "enable", "check")
+    block = ("sequence_a", "sequence_b", "valid_until", "enable", *(("check",) if macros.check is not None else ()))
     echo = ("echo_time", "echo_status", "echo_guard_version")
     flag = {"safe_flag": str(macros.safe_flag)} if macros.safe_flag is not None else {}
     alarms = {f"alarm{status}": _stop(guard.alarm, alarm_number(status)) for status in GuardStatus if status >= 3}
@@ -213,7 +217,7 @@ def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dic
         **flag,
         **(_request_fields(macros, guard) if macros.request is not None else {}),
         "guard": str(guard.program),
-        "version": str(GUARD_VERSION),
+        "version": str(GUARD_VERSION if macros.check is not None else UNCHECKED_GUARD_VERSION),
         "tries": str(RETRIES),
         "retry_ms": str(RETRY_MS),
         "stop": guard.read_ahead_stop,
@@ -251,6 +255,8 @@ def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[
         "@keep": [{}] if guard.on_expiry == "keep" else [],
         "@zero": [{}] if guard.on_expiry == "zero" else [],
         "@zero_axes": rows if guard.on_expiry == "zero" else [],
+        "@check": [{}] if "check" in common else [],
+        "@check_axes": rows if "check" in common else [],
         "@request": [{}] if "counter" in common else [],
         "@flag": [{}] if "safe_flag" in common else [],
     }

@@ -1,16 +1,18 @@
 """What the schema itself refuses, and at which key it says so."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from config.loader import ConfigurationError, parse_yaml_model
+from config.loader import ConfigurationError, load_with_warnings, parse_yaml_model
 from config.reference import configuration_reference
 from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.base import FORMS
 from config.schema.temperatures import expand_ranges
+from drivers.guard import GuardTextError, guard_program
 
 
 def changed(path: str, value: Any) -> str:
@@ -189,12 +191,16 @@ def test_limits_that_move_the_machine_have_no_default() -> None:
     assert missing == {"absolute_bound_um", "slew_um_per_min", "step_um"}
 
 
-def test_a_block_without_a_check_is_refused_with_what_to_add() -> None:
+def test_a_block_without_a_check_is_told_with_what_to_add(tmp_path: Path) -> None:
     content = yaml.safe_load(sample_configuration())
     del content["cnc"]["macros"]["check"]
-    missing = r"cnc\.macros\.check: this key is required and missing: .*guard.*Name"
-    with pytest.raises(ConfigurationError, match=missing):
-        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    configuration, warnings = load_with_warnings(path)
+    assert [warning.key for warning in warnings] == ["cnc.macros.check"]
+    assert "no axis is enabled: name one within `cnc.macros.writable`" in warnings[0].sentence
+    with pytest.raises(GuardTextError, match=r"cnc\.macros\.check names no variable"):
+        guard_program(configuration)
 
 
 def test_every_pattern_is_put_in_words() -> None:

@@ -31,6 +31,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.model_release.bearing_loading import load_released_bearings
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released, read_model
+from models.control.state import OperatorRequest
 from models.records import Instant, Reference
 from models.thermal.family import model_from_json as thermal_model_from_json
 from models.thermomechanics.artifact import model_from_json
@@ -159,7 +160,8 @@ def spindle_names(content: Any) -> Any:
 
 def test_a_key_with_a_new_name_is_told() -> None:
     _, warnings = load_with_warnings(OLD / "config/toolpoint.yaml")
-    assert {warning.key for warning in warnings} == set(RENAMED), "the file holds every key of 0.1.0 that has one"
+    told = {warning.key for warning in warnings}
+    assert told == {*RENAMED, "cnc.macros.check"}, "the file holds every key of 0.1.0 that has one"
 
 
 def test_every_configuration_is_tried() -> None:
@@ -175,10 +177,14 @@ def test_commissioning_records_still_match(name: str, obstacle: str) -> None:
     record = load_commissioning(OLD / f"commissioning/{name}.json")
     assert record.macro_map_sha256 == macro_map_digest(cnc.macros), "every machine would have to be commissioned anew"
     assert plain(record.model_dump(exclude_unset=True)) == expected(f"commissioning/{name}.json")
-    found = commissioning_obstacle(
-        record, cnc_identity=record.cnc_identity, macros=cnc.macros, axes=tuple(record.axes), guard_version=1.0
+    to_take_back, to_enable = (
+        commissioning_obstacle(
+            record, cnc_identity=record.cnc_identity, macros=cnc.macros, axes=axes, guard_version=1.0
+        )
+        for axes in ((), tuple(record.axes))
     )
-    assert found == obstacle if not obstacle else obstacle in found
+    assert to_take_back == obstacle if not obstacle else obstacle in to_take_back
+    assert "cnc.macros.check names no variable" in to_enable, "0.1.0 had no check"
 
 
 # --- store -----------------------------------------------------------------------------------
@@ -328,7 +334,8 @@ async def test_a_restart_goes_on_where_the_old_version_was_killed(restarted: Res
         agree(plain(getattr(settled, what)), wanted["writes_settled"][what], what)
     for _ in range(3):
         await restarted.moment()
-    assert control.memory is not None and control.memory.state.value == "ACTIVE"
+    assert control.memory is not None and control.memory.state.value == "HOLD"
+    assert "cnc.macros.check names no variable" in control.memory.reason, "0.1.0 had no check, so nothing is followed"
     agree(plain(control.memory.offset_um), wanted["memory_after_30_moments"]["offset_um"], "offset_um")
 
 
@@ -337,6 +344,19 @@ async def test_every_state_that_was_kept_is_read(restarted: Restarted, asked: se
     assert asked >= set(expected("store/expected.json")["state"])
     kept = plain(restarted.rig.resume.kept_reference)
     agree(kept, expected("store/resumed.json")["resume_point"]["kept_reference"], "kept_reference")
+
+
+async def test_what_the_old_version_applied_is_taken_back(restarted: Restarted) -> None:
+    control = restarted.rig.control
+    restarted.nc.guard.place(restarted.nc.macros, expected("store/control.json")["guard_applied_um"])
+    await restarted.moment()
+    assert control.request(OperatorRequest(zero=True), "p") == ""
+    for _ in range(80):
+        await restarted.moment()
+        restarted.nc.safe_point()
+    assert control.memory is not None and control.memory.state.value == "OFF", control.memory
+    assert control.journal.fault is None
+    assert all(abs(um) < 0.1 for um in restarted.nc.guard.applied_um.values())
 
 
 async def test_a_latched_fault_and_a_switch_survive(tmp_path: Path) -> None:

@@ -138,7 +138,8 @@ class CncFace:
         """Let an incident of the CNC begin; others are not for here."""
         kind, which = happening.kind, happening.target
         macros = self._machine.nc.macros
-        ours = (*self._map.values.values(), self._map.enable, self._map.sequence_b, self._map.check)
+        block = self._map
+        ours = (*block.values.values(), block.enable, block.sequence_b, *([] if block.check is None else [block.check]))
         match kind:
             case (
                 FaultKind.FROZEN_CNC

@@ -110,7 +110,7 @@ class WriteWatch:
         self._allowed = frozenset(self._map.allowed)
         self._axes = configuration.compensation.axes
         self._axis_of = {number: axis for axis, number in self._map.values.items()}
-        self._content = {*self._axis_of, self._map.valid_until, self._map.enable, self._map.check}
+        self._content = {*self._axis_of, self._map.valid_until, self._map.enable, self._map.check} - {None}
         self._bad_after_s = configuration.compensation.output.stale_after_s
         self._hold_limit_s = configuration.compensation.output.hold_limit_s
         self._block: list[tuple[int, float]] | None = None

@@ -82,7 +82,8 @@ class SafePointApplication:
         """Bring block, echo and memory to what commissioning leaves in a machine that compensates nothing."""
         block = self._map
         for number in (block.sequence_a, *block.values.values(), block.enable, block.check, block.sequence_b):
-            macros.set(number, 0.0)
+            if number is not None:
+                macros.set(number, 0.0)
         macros.set(self._map.valid_until, None)
         if self._map.request is not None:
             macros.set(self._map.request.acknowledge, 0.0)
