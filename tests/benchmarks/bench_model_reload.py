@@ -21,7 +21,7 @@ from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.cli.operate.run import THREAD_TURN_S
 from daemon.model_release.file_access import own_account
-from daemon.model_release.loading import load_released, model_text
+from daemon.model_release.loading import load_released
 from daemon.model_release.side_load import load_beside
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.thermal.training.train_family import train_family
@@ -35,7 +35,7 @@ def configured(folder: Path) -> Configuration:
     recordings = [simulated_recording(seed, programmes[seed - 1], sensors, hours=6.0) for seed in (1, 2, 3)]
     model = train_family(recordings, "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     path = folder / "model.json"
-    path.write_text(model_text(model), encoding="utf-8")
+    path.write_text(model.to_json(), encoding="utf-8")
     print(f"a model of {len(model.sensor_ids)} sensors, {path.stat().st_size / 1e6:.1f} MB")
     found = load_configuration(shipped_file("cfrpmt.yaml"))
     axes = {name: axis.model_copy(update={"estimate": None}) for name, axis in found.compensation.axes.items()}
