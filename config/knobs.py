@@ -2,7 +2,6 @@
 
 import re
 import types
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -55,16 +54,6 @@ _UNIONS = (Union, types.UnionType)
 def knobs(section: type[BaseModel]) -> tuple[Knob, ...]:
     """Return the keys of a section in the order of the schema."""
     return tuple(_knob(name, field) for name, field in section.model_fields.items())
-
-
-def walk(section: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Knob]]:
-    """Yield every key below a section with its path; `[]` stands for a list item, `<name>` for a name."""
-    for knob in knobs(section):
-        here = (*path, knob.name)
-        yield here, knob
-        if knob.section is not None:
-            item = {Shape.SECTIONS: ("[]",), Shape.NAMED_SECTIONS: ("<name>",)}.get(knob.shape, ())
-            yield from walk(knob.section, (*here, *item))
 
 
 def section_at(section: type[BaseModel], path: tuple[str | int, ...]) -> type[BaseModel] | None:

@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from config.loader import load_yaml_model, parse_yaml_model
+from config.loader import load_yaml_model
 from config.schema.base import KeyPath, KeyProblems, Name, Section
 
 Origin = Literal["published", "derived", "fitted", "assumed", "measured", "design"]
@@ -264,11 +264,6 @@ def load_spindle(path: Path) -> SpindleDescription:
 
     """
     return load_yaml_model(path, SpindleDescription)
-
-
-def parse_spindle(text: str, file: str) -> SpindleDescription:
-    """Return spindle text as a description; `file` names the text in errors. Raises ConfigurationError."""
-    return parse_yaml_model(text, SpindleDescription, file)
 
 
 def spindle_folder() -> Path:

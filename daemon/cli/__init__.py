@@ -6,224 +6,142 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
+from types import ModuleType
 
 import click
 
 
-def _run() -> click.Command:
-    from daemon.cli.operate.run import run
+def _run() -> ModuleType:
+    from daemon.cli.operate import run
 
     return run
 
 
-def _demo() -> click.Command:
-    from daemon.cli.simulate.demo import demo
+def _demo() -> ModuleType:
+    from daemon.cli.simulate import demo
 
     return demo
 
 
-def _simulate() -> click.Command:
-    from daemon.cli.simulate.simulate import simulate
+def _simulate() -> ModuleType:
+    from daemon.cli.simulate import simulate
 
     return simulate
 
 
-def _replay() -> click.Command:
-    from daemon.cli.simulate.replay import replay
+def _replay() -> ModuleType:
+    from daemon.cli.simulate import replay
 
     return replay
 
 
-def _faults() -> click.Command:
-    from daemon.cli.simulate.faults import faults
+def _faults() -> ModuleType:
+    from daemon.cli.simulate import faults
 
     return faults
 
 
-def _latency() -> click.Command:
-    from daemon.cli.simulate.latency import latency
+def _latency() -> ModuleType:
+    from daemon.cli.simulate import latency
 
     return latency
 
 
-def _check() -> click.Command:
-    from daemon.cli.admin.doctor import check
-
-    return check
-
-
-def _doctor() -> click.Command:
-    from daemon.cli.admin.doctor import doctor
+def _doctor() -> ModuleType:
+    from daemon.cli.admin import doctor
 
     return doctor
 
 
-def _guard() -> click.Command:
-    from daemon.cli.admin.guard import guard
+def _guard() -> ModuleType:
+    from daemon.cli.admin import guard
 
     return guard
 
 
-def _sample_config() -> click.Command:
-    from daemon.cli.admin.configuration import sample_config
+def _configuration() -> ModuleType:
+    from daemon.cli.admin import configuration
 
-    return sample_config
-
-
-def _config_schema() -> click.Command:
-    from daemon.cli.admin.configuration import config_schema
-
-    return config_schema
+    return configuration
 
 
-def _status() -> click.Command:
-    from daemon.cli.operate.operate import status
+def _operate() -> ModuleType:
+    from daemon.cli.operate import operate
 
-    return status
-
-
-def _monitor() -> click.Command:
-    from daemon.cli.operate.operate import monitor
-
-    return monitor
+    return operate
 
 
-def _reference() -> click.Command:
-    from daemon.cli.operate.operate import reference
-
-    return reference
-
-
-def _enable() -> click.Command:
-    from daemon.cli.operate.operate import enable
-
-    return enable
-
-
-def _disable() -> click.Command:
-    from daemon.cli.operate.operate import disable
-
-    return disable
-
-
-def _acknowledge() -> click.Command:
-    from daemon.cli.operate.operate import acknowledge
-
-    return acknowledge
-
-
-def _commission() -> click.Command:
-    from daemon.cli.admin.commission import commission
+def _commission() -> ModuleType:
+    from daemon.cli.admin import commission
 
     return commission
 
 
-def _history() -> click.Command:
-    from daemon.cli.operate.history import history
+def _history() -> ModuleType:
+    from daemon.cli.operate import history
 
     return history
 
 
-def _export() -> click.Command:
-    from daemon.cli.operate.history import export
-
-    return export
-
-
-def _backup() -> click.Command:
-    from daemon.cli.admin.backup import backup
+def _backup() -> ModuleType:
+    from daemon.cli.admin import backup
 
     return backup
 
 
-def _restore() -> click.Command:
-    from daemon.cli.admin.backup import restore
+def _thermal() -> ModuleType:
+    from daemon.cli.thermal import group
 
-    return restore
-
-
-def _thermal() -> click.Command:
-    from daemon.cli.thermal.group import thermal
-
-    return thermal
+    return group
 
 
-def _model() -> click.Command:
-    from daemon.cli.admin.model import model
+def _model() -> ModuleType:
+    from daemon.cli.admin import model
 
     return model
 
 
-def _stability() -> click.Command:
-    from daemon.cli.stability.group import stability
+def _stability() -> ModuleType:
+    from daemon.cli.stability import group
 
-    return stability
-
-
-def _dynamics() -> click.Command:
-    from daemon.cli.dynamics.group import dynamics
-
-    return dynamics
+    return group
 
 
-COMMANDS: dict[str, Callable[[], click.Command]] = {
-    "run": _run,
-    "demo": _demo,
-    "simulate": _simulate,
-    "replay": _replay,
-    "faults": _faults,
-    "latency": _latency,
-    "check": _check,
-    "doctor": _doctor,
-    "guard": _guard,
-    "sample-config": _sample_config,
-    "config-schema": _config_schema,
-    "status": _status,
-    "monitor": _monitor,
-    "reference": _reference,
-    "enable": _enable,
-    "disable": _disable,
-    "acknowledge": _acknowledge,
-    "commission": _commission,
-    "history": _history,
-    "export": _export,
-    "backup": _backup,
-    "restore": _restore,
-    "thermal": _thermal,
-    "model": _model,
-    "stability": _stability,
-    "dynamics": _dynamics,
+def _dynamics() -> ModuleType:
+    from daemon.cli.dynamics import group
+
+    return group
+
+
+COMMANDS: Mapping[str, tuple[Callable[[], ModuleType], str]] = {
+    "run": (_run, "Run the daemon until SIGTERM or Ctrl-C."),
+    "demo": (_demo, "See compensation at work on a simulated machine."),
+    "simulate": (_simulate, "Run the simulated machine: sensors, displacements, CNC."),
+    "replay": (_replay, "Play a recording on serial lines and OPC UA."),
+    "faults": (_faults, "Let everything go wrong on the simulated machine."),
+    "latency": (_latency, "Measure the delay from the sensor to the CNC."),
+    "check": (_doctor, "Check the configuration and everything it names."),
+    "doctor": (_doctor, "Examine this computer and the installation."),
+    "guard": (_guard, "Print the NC programs for the control, or their sheet."),
+    "sample-config": (_configuration, "Print a commented configuration to begin with."),
+    "config-schema": (_configuration, "Print the JSON Schema of the configuration."),
+    "status": (_operate, "Say whether compensation is on, and why not."),
+    "monitor": (_operate, "Watch the daemon live in the terminal."),
+    "reference": (_operate, "Set the reference by hand, after positioning."),
+    "enable": (_operate, "Switch compensation on."),
+    "disable": (_operate, "Switch compensation off; the offset retreats."),
+    "acknowledge": (_operate, "Clear a latched FAULT after its cause is gone."),
+    "commission": (_commission, "Prove sign and scale of each axis on the machine."),
+    "history": (_history, "Show what the daemon has recorded."),
+    "export": (_history, "Export records as CSV or Parquet."),
+    "backup": (_backup, "Back up history, configuration, models and records."),
+    "restore": (_backup, "Restore a back-up while the daemon is stopped."),
+    "thermal": (_thermal, "Train and evaluate thermal models."),
+    "model": (_model, "Release thermal models, and take them back."),
+    "stability": (_stability, "Stability of milling: lobes and stable speeds."),
+    "dynamics": (_dynamics, "Spindle dynamics: modes, responses, bearings."),
 }
-"""Sub-command -> what imports it."""
-SUMMARIES = {
-    "run": "Run the daemon until SIGTERM or Ctrl-C.",
-    "demo": "See compensation at work on a simulated machine.",
-    "simulate": "Run the simulated machine: sensors, displacements, CNC.",
-    "replay": "Play a recording on serial lines and OPC UA.",
-    "faults": "Let everything go wrong on the simulated machine.",
-    "latency": "Measure the delay from the sensor to the CNC.",
-    "check": "Check the configuration and everything it names.",
-    "doctor": "Examine this computer and the installation.",
-    "guard": "Print the NC programs for the control, or their sheet.",
-    "sample-config": "Print a commented configuration to begin with.",
-    "config-schema": "Print the JSON Schema of the configuration.",
-    "status": "Say whether compensation is on, and why not.",
-    "monitor": "Watch the daemon live in the terminal.",
-    "reference": "Set the reference by hand, after positioning.",
-    "enable": "Switch compensation on.",
-    "disable": "Switch compensation off; the offset retreats.",
-    "acknowledge": "Clear a latched FAULT after its cause is gone.",
-    "commission": "Prove sign and scale of each axis on the machine.",
-    "history": "Show what the daemon has recorded.",
-    "export": "Export records as CSV or Parquet.",
-    "backup": "Back up history, configuration, models and records.",
-    "restore": "Restore a back-up while the daemon is stopped.",
-    "thermal": "Train and evaluate thermal models.",
-    "model": "Release thermal models, and take them back.",
-    "stability": "Stability of milling: lobes and stable speeds.",
-    "dynamics": "Spindle dynamics: modes, responses, bearings.",
-}
-"""What the list of commands says of each, within one line of an 80-column terminal."""
+"""Sub-command -> what imports the module whose function has its name, and a line for the list of commands."""
 
 
 RENAMED_OPTIONS: Mapping[str, str] = {
@@ -249,8 +167,12 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        load = COMMANDS.get(cmd_name)
-        return load() if load else None
+        if cmd_name not in COMMANDS:
+            return None
+        load, _ = COMMANDS[cmd_name]
+        command = getattr(load(), cmd_name.replace("-", "_"))
+        assert isinstance(command, click.Command)
+        return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the command line, old names of options as the new ones, with a warning."""
@@ -259,7 +181,7 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands by their summaries, without importing them."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, SUMMARIES.get(name, "")) for name in self.list_commands(ctx)])
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -268,4 +190,4 @@ def main() -> None:
     """Keep the tool point where the program says it is while the machine warms and cools."""
 
 
-__all__ = ["COMMANDS", "SUMMARIES", "main"]
+__all__ = ["COMMANDS", "main"]

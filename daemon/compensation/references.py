@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import structlog
 
 from config.schema.compensation import OutputConfig, ReferenceConfig
 from daemon.cnc.clock_watch import clocks_differ, power_cycled
@@ -15,9 +14,6 @@ from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceEnded, ReferenceRequest
 from drivers.clock import Clock
 from models.records import CncRun, CncSample, Instant, Phase, Reference
-
-log = structlog.get_logger(__name__)
-
 
 LONGEST_GAP_REAL_S = 0.5
 """A gap between polls shorter than this is this computer's, not the link's [s of the wall clock]."""

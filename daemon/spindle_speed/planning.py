@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from config.machine.spindle import Rotary
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase, load_stability_case
 from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
 from milling_cases import OFF_BOUNDARY, random_cases
 
 from config.machine.published_bearings import published_model
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from models.spindle_speed.choice import SpeedDemand, choose_speed
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint

@@ -19,7 +19,7 @@ import numpy as np
 
 from config.machine.published_bearings import published_model
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from models.thermomechanics.tool_point import AxisTracker, source_frequencies
 
 STILL = {4.0: np.zeros(4), 10.0: np.zeros(4)}

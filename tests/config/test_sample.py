@@ -8,8 +8,9 @@ import jsonschema
 import pytest
 import yaml
 from click.testing import CliRunner
+from configuration_keys import walk
 
-from config.knobs import Shape, knob_at, section_at, walk
+from config.knobs import Shape, knob_at, section_at
 from config.loader import parse_yaml_model
 from config.machines import machine_names, shipped_file
 from config.sample import configuration_json_schema, sample_configuration

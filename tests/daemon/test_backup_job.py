@@ -16,7 +16,7 @@ from daemon.backup.names import existing_backups
 from daemon.backup.restoring import read_manifest
 from daemon.cli import main
 from daemon.history import HistoryReader
-from daemon.housekeeping.backup_job import BackupJob
+from daemon.housekeeping.jobs import BackupJob
 from drivers.clock import SystemClock
 
 EVER = (0.0, 1e11)

@@ -19,7 +19,7 @@ from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
-from daemon.housekeeping.retraining_job import RetrainingJob
+from daemon.housekeeping.jobs import RetrainingJob
 from daemon.model_release.past_recordings import recordings_from_history
 from drivers.clock import SystemClock
 from models.recordings.dataset import DatasetError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from config.machine.published_bearings import published_model
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.stability.response import SampledResponse
 from models.thermomechanics.tool_point import ToolPointTracker

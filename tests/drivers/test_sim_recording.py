@@ -1,13 +1,11 @@
 """Recordings of simulated days."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from config.schema.temperatures import SensorConfig
 from drivers.sim.machine.day import Day
-from drivers.sim.machine.recording import record, write_recording
+from drivers.sim.machine.recording import record
 from drivers.sim.machine.sensors import RotationJump
 from drivers.sim.nc.program import (
     PartProgram,
@@ -57,16 +55,6 @@ def test_warm_days_move_less_than_cold_ones() -> None:
         for start in ("cold", "warm")
     )
     assert abs(warm[-2, 6]) < abs(cold[-2, 6])
-
-
-def test_written_file_is_a_plain_table(tmp_path: Path) -> None:
-    header, rows = record(Day.nominal(), demo_program(), SENSORS, hours=0.2, sample_s=60)
-    path = tmp_path / "day.csv"
-    write_recording(path, header, rows)
-    lines = path.read_text(encoding="utf-8").splitlines()
-    assert lines[0].split(",") == list(HEADER)
-    assert np.loadtxt(path, delimiter=",", skiprows=1) == pytest.approx(rows, abs=0.51)
-    assert np.loadtxt(path, delimiter=",", skiprows=1)[:, 2:] == pytest.approx(rows[:, 2:], abs=1e-4)
 
 
 def test_too_fast_sampling_is_refused() -> None:

@@ -8,7 +8,7 @@ import pytest
 from true_resonance import TrueResonance
 
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from daemon.simulation.impact_campaign import labelled_sensors
 from drivers.files.frf_measurement import read_measurements
 from drivers.files.impact_index import read_index

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import properties_from_parameters
 from models.dynamics.errors import IdentificationError

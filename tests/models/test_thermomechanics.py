@@ -5,7 +5,7 @@ import pytest
 
 from config.machine.published_bearings import SIGNALS, load_bounds, published_model
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.errors import IdentificationError

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 import pytest
 import yaml
+from configuration_keys import walk
 
-from config.knobs import walk
 from config.loader import parse_yaml_model
 from config.recordings.recording_map import RecordingMap
 from config.reference import configuration_reference

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from config.machine.spindle import parse_spindle
+from config.machine.spindle import load_spindle
 from config.machine.spindle_chain import build_spindle
 from config.machine.spindle_reference import spindle_reference
 
@@ -29,7 +29,7 @@ def test_the_direct_form_in_the_reference_is_valid(tmp_path: Path) -> None:
     (block,) = [each for each in code_blocks("reference/spindle-file.md") if "segments:" in each]
     file = tmp_path / "spindle.yaml"
     file.write_text(block)
-    assert build_spindle(parse_spindle(block, str(file)), file).shaft.length_m > 0.2
+    assert build_spindle(load_spindle(file), file).shaft.length_m > 0.2
 
 
 def test_the_parts_in_the_guide_make_one_valid_spindle(tmp_path: Path) -> None:
@@ -38,6 +38,6 @@ def test_the_parts_in_the_guide_make_one_valid_spindle(tmp_path: Path) -> None:
     assert len(parts) == 3
     file = tmp_path / "spindle.yaml"
     file.write_text("\n".join(parts))
-    spindle = build_spindle(parse_spindle(file.read_text(), str(file)), file)
+    spindle = build_spindle(load_spindle(file), file)
     assert len(spindle.shaft.supports) == 5
     assert len(spindle.holder) == 3

@@ -15,7 +15,7 @@ from true_resonance import TrueResonance, watched_day
 from config.loader import load_configuration
 from config.machine.published_bearings import load_bounds
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from config.machines import shipped_file
 from daemon.simulation.impact_campaign import labelled_sensors, write_campaign
 from daemon.workbench.dynamics.campaign import CampaignResult, read_run, run_campaign

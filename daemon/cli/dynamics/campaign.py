@@ -99,7 +99,7 @@ def campaign(
     """
     from config.loader import load_configuration
     from config.machine.published_bearings import load_bounds
-    from config.machine.spindle_files import found_file, read_spindle
+    from config.machine.spindle_chain import found_file, read_spindle
     from config.problems import ConfigurationError
     from daemon.cli.common import ProgressBar
     from daemon.workbench.dynamics.campaign import campaign_summary, read_run, run_campaign
@@ -212,7 +212,7 @@ def track(
     """Follow the resonance of the tool point through a RECORDING of temperatures, as the daemon would."""
     from config.loader import load_configuration
     from config.machine.published_bearings import published_model
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.cli.common import ProgressBar
     from daemon.workbench.dynamics.campaign import read_temperatures

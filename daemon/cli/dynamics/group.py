@@ -41,7 +41,7 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
 
     SPINDLE is a file or the name of one that ships. Positions count from the nose backwards.
     """
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.responses import modes_summary
 
@@ -91,7 +91,7 @@ def frf(
     json_path: str | None,
 ) -> None:
     """Receptance of SPINDLE where it is hit: displacement per force [m/N] over frequency."""
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.responses import ResponseError, frequencies, response_summary
 
@@ -112,7 +112,7 @@ def frf(
     if picture is not None:
         from daemon.workbench.dynamics.pictures import response_picture
 
-        response_picture(picture, spindle, found)
+        response_picture(picture, found)
     write_json(json_path, found)
 
 

@@ -82,7 +82,7 @@ def identify(
 
     Several responses are averaged. Which parameters the data see is said for each.
     """
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
@@ -140,7 +140,7 @@ def contact(
     json_path: str | None,
 ) -> None:
     """Stiffness and damping of a joint of SPINDLE from responses MEASURED in front of it (CSV or universal file)."""
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.identifying import Band, contact_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError

@@ -46,7 +46,7 @@ def sensitivity(
 
     Young's and shear moduli are varied by themselves and together; without composites all segments vary.
     """
-    from config.machine.spindle_files import found_file, read_spindle
+    from config.machine.spindle_chain import found_file, read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.studies import sensitivity_summary
 
@@ -95,7 +95,7 @@ def compare(
     json_path: str | None,
 ) -> None:
     """Highest resonance of several layouts SPINDLE, each beside the first: frequency and compliance."""
-    from config.machine.spindle_files import read_spindle
+    from config.machine.spindle_chain import read_spindle
     from config.problems import ConfigurationError
     from daemon.workbench.dynamics.responses import ResponseError, frequencies
     from daemon.workbench.dynamics.studies import comparison_summary

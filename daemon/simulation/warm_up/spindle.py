@@ -14,7 +14,7 @@ import numpy as np
 from config.loader import load_configuration
 from config.machine.published_bearings import load_bounds
 from config.machine.spindle import spindle_folder
-from config.machine.spindle_files import read_spindle
+from config.machine.spindle_chain import read_spindle
 from config.machine.stability_case import StabilityCase
 from config.machines import shipped_file
 from daemon.simulation.impact_campaign import SPINDLE, labelled_sensors

@@ -30,7 +30,7 @@ def modes_picture(path: Path, spindle: Spindle, found: dict[str, Any]) -> None:
     save(path, Figure(title=found["name"] or "modes", axes=axes, heights=(380, 250), shared_x=True))
 
 
-def response_picture(path: Path, spindle: Spindle, found: dict[str, Any]) -> None:
+def response_picture(path: Path, found: dict[str, Any]) -> None:
     """Draw a receptance as magnitude and phase (Figs. 4-12, 5-14)."""
     values = np.array(found["receptance_re"]) + 1j * np.array(found["receptance_im"])
     label = f"{found['at']}, rotary inertia {found['rigid_rotary_inertia']}"

@@ -21,7 +21,6 @@ LOWEST_HZ, HIGHEST_HZ = 1e-3, 1e6
 MOST_POINTS = 1_000_000
 CLOSEST = 1e-12
 """Smallest distance between two frequencies, as a share of them."""
-PLACES = {"nose": "the nose of the spindle alone", "holder": "the front of the holder", "tool": "the tip of the tool"}
 
 
 class ResponseError(ValueError):

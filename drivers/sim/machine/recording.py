@@ -1,8 +1,6 @@
 """Recordings of whole simulated days, for training and for tests."""
 
-import csv
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -48,15 +46,6 @@ def record(
         if progress and index % 360 == 0:
             progress(index / count)
     return header, rows
-
-
-def write_recording(path: Path, header: Sequence[str], rows: FloatArray) -> None:
-    """Write a recording as a plain CSV table: one header row, then numbers."""
-    decimals = [1, 0] + [1] * len(CHANNELS) + [4] * (len(header) - 2 - len(CHANNELS))
-    line = ",".join(f"%.{places}f" for places in decimals) + "\n"
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(header)
-        file.writelines(line % tuple(row) for row in rows.tolist())
 
 
 def _ignore(*_: object) -> None:

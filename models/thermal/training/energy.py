@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 
-CHILLER_KW = 1.2
-"""Nominal power of the published machine's chiller [kW]."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Process:
