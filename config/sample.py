@@ -11,11 +11,7 @@ from config.knobs import Knob, Shape, knobs
 from config.schema import Configuration
 
 WIDTH = 100
-
-
 INDENT = "  "
-
-
 HEAD = """\
 Configuration of Toolpoint. It is valid as it stands; what it names is made up.
 

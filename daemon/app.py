@@ -49,8 +49,6 @@ from models.records import DisplacementSample
 from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
-
-
 STOP_CALLS = 4
 """The control task may end this many calls to the CNC before it is cancelled."""
 ALIVE_PERIOD_S = 10.0

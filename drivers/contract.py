@@ -14,8 +14,6 @@ from models.records import CncSample, DisplacementSample, TemperatureCycle
 
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
 """What the simulated machine's control calls itself; nothing else may be driven by a scaled clock."""
-
-
 Security = Literal["encrypted", "insecure"]
 
 

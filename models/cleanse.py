@@ -14,8 +14,6 @@ from models.quality import Quality, Reason
 from models.records import CodeArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
-
-
 IndexArray = npt.NDArray[np.intp]
 
 

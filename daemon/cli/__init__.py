@@ -142,8 +142,6 @@ COMMANDS: Mapping[str, tuple[Callable[[], ModuleType], str]] = {
     "dynamics": (_dynamics, "Spindle dynamics: modes, responses, bearings."),
 }
 """Sub-command -> what imports the module whose function has its name, and a line for the list of commands."""
-
-
 RENAMED_OPTIONS: Mapping[str, str] = {
     "--within-percent": "--max-change-percent",
     "--second-look": "--verify-with-sdm",

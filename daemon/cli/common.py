@@ -20,19 +20,11 @@ if TYPE_CHECKING:
 
 DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""
-
-
 CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 """Environment variable that names another."""
-
-
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
-
-
 Command = TypeVar("Command", bound=Callable[..., Any])
-
-
 config_option = click.option(
     "--config",
     "-c",
@@ -166,21 +158,13 @@ class ProgressBar:
 
 
 POSITIVE = FiniteFloat(min=0.0, min_open=True)
-
-
 PICTURE_LIBRARIES = {".png": "matplotlib", ".html": "plotly"}
-
-
 spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=click.Path(path_type=Path))
-
-
 rotary_option = click.option(
     "--rotary",
     type=click.Choice(["correct", "published"]),
     help="Rotary inertia of a segment's rigid rotation; published: 4-12 as printed. Without: what the file says.",
 )
-
-
 trust_option = click.option(
     "--trust-units",
     is_flag=True,
@@ -217,8 +201,6 @@ csv_option = click.option(
     callback=_destination,
     help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
 )
-
-
 picture_option = click.option(
     "--picture",
     metavar="FILE",

@@ -4,12 +4,8 @@ from models.records import CncSample
 
 CLOCK_STEP_S = 1.0
 """The CNC's clock going back by more than this means that it was switched off [s]."""
-
-
 CLOCK_GAP_REAL_S = 2.0
 """After a silence as long as this the CNC's clock is held against ours [s of the wall clock]."""
-
-
 CLOCK_DRIFT = 0.02
 """Share of the elapsed time by which two clocks may differ."""
 

@@ -19,8 +19,6 @@ from models.records import CncMode, CncSample, Phase
 
 ANSWER_S = 1.0
 """A daemon takes a connection at its socket within this [s]."""
-
-
 GUARD_MODES = (CncMode.MDI, CncMode.MEMORY, CncMode.REMOTE)
 """Modes in which the guard can be called."""
 

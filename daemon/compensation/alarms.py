@@ -9,8 +9,6 @@ from models.records import CncRun, CncSample, OutputState
 
 REFUSALS = 2
 """A single torn read is no alarm: the block was being written."""
-
-
 ASKS_THE_GUARD = (OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
 """States in which the guard has an offset to bring, to keep or to take out."""
 

@@ -17,15 +17,9 @@ from models.records import CncRun, CncSample, Instant, Phase, Reference
 
 LONGEST_GAP_REAL_S = 0.5
 """A gap between polls shorter than this is this computer's, not the link's [s of the wall clock]."""
-
-
 SEEN_PERIOD_REAL_S = 10.0
 """The store is told this often what the CNC said [s of the wall clock]."""
-
-
 SWITCHED_OFF = "the CNC was switched off and on"
-
-
 IDLE = (CncRun.RESET, CncRun.STOP)
 
 

@@ -31,12 +31,8 @@ from models.records import (
 from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
-
-
 Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | Reference | ThermalModel
 """What the thermal task takes."""
-
-
 Delivery = ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | MachineTemperatures
 """What it gives."""
 

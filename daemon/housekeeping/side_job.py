@@ -18,15 +18,9 @@ from daemon.history.writer import HistoryWriter
 from daemon.snapshots import JobSnapshot
 
 log = structlog.get_logger(__name__)
-
-
 LOOK_PERIOD_S = 600
 """Whether it is time is looked at this often [s of the wall clock]: what decides outlives restarts of the daemon."""
-
-
 NICENESS = "15"
-
-
 Report = Callable[[str, str], object]
 """Takes what an event is called, and its text."""
 

@@ -27,8 +27,6 @@ class Named(Protocol):
 
 
 AnyModel = TypeVar("AnyModel", bound=Named)
-
-
 Read = Callable[[bytes, str], tuple[AnyModel | None, str, str]]
 """A file's bytes and name -> the model, why it does not serve, and what its own training holds against it."""
 

@@ -11,16 +11,10 @@ from models.spindle_speed.tuning import SpeedTuningMemory, initial_memory
 
 KEPT_S = 3600.0
 """A speed this old says nothing about the spindle of now: the operation then begins anew [s]."""
-
-
 MOST_OPERATIONS = 50
 """So many are kept, the latest."""
-
-
 STATE = "spindle_speed"
 """Key in the store."""
-
-
 Key = tuple[float, ...]
 
 

@@ -19,8 +19,6 @@ ANSWER_WITHIN_S = 60.0
 LONGEST_ANSWER = 1 << 20
 """Bytes; what is longer is no answer."""
 STARTING = "the process that plans the spindle speed is being started; the speed is frozen until then"
-
-
 Overdue = Callable[[], Coroutine[None, None, object]]
 """Returns when an answer is overdue."""
 

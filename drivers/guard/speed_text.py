@@ -16,8 +16,6 @@ TEXT_NUMBERS = 1_000_000
 """The text is known by a number below this, which the program tells with every call."""
 ROUNDING_RPM = 0.5
 """The NC takes whole speeds, so limits are this much wider in its text [1/min]."""
-
-
 Rows = list[dict[str, str]]
 _TEXT = re.compile(r"\(TEXT (\d+)\)")
 

@@ -13,31 +13,17 @@ from models.records import FloatArray
 
 LOWEST_HZ = 1.0
 """Natural frequencies below this are rigid-body modes."""
-
-
 HIGHEST_HZ = 100_000.0
 """Where a search ends; beam theory ends long before."""
-
-
 SECTIONS = 16
 """Parts into which an interval is divided at each step of the search."""
-
-
 PRECISION = 1e-12
 """Relative width of the interval that a natural frequency is known to lie in."""
-
-
 NODE = 1e-9
 """A front that moves less, beside the largest displacement, stands still."""
-
-
 INVERSE_ITERATIONS = 4
-
-
 SHAPE_STEP_M = 0.005
 """Largest distance between two points of a shape."""
-
-
 MOST_SHAPE_POINTS = 400
 """Points of a shape of one section at most; on a longer chain they lie further apart."""
 

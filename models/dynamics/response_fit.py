@@ -68,8 +68,6 @@ class Identified:
 
 Model = Callable[[Mapping[str, float]], tuple[ComplexArray, Mapping[str, ComplexArray]]]
 """Values of the parameters -> response and its derivative by each of them, shape (n,)."""
-
-
 Response = Callable[[Mapping[str, float]], ComplexArray]
 """Values of the parameters -> response, shape (n,)."""
 

@@ -14,11 +14,7 @@ from models.records import FloatArray
 
 BRIDGE_MIN = 10.0
 """A gap is bridged by a straight line up to this length [min], or two rows; thermal errors move by 12 um in it."""
-
-
 BoolArray = npt.NDArray[np.bool_]
-
-
 IntArray = npt.NDArray[np.intp]
 
 

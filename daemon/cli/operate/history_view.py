@@ -13,8 +13,6 @@ from daemon.history import HistoryReader
 from models.records import WriteOutcome
 
 FAR_FUTURE_S = 2.0**40
-
-
 STYLES = {
     WriteOutcome.VERIFIED: "green",
     WriteOutcome.INTENDED: "yellow",
@@ -22,12 +20,8 @@ STYLES = {
     WriteOutcome.FAILED: "red",
     WriteOutcome.REFUSED: "red",
 }
-
-
 Cell = str | tuple[str, str]
 """Text, or text and its style."""
-
-
 View = tuple[tuple[str, ...], list[tuple[Cell, ...]]]
 """Headings, and the rows."""
 
@@ -150,11 +144,7 @@ def _widest(bands: Iterable[float]) -> str:
 
 
 _UNITS_S = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "w": 604_800.0}
-
-
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d|w)")
-
-
 _SENSORS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
 
 

@@ -21,8 +21,6 @@ socket_option = click.option(
     default=None,
     help="Socket of the daemon (else the configuration's).",
 )
-
-
 speed_option = click.option(
     "--spindle-speed", is_flag=True, help="Not the compensation: the tuning of the spindle speed, and nothing else."
 )

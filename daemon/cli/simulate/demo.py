@@ -134,11 +134,7 @@ def _show(running: Rehearsal, until_s: float) -> None:
 
 BROKEN_OFF = 1
 """Exit status when the run could not be brought to its end."""
-
-
 LOGS = ("daemon.log", "simulator.log")
-
-
 LAST_LINES = 5
 """Of each log this many lines are shown when its folder is removed."""
 

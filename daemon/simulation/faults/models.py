@@ -16,27 +16,13 @@ from models.thermal.training.recipes import increment_recipe
 from models.thermal.training.train_family import train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
-
-
 TRAINING_DAYS = 6
-
-
 HOURS = 10.0
-
-
 SAMPLE_S = 60.0
-
-
 INTERVAL_MIN = 10.0
-
-
 SHIPPED, SMALL, WATCHING = "shipped", "small", "watching"
-
-
 IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL)
 """The watching model needs two thirds of a day of history before it may be followed."""
-
-
 OF_MODELS = (Incident.MODEL_RELOAD, Incident.DAMAGED_MODEL)
 
 

@@ -11,37 +11,19 @@ from drivers.sim.faults import FaultKind
 
 ANSWERED_WITHIN_S = 9.0
 """A request has its answer so soon while nothing is wrong; the NC program gives up after 10 s [s]."""
-
-
 ENDED_WITHIN_S = 10.0
 """A reference that the CNC has shown to be over counts no longer so soon [s]."""
-
-
 TAKEN_UP_AFTER_S = 60.0
 """A model that was released makes the estimates so soon [s]."""
-
-
 AT_ZERO_UM = 0.06
-
-
 PROBE = 2
-
-
 CALM_S = 60.0
 """Requests and models are judged when nothing else has happened for so long [s]."""
-
-
 ENDS_A_REFERENCE = (Incident.POWER_CYCLE, Incident.OTHER_PROGRAM, Incident.WORK_OFFSET)
-
-
 QUIET = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, Incident.WRONG_SENSOR)
 """A single sensor keeps nobody from answering."""
-
-
 FOUND_K = 3.0
 """A sensor of the watching model that is so far off must not count [K] ..."""
-
-
 FOUND_AFTER_S = 900.0
 """... when it has been for so long [s]."""
 

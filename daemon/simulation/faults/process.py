@@ -19,17 +19,9 @@ from daemon.simulation.faults.virtual_world import channel_pair
 
 FILE_LIMIT_BYTES = 4096
 """On a full disk no file grows beyond this; the store's files are all longer."""
-
-
 KEPT_LINES = 40
-
-
 STOP_PATIENCE_S = 60.0
-
-
 PAGES_PER_MIB = 2**20 / os.sysconf("SC_PAGE_SIZE")
-
-
 NUMBER_BITS = 20
 
 
@@ -164,8 +156,6 @@ class Acknowledgements:
 
 
 WARM_UP_S = 3600.0
-
-
 MEMORY_LOOK_S = 600.0
 
 

@@ -50,42 +50,22 @@ SOURCES: dict[str, float] = {
 }
 """Heat at full speed or while active [W]: friction and drag of a 26 kW spindle without load, servo motors at
 rest and in feed, cabinet and lamps in the enclosure, oil pump; chosen, then tuned to the published behaviour."""
-
-
 PRELOAD_PER_K = 0.035
 """Growth of bearing friction per kelvin of the shaft over the housing (chosen)."""
-
-
 VISCOSITY_PER_K = 0.012
 """Fall of bearing friction per kelvin (about that of a light oil; chosen)."""
-
-
 SEAT_PER_K = 0.06
 """Growth of the seat's conductance per kelvin of the housing over the cast metal (chosen)."""
-
-
 ROTATING_W_PER_K: dict[str, float] = {"nose": 1.0, "test_bar": 1.0, "tool": 0.8}
 """Added conductance to the air at full speed (chosen; bar of 32 mm by 300 mm, about 35 W/(m2 K))."""
-
-
 NATURAL_SHARE = 0.5
 """Share of the conductance to air that is natural convection, the rest is radiation (chosen)."""
-
-
 CHILLER_W_PER_K = 1500.0
 """Proportional band of the chiller: heat withdrawn per kelvin above its set temperature (chosen)."""
-
-
 CHILLER_LIMIT_W = 3500.0
 """Largest heat that the chiller withdraws (chosen)."""
-
-
 _HOLDING = {"y_motor": 0.6, "z_motor": 0.2, "x_motor": 0.2}
-
-
 _FEED_MOTORS = {"y_motor": 0.35, "z_motor": 0.35, "x_motor": 0.3}
-
-
 _FEED_FRICTION = {
     "x_screw": 0.2,
     "y_screw": 0.2,
@@ -95,16 +75,12 @@ _FEED_FRICTION = {
     "ram_bottom": 0.1,
     "a_motor": 0.1,
 }
-
-
 _SEATS = (
     ("housing_rear", "cast_rear_top"),
     ("housing_rear", "cast_middle_top"),
     ("housing_front", "cast_middle_top"),
     ("housing_front", "cast_front_top"),
 )
-
-
 _SEAT_W_PER_K = 3.43
 """What a seat conducts beyond its linear part when the housing is much warmer (tuned) [W/K]."""
 

@@ -9,8 +9,6 @@ VOLATILE = range(100, 200)
 """Common variables that power-off clears."""
 PERSISTENT = range(500, 1000)
 """Common variables that survive power-off."""
-
-
 CLOCK_WRAP_S = 2_147_483.648
 """The clock is the control's millisecond timer, which begins again from 0 here (after 24.9 days) [s]."""
 

@@ -5,11 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 BlockKind = Literal["positioning", "cut", "safe", "idle", "spindle"]
-
-
 MINUTE_S = 60.0
-
-
 HOUR_S = 3600.0
 
 
@@ -65,8 +61,6 @@ class PartProgram:
 
 POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION, RETREAT = 100, 200, 900, 10, 300, 90
 """Sequence numbers of the shipped programs."""
-
-
 SHIFT_PARTS = 19
 """Parts that are made before the night."""
 
@@ -105,8 +99,6 @@ WORKS: dict[int, tuple[int | None, str | None, str | None]] = {
     44: (1, None, None),
 }
 """What happens at which safe point of a part: tool into the spindle, axis of a tool setting, axis of a probe."""
-
-
 RETREAT_S = 240.0
 
 

@@ -16,8 +16,6 @@ from drivers.sim.wires.pty_port import PtyPort
 
 PHASE_STEP = 0.381966
 """Share of the period by which each line starts after the one before it: never in step, never far apart."""
-
-
 Passed = Callable[[str, float, float], None]
 
 

@@ -17,24 +17,14 @@ from models.thermal.layout import BRIDGE_MIN, BoolArray, IntArray, Layout
 
 TEMPERATURE_LAGS_MIN = (10.0, 30.0, 90.0, 240.0)
 """Time constants of the lags of temperatures [min]."""
-
-
 SPEED_LAGS_MIN = (3.0, 10.0, 30.0, 90.0, 240.0)
 """Time constants of the lags of spindle speed and of its square [min]."""
-
-
 NEW_RUN_MIN = 60.0
 """After a longer gap [min], and at least three rows, a run of its own begins."""
-
-
 LARGEST_MISSING_SHARE = 0.2
 """A temperature that misses more of the training rows than this is left out of the model."""
-
-
 SMALLEST_SPAN_K = 1e-6
 """A temperature that moves less in training [K] is constant."""
-
-
 JUMP_UM = 3.0
 """Larger jumps at spindle on/off are taken out of displacements that are trained on [um] (section 3.3.1)."""
 

@@ -17,8 +17,6 @@ from models.thermal.training.inputs import Inputs
 
 PENALTIES: tuple[float, ...] = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
 """Candidates, relative to the mean variance of the columns."""
-
-
 MOST_COLUMNS = 400
 """More columns are first turned into their leading principal directions, this many."""
 
