@@ -152,9 +152,9 @@ class SpindleSpeedConfig(Section):
     margin_percent: float = Field(20.0, ge=0, le=500, description="limiting depth over the programmed one [%]")
     tolerance_percent: float = Field(2.0, ge=0, le=20, description="it holds this far to both sides of the speed [%]")
     verify_with_sdm: bool = Field(
-        False,
-        description="verify a chosen speed by semi-discretisation (SDM) too, which knows the flanks of pockets better "
-        "and takes some 15 ms of processor time per speed and feed direction",
+        True,
+        description="verify a chosen speed by the spectral radius that the semi-discretisation (SDM) has, which knows "
+        "the flanks of pockets; what cannot be verified is denied",
     )
     sensor_step_k: float = Field(
         0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"

@@ -29,7 +29,7 @@ from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointTracker
 
 DIRECTIONS_DEG = tuple(22.5 * number for number in range(8))
-"""Feed directions of the second look where the case names none."""
+"""Feed directions in which a speed is verified where the case names none."""
 SPEEDS = 401
 """Speeds among which one is chosen."""
 MANY_STEPS = 16
@@ -96,10 +96,10 @@ class OperationPlanning:
             offset_hz=tuning.offset_hz,
         )
         lobes_of = partial(_lobes, cut=case.cut(), operation=operation, feed_deg=case.feed_deg)
-        return SpeedPlanner(operation, lobes_of, _second_look(case) if tuning.verify_with_sdm else None)
+        return SpeedPlanner(operation, lobes_of, _verification(case) if tuning.verify_with_sdm else None)
 
 
-def _second_look(case: StabilityCase) -> StabilityVerification:
+def _verification(case: StabilityCase) -> StabilityVerification:
     feeds_deg = DIRECTIONS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
     return StabilityVerification(case.cut(), feeds_deg)
 

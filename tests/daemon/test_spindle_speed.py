@@ -11,6 +11,7 @@ from speed_rig import CUT, SAFE, SpeedRig
 
 from config.loader import parse_yaml_model
 from config.problems import ConfigurationError
+from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
@@ -47,6 +48,27 @@ async def test_an_operation_is_tuned_at_its_safe_block_and_the_nc_takes_the_pair
     assert audit
     assert all(record.outcome is WriteOutcome.VERIFIED for record in audit)
     assert bench.rig.control.journal.fault is None
+
+
+def verified_as_shipped(configuration: Configuration) -> None:
+    assert SpindleSpeedConfig.model_fields["verify_with_sdm"].default is True
+    assert configuration.spindle_speed is not None
+    assert configuration.spindle_speed.verify_with_sdm
+
+
+async def test_a_verified_speed_is_taken_where_there_is_one_and_else_the_programmed_one(tmp_path: Path) -> None:
+    """The lobes of zeroth order are stable to 2.5 mm at 9000 and 3 mm at 10250 1/min; the true limit is 0.9 mm."""
+    bench = SpeedRig(tmp_path, verify_with_sdm=SpindleSpeedConfig.model_fields["verify_with_sdm"].default)
+    verified_as_shipped(bench.configuration)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        speed_rpm, _, status = await bench.operation(D=1.1)
+        assert status is SpeedStatus.APPLIED
+        assert 9300.0 < speed_rpm < 9800.0
+        assert bench.picture()["alarm"] == ""
+        await bench.pass_by(3.0, CUT)
+        assert (await bench.operation(D=2.0))[0] == 9000.0
+        assert "does not die away fast enough; the programmed 9000 1/min stays" in bench.picture()["alarm"]
 
 
 async def test_a_new_operation_is_planned_at_once_with_what_is_known(bench: SpeedRig) -> None:

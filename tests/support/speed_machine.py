@@ -102,6 +102,7 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
         "max_change_percent": 20.0,
         "hysteresis_rpm": 50.0,
         "step_rpm": 200.0,
+        "verify_with_sdm": False,  # these cuts are too deep for it, and move the speed far by the lobes alone
     }
     base = machine(folder)
     own = {"allow_writable_model_directory": True}  # everything here belongs to whoever tests
