@@ -9,6 +9,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,11 @@ from models.spindle_speed.choice import SpeedDemand, choose_speed
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.spindle_speed.verification import StabilityVerification
+from models.stability.collocation import radius_bounds
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
-from models.stability.semi_discretisation import semi_discretisation, spectral_radius
+from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
 from models.stability.state_space import state_space
 from models.thermomechanics.tool_point import ToolPointTracker
 
@@ -110,18 +112,68 @@ def new_speed() -> None:
     response = SampledResponse(frequency_hz=lines_hz, receptance=modes.receptance_m_per_n(lines_hz))
     demand = SpeedDemand(programmed_rpm=7000.0, depth_mm=0.5)
 
-    check = StabilityVerification(cut("down", 1.0, 4), tuple(22.5 * number for number in range(8)))
-
-    def look() -> None:
-        again = SampledResponse(frequency_hz=lines_hz, receptance=response.receptance)
-        assert check.is_stable(again, 7000.0, 0.5, 0.02)
-
     def work() -> None:
         lobes = lowest_over_feed_directions(response, cut("down", 1.0, 4), from_rpm=5500.0, to_rpm=8500.0, points=400)
         choose_speed(lobes, demand, range_rpm=(5600.0, 8400.0))
 
     timed("new speed from an FRF of 2817 lines, eight feed directions", work, 40)
-    timed("second look at that speed, modes fitted anew", look, 20)
+
+
+def verification(radial_mm: float, depth_mm: float, repeats: int = 60) -> None:
+    """Modes from an FRF, then eight directions at three speeds, beside the semi-discretisation of the same."""
+    lines_hz = np.arange(384, 3201) * 12800 / 16384
+    modes = ModalResponse(
+        xx=(mode_from_stiffness(664.0, 0.03, 6e6), mode_from_stiffness(1500.0, 0.02, 2e7)),
+        yy=(mode_from_stiffness(601.0, 0.025, 4e6),),
+    )
+    mode = "slot" if radial_mm == 10.0 else "down"
+    tool, feeds_deg = cut(mode, radial_mm, 4), tuple(22.5 * number for number in range(8))
+    check = StabilityVerification(tool, feeds_deg)
+    fits, verdicts, discretised, errors = [], [], [], []
+    for number in range(repeats):
+        warmer = 1.0 + 1e-4 * number
+        xx, yy = (
+            tuple(replace(mode, frequency_hz=warmer * mode.frequency_hz) for mode in entry)
+            for entry in (modes.xx, modes.yy)
+        )
+        moved = ModalResponse(xx=xx, yy=yy)
+        response = SampledResponse(frequency_hz=lines_hz, receptance=moved.receptance_m_per_n(lines_hz))
+        fits.append(processor_ms(lambda response=response: check.modes(response)))
+        verdicts.append(processor_ms(lambda response=response: check.denial(response, 7000.0, depth_mm, 0.02)))
+        if number % 10 == 0:
+            discretised.append(processor_ms(lambda moved=moved: eight_directions(moved, tool, feeds_deg, depth_mm)))
+            _, upper = radius_bounds(moved, tool, feeds_deg=feeds_deg, speeds_rpm=[7000.0], depth_mm=depth_mm)
+            errors += np.abs(upper[:, 0] - eight_directions(moved, tool, feeds_deg, depth_mm)[:, 1]).tolist()
+    print(f"verification of a speed, {radial_mm:g} of 10 mm wide, processor time in ms, {repeats} times")
+    print(f"  modes from an FRF of 2817 lines in X and Y: first {fits[0]:.1f}, then {percentiles(fits[1:])}")
+    print(f"  eight directions at three speeds: {percentiles(verdicts)}")
+    print(
+        f"  by semi-discretisation: {percentiles(discretised)}; "
+        f"ratio {statistics.median(discretised) / statistics.median(verdicts):.0f}"
+    )
+    print(f"  largest difference of the radius: {max(errors):.1e}")
+
+
+def eight_directions(response: ModalResponse, tool: Cut, feeds_deg: tuple[float, ...], depth_mm: float) -> np.ndarray:
+    """Return the spectral radii by semi-discretisation, shape (directions, 3)."""
+    found = np.zeros((len(feeds_deg), 3))
+    for row, feed_deg in enumerate(feeds_deg):
+        structure = state_space(response, feed_deg)
+        for column, speed_rpm in enumerate((6860.0, 7000.0, 7140.0)):
+            method = semi_discretisation(structure, tool, default_steps(structure, tool, speed_rpm))
+            found[row, column] = spectral_radius(method, speed_rpm, np.array([depth_mm]))[0]
+    return found
+
+
+def processor_ms(work: Callable[[], object]) -> float:
+    begun = time.process_time()
+    work()
+    return 1e3 * (time.process_time() - begun)
+
+
+def percentiles(times_ms: list[float]) -> str:
+    p50, p90, p99 = np.percentile(times_ms, (50, 90, 99))
+    return f"p50 {p50:.1f}, p90 {p90:.1f}, p99 {p99:.1f}"
 
 
 def chart() -> None:
@@ -175,6 +227,8 @@ def main() -> None:
     arguments = parser.parse_args()
     lobes_from_an_frf()
     new_speed()
+    for radial_mm, depth_mm in ((1.0, 0.5), (5.0, 0.3), (10.0, 0.2)):
+        verification(radial_mm, depth_mm)
     new_speed_from_temperatures()
     chart()
     convergence()
