@@ -6,7 +6,7 @@ speed program runs, at a safe block, and only for the operation that it was made
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
@@ -15,9 +15,10 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
+from daemon.spindle_speed.decision import OperationState, SpeedDecision
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
-from daemon.spindle_speed.memory import KEPT_S, OperationMemories, SpeedSwitch
-from daemon.spindle_speed.messages import PlannedSpeed, Planner
+from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
+from daemon.spindle_speed.messages import Planner
 from daemon.spindle_speed.snapshot import speed_snapshot
 from daemon.spindle_speed.worker import SpeedWorker
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
@@ -26,12 +27,6 @@ from drivers.contract import FatalDriverError
 from models.records import CncSample, MachineTemperatures, Phase
 from models.spindle_speed.tuning import (
     SpeedState,
-    SpeedTuningError,
-    SpeedTuningInputs,
-    SpeedTuningMemory,
-    SpeedTuningSettings,
-    SpindleSpeedCommand,
-    step,
 )
 
 NO_LINK = "no link to the CNC"
@@ -39,23 +34,6 @@ OUR_FAULT = "spindle speed"
 """A FAULT of the spindle speed begins so."""
 NO_OPERATION = "no operation has begun"
 ANEW = "decided anew at the next safe block"
-FEED_DIGITS = 7
-"""Feeds are written to this many significant digits, however small they are."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _OperationState:
-    """Where the operation under way stands; taken back whole when a write fails."""
-
-    memory: SpeedTuningMemory
-    command: SpindleSpeedCommand | None = None
-    decided: bool = False
-    """The operation has had a decision at a safe block from dynamics of now, so that the block may speak for it."""
-    known_s: float = -math.inf
-    """Latest dynamics that could be followed [s]."""
-    moved: bool = False
-    """It has changed: not again before the NC has taken that, and has cut with it."""
-    alarm: str = ""
 
 
 class SpindleSpeedOutput:
@@ -130,7 +108,8 @@ class _Follower:
         self._memories = OperationMemories(journal, clock)
         self.writer = SpeedWriter(tuning, self._block, configuration.history.path)
         self.switch = SpeedSwitch(journal)
-        self._standing: _OperationState | None = None
+        self._decision = SpeedDecision(tuning, worker)
+        self._standing: OperationState | None = None
         self._next_look_s = -math.inf
         self._found: MacroValues = {}
         self._session: CncSession | None = None
@@ -139,13 +118,6 @@ class _Follower:
         self._obstacle = NO_LINK
         """Why nothing may be decided or written, '' when it may."""
         self._unreadable: tuple[CncSession, str] | None = None
-        self._settings = SpeedTuningSettings(
-            hysteresis_rpm=tuning.hysteresis_rpm,
-            dwell_s=tuning.dwell_s,
-            step_rpm=tuning.step_rpm,
-            filter_s=tuning.filter_s,
-            keep_feed_per_tooth=tuning.keep_feed_per_tooth,
-        )
 
     async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
         if session is None or session.sample is None or sample is None:
@@ -229,7 +201,7 @@ class _Follower:
             self._memories.keep(operation, self._standing.memory, moved=self._standing.moved)
         self._standing = None
 
-    def _begun(self, operation: SpeedOperation, now_s: float) -> _OperationState:
+    def _begun(self, operation: SpeedOperation, now_s: float) -> OperationState:
         """Return where an operation stands that begins, or goes on after something else was in the machine."""
         lowest_rpm, highest_rpm = self._range_rpm(operation)
         memory, moved = self._memories.begin(operation, lowest_rpm, highest_rpm)
@@ -237,8 +209,8 @@ class _Follower:
         ours = pair.made_for == operation.made_for and lowest_rpm <= pair.speed_rpm <= highest_rpm
         if ours and self.writer.valid(now_s):  # this run of the daemon began within the operation: it goes on
             memory = replace(memory, commanded_rpm=pair.speed_rpm, begun=True)
-            return _OperationState(memory=memory, decided=True, known_s=now_s, moved=True)
-        return _OperationState(memory=memory, moved=moved)
+            return OperationState(memory=memory, decided=True, known_s=now_s, moved=True)
+        return OperationState(memory=memory, moved=moved)
 
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
         """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
@@ -263,8 +235,8 @@ class _Follower:
         before = self._standing
         if before.moved and phase is Phase.CUTTING and self._taken(before, operation):
             before = replace(before, moved=False)
-        standing = before if self._calls.waiting else self._decided(before, operation, now_s, phase)
-        if not await self._write(session, self._wanted_pair(standing, operation), operation, clock_s, now_s):
+        standing = before if self._calls.waiting else self._decision.decide(before, operation, now_s, phase)
+        if not await self._write(session, self._decision.pair(standing, operation), operation, clock_s, now_s):
             return
         self._standing = standing
         if standing is not before:
@@ -290,7 +262,7 @@ class _Follower:
             return False
         return True
 
-    def _taken(self, standing: _OperationState, operation: SpeedOperation) -> bool:
+    def _taken(self, standing: OperationState, operation: SpeedOperation) -> bool:
         """Whether the NC has taken for this operation what is commanded, from the block or as programmed."""
         applied_rpm = self._block.applied_rpm(self._found)
         return (
@@ -299,70 +271,7 @@ class _Follower:
             and applied_rpm == float(round(standing.memory.commanded_rpm))
         )
 
-    def _decided(
-        self, before: _OperationState, operation: SpeedOperation, now_s: float, phase: Phase
-    ) -> _OperationState:
-        planned, problem = self._planned(operation, now_s) if operation.wanted else (None, operation.problem)
-        plan = planned.plan if planned is not None and not problem else None
-        at_safe_block = phase is Phase.SAFE_POINT
-        inputs = SpeedTuningInputs(
-            now_s=now_s,
-            phase=Phase.IDLE if before.moved and at_safe_block else phase,
-            enabled=operation.wanted,
-            programmed_rpm=operation.made_for.speed_rpm,
-            programmed_feed_mm_min=operation.made_for.feed_mm_min,
-            choice=plan.choice if plan is not None else None,
-            flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
-        )
-        command, memory = step(before.memory, inputs, self._settings)
-        if operation.wanted and planned is None:  # nobody has looked yet how far the target is off: that stays noted
-            memory = replace(memory, off_since_s=before.memory.off_since_s)
-        known_s = now_s if plan is not None else before.known_s
-        outdated = now_s - known_s > KEPT_S
-        if outdated and operation.wanted and math.isfinite(known_s):
-            problem = f"{problem}; that has been so for an hour, so the programmed speed is taken"
-            command = replace(command, reason="no valid dynamics for an hour; the programmed speed")
-        return _OperationState(
-            memory=memory,
-            command=command,
-            decided=not outdated and (before.decided or (at_safe_block and plan is not None)),
-            known_s=known_s,
-            moved=before.moved or command.write,
-            alarm=(command.alarm if operation.wanted else None) or problem,
-        )
-
-    def _planned(self, operation: SpeedOperation, now_s: float) -> tuple[PlannedSpeed | None, str]:
-        """Return the latest plan of this operation and what stands against following it, '' when nothing does."""
-        planned = self._worker.latest
-        if self._worker.obstacle:
-            return None, self._worker.obstacle
-        if planned is None or planned.called != operation.called:
-            return None, "no dynamics for this operation yet"
-        if now_s - planned.time_s > self._tuning.stale_after_s:
-            return planned, f"the latest temperatures are {now_s - planned.time_s:.0f} s old; the speed is frozen"
-        if planned.problem:
-            return planned, planned.problem
-        try:
-            self._settings.check_resolution(max(planned.change_per_step_rpm.values(), default=0.0))
-        except SpeedTuningError as error:
-            return planned, str(error)
-        return planned, ""
-
-    def _wanted_pair(self, standing: _OperationState, operation: SpeedOperation) -> SpeedPair:
-        """Return what the block should say; before the first safe block of an operation, nothing."""
-        command = standing.command
-        if command is None or not standing.decided or command.state is SpeedState.OFF:
-            return DISABLED
-        speed_rpm = float(round(command.speed_rpm))
-        share = speed_rpm / command.speed_rpm if self._tuning.keep_feed_per_tooth else 1.0
-        return SpeedPair(
-            made_for=operation.made_for,
-            speed_rpm=speed_rpm,
-            feed_mm_min=float(f"{share * command.feed_mm_min:.{FEED_DIGITS}g}"),
-            enable=True,
-        )
-
-    def _report(self, before: _OperationState, now: _OperationState) -> None:
+    def _report(self, before: OperationState, now: OperationState) -> None:
         """Record what has reached the CNC."""
         command = now.command
         if command is not None and command.write:
