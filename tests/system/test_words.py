@@ -20,7 +20,6 @@ STILL_TO_GO = {
     "prohibition",
     "rehearsal",
     "rehearse",
-    "second_look",
     "shelf",
     "wish",
 }
