@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from models.errors import RefusedInputError
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
@@ -22,7 +24,7 @@ class Problem:
         return f"{place}: {self.key}: {self.sentence}" if self.key else f"{place}: {self.sentence}"
 
 
-class ConfigurationError(Exception):
+class ConfigurationError(RefusedInputError):
     """A configuration file is refused; `problems` holds everything that is wrong, sorted by position."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Literal, Protocol
 
 from config.schema.cnc import CncConfig
+from models.errors import RefusedInputError
 from models.records import CncSample, DisplacementSample, TemperatureCycle
 
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
@@ -25,7 +26,7 @@ class LinkError(DriverError):
     """The device cannot be reached or went away; trying again later may help."""
 
 
-class FatalDriverError(DriverError):
+class FatalDriverError(RefusedInputError, DriverError):
     """Trying again cannot help: wrong configuration, refused credentials, unknown device."""
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
+from models.errors import RefusedInputError
 from models.records import FloatArray
 
 FORMAT_VERSION = 3
@@ -23,7 +24,7 @@ FORMAT_VERSION = 3
 HEADER = re.compile(rb'\s*\{\s*"format_version"\s*:\s*3\s*,\s*"family"\s*:\s*"([a-z0-9_-]+)"\s*,')
 
 
-class ModelError(ValueError):
+class ModelError(RefusedInputError, ValueError):
     """A model is refused; the text names the file, the key, what is wrong and what to do."""
 
     def __init__(self, key: str, sentence: str, source: str = "model") -> None:

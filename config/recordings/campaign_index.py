@@ -7,12 +7,13 @@ from typing import Literal
 from pydantic import ConfigDict, Field, ValidationError
 
 from config.schema.base import Section
+from models.errors import RefusedInputError
 
 INDEX_FILE = "campaign.json"
 INDEX_VERSION = 1
 
 
-class CampaignIndexError(ValueError):
+class CampaignIndexError(RefusedInputError, ValueError):
     """A folder is no campaign; the text names the file and what is wrong in it."""
 
 

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from config.files import write_whole
 from config.schema.base import Section
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
+from models.errors import RefusedInputError
 
 LEAST_PROOF_UM = 2.0
 """A smaller offset proves neither sign nor scale [um]."""
@@ -88,7 +89,7 @@ class CommissioningRecord(Section):
         return self
 
 
-class CommissioningError(Exception):
+class CommissioningError(RefusedInputError):
     """The record cannot be read or written; the text says why."""
 
 

@@ -7,8 +7,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from types import ModuleType
+from typing import Any
 
 import click
+
+from models.errors import RefusedInputError
 
 
 def _run() -> ModuleType:
@@ -175,6 +178,14 @@ class LazyGroup(click.Group):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the command line, old names of options as the new ones, with a warning."""
         return super().parse_args(ctx, [_by_new_name(word) for word in args])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; input that is refused ends it with the sentence that says why."""
+        try:
+            return super().invoke(ctx)
+        except RefusedInputError as error:
+            click.echo(str(error), err=True)
+            ctx.exit(2)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands by their summaries, without importing them."""

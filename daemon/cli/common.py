@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
-from config.loader import ConfigurationError, load_with_warnings
+from config.loader import load_with_warnings
 from config.problems import Problem
 from config.schema import Configuration
 
@@ -90,10 +90,7 @@ def read_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
             f"{path}: there is no configuration. Name yours with --config FILE or the environment variable "
             f"{CONFIGURATION_VARIABLE}; `toolpoint sample-config --output toolpoint.yaml` makes one to begin with"
         )
-    try:
-        return load_with_warnings(path)
-    except ConfigurationError as error:
-        refuse(str(error))
+    return load_with_warnings(path)
 
 
 def show_finding(finding: "Finding") -> None:

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
+from models.errors import RefusedInputError
+
 APPLICATION_ID = 1414547540
 HOUR_MS = 3_600_000
 BUSY_TIMEOUT_S = 5.0
 
 
-class HistoryError(Exception):
+class HistoryError(RefusedInputError):
     """The store cannot be used as it is; the text is fit for an operator."""
 
 

@@ -24,6 +24,7 @@ from config.schema import Configuration
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.opcua.certificates import create_application_certificate
+from models.errors import RefusedInputError
 
 FIRST_LEAD_S = 4.0
 """The simulated time starts this long after the processes [s]; doubled when they were not ready."""
@@ -35,7 +36,7 @@ LOOK_AHEAD = 1.5
 STOP_PATIENCE_S = 15.0
 
 
-class RehearsalError(Exception):
+class RehearsalError(RefusedInputError):
     """The rehearsal could not be set up or broke off; the text says why."""
 
 

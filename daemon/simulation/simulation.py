@@ -21,6 +21,7 @@ from drivers.sim.machine.recorded import RecordedMachine
 from drivers.sim.nc.program import demo_program, standing_program
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
+from models.errors import RefusedInputError
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
@@ -28,7 +29,7 @@ DEMO_SEED = 1000
 Report = Callable[[dict[str, Any]], None]
 
 
-class SimulationError(Exception):
+class SimulationError(RefusedInputError):
     """The simulated machine cannot be built; the text says why."""
 
 

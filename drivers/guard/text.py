@@ -14,6 +14,7 @@ from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
 from drivers.guard.check import NM_PER_MM, PER_SECOND
+from models.errors import RefusedInputError
 
 GUARD_VERSION = CHECKING_GUARD
 """Echoed by the guard; raised when what the text does changes."""
@@ -56,7 +57,7 @@ class GuardStatus(IntEnum):
     """The check is not made of what the block holds: somebody else has written one of its macros."""
 
 
-class GuardTextError(ValueError):
+class GuardTextError(RefusedInputError, ValueError):
     """The programs cannot be made for this configuration; the text says why."""
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from models.dynamics.beam import ComplexArray
+from models.errors import RefusedInputError
 from models.records import FloatArray
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
@@ -23,7 +24,7 @@ NARROWEST_BAND = 0.1
 """Width of a band beside its middle."""
 
 
-class MeasurementError(ValueError):
+class MeasurementError(RefusedInputError, ValueError):
     """A measured response cannot be used; the text names the frequency and says what to do."""
 
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.align import block_means
+from models.errors import RefusedInputError
 from models.recordings.plausibility import impossible_displacements, impossible_speeds, impossible_temperatures
 from models.records import FloatArray
 
 
-class DatasetError(ValueError):
+class DatasetError(RefusedInputError, ValueError):
     """A recording cannot be used; the text names column and row and says what to do."""
 
 

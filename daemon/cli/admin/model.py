@@ -163,17 +163,12 @@ def propose(config_path: Path, json_path: str | None) -> None:
     Displacements count without what the NC applied. compensation.retraining says how far back, and
     which family; with that section the daemon does this by itself now and then.
     """
-    from config.records.commissioning import CommissioningError
     from config.schema.compensation import RetrainingConfig
-    from daemon.history import HistoryError
     from daemon.model_release.retraining import propose_from_history
-    from models.recordings.dataset import DatasetError
 
     configuration = read_configuration(config_path)
     try:
         made = propose_from_history(configuration, configuration.compensation.retraining or RetrainingConfig())
-    except (CommissioningError, HistoryError, DatasetError) as error:
-        refuse(str(error))
     except OSError as error:
         refuse(f"{configuration.history.path.parent}: the proposal cannot be written ({error.strerror})")
     click.echo(f"{made['path']}: {made['model_id']}, {made['hours']:g} h in {made['recordings']} stretches", err=True)

@@ -85,8 +85,6 @@ def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_
 def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) -> "AxisRegression":
     """Return the regressions that are asked for, or end with a sentence."""
     from config.machine.published_bearings import load_bounds, published_model
-    from config.problems import ConfigurationError
-    from models.model_file import ModelError
     from models.thermomechanics.artifact import model_from_json
 
     try:
@@ -97,8 +95,6 @@ def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) ->
         refuse(f"{model_path}: cannot be opened ({error.strerror})")
     except UnicodeDecodeError:
         refuse(f"{model_path}: is not text; a model is JSON")
-    except (ConfigurationError, ModelError) as error:
-        refuse(str(error))
     if bounds_path is not None:
         refuse("a model carries its own bounds; give --bounds when it is fitted")
     if axis not in model.axes:

@@ -100,37 +100,30 @@ def campaign(
     from config.loader import load_configuration
     from config.machine.published_bearings import load_bounds
     from config.machine.spindle_chain import found_file, read_spindle
-    from config.problems import ConfigurationError
     from daemon.cli.common import ProgressBar
     from daemon.workbench.dynamics.campaign import campaign_summary, read_run, run_campaign
     from daemon.workbench.dynamics.identifying import Band
-    from drivers.contract import FatalDriverError
-    from models.dynamics.errors import IdentificationError
-    from models.dynamics.measurement import MeasurementError
     from models.thermomechanics.artifact import model_to_json
 
     if len(folders) != len(recordings):
         refuse(f"{len(folders)} folders need as many recordings, there are {len(recordings)}: repeat --temperatures")
     told = spindle_path or folders[0] / "spindle.yaml"
-    try:
-        configuration = None if config_path is None else load_configuration(config_path)
-        spindle, bounds = read_spindle(told, rotary), load_bounds(bounds_path)
-        band = Band(from_hz=from_hz, to_hz=to_hz, trust_units=trust_units)
-        runs = [read_run(*pair, configuration, band) for pair in zip(folders, recordings, strict=True)]
-        with ProgressBar() as progress:
-            result = run_campaign(
-                runs,
-                spindle,
-                found_file(told),
-                bounds,
-                signals=[each.strip() for each in signals.split(",")] if signals else None,
-                parameter_sets=(5,) if only_five else (5, 7, 12),
-                least_squares=least_squares,
-                progress=progress.show,
-                trust_units=trust_units,
-            )
-    except (ConfigurationError, FatalDriverError, MeasurementError, IdentificationError) as error:
-        refuse(str(error))
+    configuration = None if config_path is None else load_configuration(config_path)
+    spindle, bounds = read_spindle(told, rotary), load_bounds(bounds_path)
+    band = Band(from_hz=from_hz, to_hz=to_hz, trust_units=trust_units)
+    runs = [read_run(*pair, configuration, band) for pair in zip(folders, recordings, strict=True)]
+    with ProgressBar() as progress:
+        result = run_campaign(
+            runs,
+            spindle,
+            found_file(told),
+            bounds,
+            signals=[each.strip() for each in signals.split(",")] if signals else None,
+            parameter_sets=(5,) if only_five else (5, 7, 12),
+            least_squares=least_squares,
+            progress=progress.show,
+            trust_units=trust_units,
+        )
     found = campaign_summary(result)
     show_warnings(found)
     click.echo(f"signals: {', '.join(result.model.signals)}", err=True)
@@ -213,19 +206,14 @@ def track(
     from config.loader import load_configuration
     from config.machine.published_bearings import published_model
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
     from daemon.cli.common import ProgressBar
     from daemon.workbench.dynamics.campaign import read_temperatures
     from daemon.workbench.dynamics.responses import ResponseError, parts_at
     from daemon.workbench.dynamics.tracking import (
-        TrackingError,
         track_recording,
         tracking_summary,
         write_tracking_page,
     )
-    from drivers.contract import FatalDriverError
-    from models.dynamics.errors import IdentificationError
-    from models.model_file import ModelError
     from models.thermomechanics.artifact import model_from_json
 
     files = {"x": spindle_path, "y": spindle_y_path or spindle_path}
@@ -249,8 +237,6 @@ def track(
         refuse(f"{model_path}: is not text; a model is JSON")
     except ResponseError as error:
         refuse(f"{spindle_path}: {error}")
-    except (ConfigurationError, FatalDriverError, IdentificationError, ModelError, TrackingError) as error:
-        refuse(str(error))
     found = tracking_summary(day)
     show_warnings(found)
     for name, told in found["axes"].items():

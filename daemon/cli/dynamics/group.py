@@ -42,14 +42,10 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
     SPINDLE is a file or the name of one that ships. Positions count from the nose backwards.
     """
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
     from daemon.workbench.dynamics.responses import modes_summary
 
-    try:
-        spindle = read_spindle(spindle_path, rotary)
-        found = modes_summary(spindle, count)
-    except ConfigurationError as error:
-        refuse(str(error))
+    spindle = read_spindle(spindle_path, rotary)
+    found = modes_summary(spindle, count)
     show_warnings(found)
     click.echo(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long", err=True)
     for number, mode in enumerate(found["modes"], start=1):
@@ -92,14 +88,11 @@ def frf(
 ) -> None:
     """Receptance of SPINDLE where it is hit: displacement per force [m/N] over frequency."""
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
     from daemon.workbench.dynamics.responses import ResponseError, frequencies, response_summary
 
     try:
         spindle = read_spindle(spindle_path, rotary)
         found = response_summary(spindle, at, frequencies(from_hz, to_hz, points, step_hz))
-    except ConfigurationError as error:
-        refuse(str(error))
     except ResponseError as error:
         refuse(f"{spindle_path}: {error}")
     show_warnings(found)

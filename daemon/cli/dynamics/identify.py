@@ -83,10 +83,8 @@ def identify(
     Several responses are averaged. Which parameters the data see is said for each.
     """
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
     from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.dynamics.errors import IdentificationError
     from models.dynamics.measurement import MeasurementError
 
@@ -95,8 +93,6 @@ def identify(
         band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
         response = measured_response(measured, band, int(parameters))
         found = bearings_summary(spindle, response, int(parameters), method, fixed, trust_units=trust_units)
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except MeasurementError as error:
         refuse(f"{', '.join(map(str, measured))}: {error}")
     except (ResponseError, IdentificationError) as error:
@@ -141,10 +137,8 @@ def contact(
 ) -> None:
     """Stiffness and damping of a joint of SPINDLE from responses MEASURED in front of it (CSV or universal file)."""
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
     from daemon.workbench.dynamics.identifying import Band, contact_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.dynamics.errors import IdentificationError
     from models.dynamics.measurement import MeasurementError
 
@@ -153,8 +147,6 @@ def contact(
         band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
         response = measured_response(measured, band, 4)
         found = contact_summary(spindle, response, joint, after_segment, method, trust_units=trust_units)
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except MeasurementError as error:
         refuse(f"{', '.join(map(str, measured))}: {error}")
     except (ResponseError, IdentificationError) as error:

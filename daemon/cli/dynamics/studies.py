@@ -10,7 +10,6 @@ from daemon.cli.common import (
     FiniteFloat,
     json_option,
     picture_option,
-    refuse,
     rotary_option,
     show_warnings,
     spindle_argument,
@@ -47,14 +46,10 @@ def sensitivity(
     Young's and shear moduli are varied by themselves and together; without composites all segments vary.
     """
     from config.machine.spindle_chain import found_file, read_spindle
-    from config.problems import ConfigurationError
     from daemon.workbench.dynamics.studies import sensitivity_summary
 
-    try:
-        spindle = read_spindle(spindle_path, rotary)
-        found = sensitivity_summary(spindle, found_file(spindle_path), percent, count)
-    except ConfigurationError as error:
-        refuse(str(error))
+    spindle = read_spindle(spindle_path, rotary)
+    found = sensitivity_summary(spindle, found_file(spindle_path), percent, count)
     show_warnings(found)
     click.echo("moduli  change   " + "   ".join(f"mode {k + 1}: Hz, change, MAC" for k in range(count)), err=True)
     for variation in found["variations"]:
@@ -96,18 +91,12 @@ def compare(
 ) -> None:
     """Highest resonance of several layouts SPINDLE, each beside the first: frequency and compliance."""
     from config.machine.spindle_chain import read_spindle
-    from config.problems import ConfigurationError
-    from daemon.workbench.dynamics.responses import ResponseError, frequencies
+    from daemon.workbench.dynamics.responses import frequencies
     from daemon.workbench.dynamics.studies import comparison_summary
 
-    try:
-        spindles = [(str(path), read_spindle(path, rotary)) for path in spindle_paths]
-        band = frequencies(from_hz, to_hz, points, None)
-        found = comparison_summary(spindles, at, band)
-    except ConfigurationError as error:
-        refuse(str(error))
-    except ResponseError as error:
-        refuse(str(error))
+    spindles = [(str(path), read_spindle(path, rotary)) for path in spindle_paths]
+    band = frequencies(from_hz, to_hz, points, None)
+    found = comparison_summary(spindles, at, band)
     show_warnings(found)
     for layout in found["layouts"]:
         click.echo(

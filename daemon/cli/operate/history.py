@@ -12,7 +12,7 @@ import click
 
 from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
 from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, sensor_list, view
-from daemon.history import HistoryError, HistoryReader
+from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
 from daemon.history.tables import Table
@@ -33,11 +33,8 @@ store_option = click.option(
 def open_history(store: Path | None, config_path: Path) -> Iterator[HistoryReader]:
     """Open the store, or end with a sentence and the status for bad usage."""
     path = store or read_configuration(config_path).history.path
-    try:
-        with HistoryReader(path) as reader:
-            yield reader
-    except HistoryError as error:
-        refuse(str(error))
+    with HistoryReader(path) as reader:
+        yield reader
 
 
 @click.command()

@@ -9,8 +9,7 @@ import click
 import structlog
 
 from daemon.app import Daemon
-from daemon.cli.common import config_option, read_with_warnings, refuse
-from daemon.history.database import HistoryError
+from daemon.cli.common import config_option, read_with_warnings
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.registry import import_drivers
@@ -61,7 +60,4 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     sys.setswitchinterval(THREAD_TURN_S)
     import_drivers(configuration)
-    try:
-        asyncio.run(_live(Daemon(configuration, clock, config_path=config_path)))
-    except HistoryError as error:
-        refuse(str(error))
+    asyncio.run(_live(Daemon(configuration, clock, config_path=config_path)))

@@ -12,7 +12,7 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import FiniteFloat, json_option, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
 from daemon.simulation.processes import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
@@ -102,12 +102,9 @@ def _check_faults(path: Path) -> None:
     """Refuse a fault script that the demo's machine cannot play, before anything starts."""
     from config.loader import load_configuration
     from config.machines import shipped_file
-    from daemon.simulation.simulation import SimulationError, read_faults
+    from daemon.simulation.simulation import read_faults
 
-    try:
-        read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
-    except SimulationError as error:
-        refuse(str(error))
+    read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
 
 
 def _show(running: Rehearsal, until_s: float) -> None:
@@ -143,10 +140,7 @@ LAST_LINES = 5
 def simulation_folder(directory: Path | None) -> Iterator[Path]:
     """Yield the folder of a run; end with sentences when it cannot be used or the run breaks off."""
     with ExitStack() as stack:
-        try:
-            folder = stack.enter_context(folder_for(directory))
-        except RehearsalError as error:
-            refuse(str(error))
+        folder = stack.enter_context(folder_for(directory))
         try:
             yield folder
         except (RehearsalError, DaemonUnreachableError) as error:

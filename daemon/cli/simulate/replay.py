@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from config.loader import ConfigurationError
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
@@ -75,13 +74,13 @@ def replay(
         hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
         part = table.between_hours(*hours)
         check_model(model_path, part)
-    except (ConfigurationError, DriverError, ValueError) as error:
+    except (DriverError, ValueError) as error:
         refuse(str(error))
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
             path, _ = write_rehearsal_configuration(machine, folder, speed=speed, http=False)
-        except (ConfigurationError, ValueError) as error:
+        except ValueError as error:
             refuse(str(error))
         until_s = playing_time_s(part)
         arguments = ["--recording", str(recording.resolve()), "--hours", f"{hours[0]!r}-{hours[1]!r}"]

@@ -8,11 +8,10 @@ from typing import Any
 
 import click
 
-from config.loader import ConfigurationError
 from daemon.cli.common import FiniteFloat, config_option, read_configuration, refuse
 from daemon.cli.operate.run import parse_simulated_clock
 from daemon.simulation.replaying import map_of, parse_hours
-from daemon.simulation.simulation import SimulationError, packed_simulation, recorded_simulation, simulated_day
+from daemon.simulation.simulation import packed_simulation, recorded_simulation, simulated_day
 from daemon.telemetry.logs import configure_logging
 from drivers.contract import DriverError
 
@@ -122,7 +121,7 @@ def simulate(
                 server_key=server_key,
             )
         )
-    except (SimulationError, ConfigurationError, DriverError, ValueError) as error:
+    except (DriverError, ValueError) as error:
         refuse(str(error))
     except KeyboardInterrupt:
         return

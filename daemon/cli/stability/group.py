@@ -92,9 +92,7 @@ def lobes(
 ) -> None:
     """Limiting depth of cut over spindle speed for the milling CASE."""
     from config.machine.stability_case import load_stability_case
-    from config.problems import ConfigurationError
     from daemon.workbench.stability.lobes import LobesRequest, find_lobes, radii_at
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
 
     if method == "zoa" and (at or steps is not None):
@@ -117,8 +115,6 @@ def lobes(
                 from daemon.workbench.stability.pictures import lobes_picture
 
                 lobes_picture(picture, [(case_path.stem, found)])
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
     write_json(json_path, content)
@@ -179,12 +175,8 @@ def _show_radii(content: dict[str, Any]) -> None:
 def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_path: str | None) -> None:
     """Spindle speed from a resonance: 60 (f_r - f_o) / (teeth x lobe)."""
     from models.spindle_speed.choice import resonance_speed_rpm
-    from models.stability.errors import StabilityError
 
-    try:
-        speed_rpm = resonance_speed_rpm(resonance_hz, offset_hz, teeth, lobe)
-    except StabilityError as error:
-        refuse(str(error))
+    speed_rpm = resonance_speed_rpm(resonance_hz, offset_hz, teeth, lobe)
     click.echo(f"{speed_rpm:.1f} 1/min", err=True)
     write_json(
         json_path,
@@ -254,9 +246,7 @@ def choose(
     Exit status 1, with the programmed speed and an alarm, when no speed inside the limits is stable.
     """
     from config.machine.stability_case import load_stability_case
-    from config.problems import ConfigurationError
     from daemon.workbench.stability.lobes import choose_for_case
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.spindle_speed.choice import SpeedDemand, SpeedLimits
     from models.stability.errors import StabilityError
 
@@ -271,8 +261,6 @@ def choose(
     )
     try:
         choice, warnings = choose_for_case(load_stability_case(case_path), demand, limits, method)
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
     for warning in warnings:

@@ -56,14 +56,12 @@ def chatter(
 ) -> None:
     """Look for chatter in the accelerometer RECORDING (WAV, or CSV with time_s,acceleration_m_s2)."""
     from daemon.workbench.stability.recordings import judge_recording
-    from drivers.files.accelerometer_recording import AccelerometerFileError, read_acceleration
+    from drivers.files.accelerometer_recording import read_acceleration
     from models.stability.errors import StabilityError
 
     try:
         recording = read_acceleration(recording_path, full_scale_m_s2)
         content = judge_recording(recording, speed_rpm, teeth, passages)
-    except AccelerometerFileError as error:
-        refuse(str(error))
     except StabilityError as error:
         refuse(f"{recording_path}: {error}")
     for part in content.get("depths", [content]):
@@ -99,12 +97,8 @@ def _show(part: dict[str, Any]) -> None:
 def roughness(profile_path: Path, cutoff_mm: float | None, json_path: str | None) -> None:
     """Roughness per depth of cut from a surface PROFILE (CSV with position_mm,height_um and, if any, depth_mm)."""
     from daemon.workbench.stability.recordings import judge_profile
-    from models.stability.errors import StabilityError
 
-    try:
-        found = judge_profile(profile_path, cutoff_mm)
-    except StabilityError as error:
-        refuse(str(error))
+    found = judge_profile(profile_path, cutoff_mm)
     for entry in found:
         place = "" if entry["depth_mm"] is None else f"{entry['depth_mm']:g} mm: "
         click.echo(f"{place}Ra {entry['ra_um']:.3g} um, Rz {entry['rz_um']:.3g} um", err=True)

@@ -34,12 +34,9 @@ def compare(
     json_path: str | None,
 ) -> None:
     """Lobes of several CASE files side by side, such as one machine cold and warm, with the speed chosen in each."""
-    from config.problems import ConfigurationError
     from daemon.workbench.stability.lobes import LobesRequest
     from daemon.workbench.stability.studies import compare_cases
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.spindle_speed.choice import SpeedDemand
-    from models.stability.errors import StabilityError
 
     if (programmed_rpm is None) != (depth_mm is None):
         refuse("--programmed-rpm and --depth-mm belong together; a speed is chosen only with both")
@@ -47,10 +44,7 @@ def compare(
     if programmed_rpm is not None and depth_mm is not None:
         demand = SpeedDemand(programmed_rpm=programmed_rpm, depth_mm=depth_mm)
     request = LobesRequest(method=method, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
-    try:
-        found = compare_cases(case_paths, request, demand)
-    except (ConfigurationError, MeasurementFileError, StabilityError) as error:
-        refuse(str(error))
+    found = compare_cases(case_paths, request, demand)
     content = []
     for path, lobes, choice in found:
         lowest = "none" if lobes.minimum is None else f"{lobes.minimum.depth_mm:.4g} mm"
@@ -88,15 +82,11 @@ def compare(
 def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
     """Modes fitted to the FRF files of a CASE, as the semi-discretisation uses them."""
     from config.machine.stability_case import load_stability_case
-    from config.problems import ConfigurationError
     from daemon.workbench.stability.studies import fitted_modes, modes_content
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.stability.errors import StabilityError
 
     try:
         found = fitted_modes(load_stability_case(case_path))
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
     content: dict[str, Any] = {name: modes_content(fit) for name, (_, fit) in found.items()}
@@ -129,10 +119,8 @@ def coefficients(
     mean forces on the tool over whole turns.
     """
     from config.machine.stability_case import load_stability_case
-    from config.problems import ConfigurationError
     from daemon.workbench.stability.studies import coefficients_content, fit_force_file
     from models.stability.cutting_coefficients import MATERIALS
-    from models.stability.errors import StabilityError
 
     if forces_path is None:
         for name, known in MATERIALS.items():
@@ -147,10 +135,7 @@ def coefficients(
         return
     if case_path is None or depth_mm is None:
         refuse("a fit needs --case (tool and engagement that were cut) and --depth-mm")
-    try:
-        fit = fit_force_file(forces_path, load_stability_case(case_path), depth_mm)
-    except (ConfigurationError, StabilityError) as error:
-        refuse(str(error))
+    fit = fit_force_file(forces_path, load_stability_case(case_path), depth_mm)
     click.echo(
         f"kt_n_per_m2: {fit.coefficients.tangential_n_per_m2:.4g}, kr_ratio: {fit.coefficients.radial_ratio:.4g} "
         f"(R^2 {fit.determination:.4f}, residual {fit.residual_rms_n:.3g} N)",

@@ -87,11 +87,9 @@ def warm_up(
     knows was fitted on impact tests of other days.
     """
     from config.machine.stability_case import load_stability_case
-    from config.problems import ConfigurationError
     from daemon.simulation.warm_up.report import in_words, warm_up_content, warm_up_picture
     from daemon.simulation.warm_up.run import WarmUpRequest
     from daemon.simulation.warm_up.run import warm_up as milled
-    from drivers.files.frf_measurement import MeasurementFileError
     from models.spindle_speed.choice import SpeedDemand, SpeedLimits
     from models.spindle_speed.tuning import SpeedTuningError
     from models.stability.errors import StabilityError
@@ -118,8 +116,6 @@ def warm_up(
     )
     try:
         runs = milled(load_stability_case(case_path), request)
-    except (ConfigurationError, MeasurementFileError) as error:
-        refuse(str(error))
     except (StabilityError, SpeedTuningError) as error:
         refuse(f"{case_path}: {error}")
     for run in runs:

@@ -21,7 +21,6 @@ STEPS = 1000
 @json_option
 def campaign(folder: Path, seed: int, programme_path: Path | None, json_path: str | None) -> None:
     """Carry out a thermal measurement campaign on the simulated machine and write its recordings to OUT."""
-    from config.problems import ConfigurationError
     from config.recordings.campaign_index import INDEX_FILE
     from config.recordings.thermal_campaign import PUBLISHED, load_thermal_campaign
     from daemon.simulation.simulated_model import published_sensors
@@ -41,8 +40,6 @@ def campaign(folder: Path, seed: int, programme_path: Path | None, json_path: st
                 seed=seed,
                 progress=lambda share: bar.show("measuring", round(share * STEPS), STEPS),
             )
-    except ConfigurationError as error:
-        refuse(str(error))
     except OSError as error:
         refuse(f"{folder}: the recordings cannot be written ({error.strerror})")
     for entry in index["datasets"]:

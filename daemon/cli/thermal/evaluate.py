@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import click
 
-from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, refuse, write_json
+from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, write_json
 
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
@@ -78,29 +78,23 @@ def evaluate(
     Every choice (penalties, limits, bands) is made on the training part by leaving whole cycles,
     runs or blocks out.
     """
-    from config.problems import ConfigurationError
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.evaluation import Protocol, read_recordings
     from daemon.workbench.thermal.evaluation import evaluate as evaluated
-    from drivers.files.recording_csv import RecordingFileError
-    from models.recordings.dataset import DatasetError
 
     leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
-    try:
-        recording_map = None if map_path is None else load_recording_map(map_path)
-        protocol = Protocol(
-            train_hours=train_hours,
-            test_hours=test_hours,
-            leave_out=leave_out,
-            probe_min=probe_minutes,
-            faults=faults,
-        )
-        with ProgressBar() as bar:
-            read, warnings = read_recordings(recordings, recording_map, bar.show)
-            sample_s = 60.0 if recording_map is None else recording_map.sample_s
-            found = evaluated(read, sample_s, model, protocol, bar.show)
-    except (ConfigurationError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
+    recording_map = None if map_path is None else load_recording_map(map_path)
+    protocol = Protocol(
+        train_hours=train_hours,
+        test_hours=test_hours,
+        leave_out=leave_out,
+        probe_min=probe_minutes,
+        faults=faults,
+    )
+    with ProgressBar() as bar:
+        read, warnings = read_recordings(recordings, recording_map, bar.show)
+        sample_s = 60.0 if recording_map is None else recording_map.sample_s
+        found = evaluated(read, sample_s, model, protocol, bar.show)
     found["warnings"] = list(warnings)
     _show(found)
     write_json(json_path, found)

@@ -27,18 +27,13 @@ def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path
     """
     if lacking := [name for name in ("matplotlib", "plotly") if find_spec(name) is None]:
         refuse(f"{' and '.join(lacking)} cannot be found; install toolpoint with its extra 'plots'")
-    from config.recordings.campaign_index import CampaignIndexError
     from daemon.workbench.thermal.figures.report import write_figures
-    from drivers.files.recording_csv import RecordingFileError
-    from models.recordings.dataset import DatasetError
 
     if output.exists() and not output.is_dir():
         refuse(f"{output}: is a file; name a folder for the pictures")
     try:
         with ProgressBar() as bar:
             found = write_figures(folder, output, intercept=intercept, repeats=repeats, progress=bar.show)
-    except (CampaignIndexError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
     except OSError as error:
         refuse(f"{output}: the figures cannot be written ({error.strerror})")
     for group, test in found["tests"].items():

@@ -80,7 +80,6 @@ def train(
 
     What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one.
     """
-    from config.problems import ConfigurationError
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.training import (
         Selection,
@@ -89,8 +88,6 @@ def train(
         train_from_files,
         write_model_file,
     )
-    from drivers.files.recording_csv import RecordingFileError
-    from models.recordings.dataset import DatasetError
     from models.thermal.training.increment_family import IncrementChoices
     from models.thermal.training.recipes import increment_recipe
 
@@ -108,8 +105,6 @@ def train(
             recipe = increment_recipe(choices) if family is None else family
             result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
         write_model_file(result.model, output)
-    except (ConfigurationError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
     except OSError as error:
         refuse(f"{output}: the model cannot be written ({error.strerror})")
     found = increments_summary(result, output) if family is None else summary(result, output)

@@ -58,12 +58,10 @@ def report(
     Distortion by the rotating spindle in the first 60 min and the whole period, environmental temperature
     variation error, time to stability, how long to warm up, and what the chiller takes.
     """
-    from config.problems import ConfigurationError
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.report import ReportChoices, thermal_report
     from daemon.workbench.thermal.report_page import write_report_page
-    from drivers.files.recording_csv import RecordingFileError, read_recording
-    from models.recordings.dataset import DatasetError
+    from drivers.files.recording_csv import read_recording
     from models.recordings.findings import require_usable
 
     if html_path is not None and find_spec("plotly") is None:
@@ -87,8 +85,6 @@ def report(
         found = thermal_report(recording, model, choices)
         if html_path is not None:
             write_report_page(html_path, found, recording, model)
-    except (ConfigurationError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
     except OSError as error:
         refuse(f"{html_path}: the page cannot be written ({error.strerror})")
     found["warnings"] = warnings
@@ -97,15 +93,12 @@ def report(
 
 
 def _model(path: Path) -> "ThermalModel":
-    from models.model_file import ModelError
     from models.thermal.family import model_from_json
 
     try:
         return model_from_json(path.read_bytes(), str(path))
     except OSError as error:
         refuse(f"{path}: the thermal model cannot be read ({error.strerror})")
-    except ModelError as error:
-        refuse(str(error))
 
 
 def _process(cut_kwh: float | None, motor_kwh: float | None, process_min: float | None) -> "Process | None":

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import ProgressBar, hours_option, json_option, refuse, write_json
+from daemon.cli.common import ProgressBar, hours_option, json_option, write_json
 
 METHODS = ("forward", "lasso", "clusters")
 
@@ -35,21 +35,15 @@ def sensors(
 
     Prints how good a model of the first few sensors is, and what each sensor removed alone would cost.
     """
-    from config.problems import ConfigurationError
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.evaluation import read_recordings
     from daemon.workbench.thermal.sensors import compare_sensors
-    from drivers.files.recording_csv import RecordingFileError
-    from models.recordings.dataset import DatasetError
 
-    try:
-        recording_map = None if map_path is None else load_recording_map(map_path)
-        with ProgressBar() as bar:
-            read, _ = read_recordings(recordings, recording_map, bar.show)
-            sample_s = 60.0 if recording_map is None else recording_map.sample_s
-            found = compare_sensors(read, sample_s, hours, method, most)  # type: ignore[arg-type]
-    except (ConfigurationError, RecordingFileError, DatasetError) as error:
-        refuse(str(error))
+    recording_map = None if map_path is None else load_recording_map(map_path)
+    with ProgressBar() as bar:
+        read, _ = read_recordings(recordings, recording_map, bar.show)
+        sample_s = 60.0 if recording_map is None else recording_map.sample_s
+        found = compare_sensors(read, sample_s, hours, method, most)  # type: ignore[arg-type]
     _show(found)
     write_json(json_path, found)
 

@@ -12,6 +12,7 @@ from models.dynamics.bearings import BearingProperties
 from models.dynamics.chain import SpringDamper
 from models.dynamics.modes import HIGHEST_HZ as SEARCH_END_HZ
 from models.dynamics.modes import Mode, modes, rigid_body_modes
+from models.errors import RefusedInputError
 from models.records import FloatArray
 
 DEFAULT_STEP_HZ = 12800.0 / 16384.0
@@ -23,7 +24,7 @@ CLOSEST = 1e-12
 """Smallest distance between two frequencies, as a share of them."""
 
 
-class ResponseError(ValueError):
+class ResponseError(RefusedInputError, ValueError):
     """A response cannot be computed as asked; the text says why."""
 
 

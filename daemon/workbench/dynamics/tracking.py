@@ -11,6 +11,7 @@ from config.html_page import Section
 from config.machine.spindle_chain import Spindle
 from daemon.workbench.dynamics.campaign import Temperatures
 from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, report_page
+from models.errors import RefusedInputError
 from models.records import FloatArray
 from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracker
@@ -18,7 +19,7 @@ from models.thermomechanics.tool_point import ToolPointDynamics, ToolPointTracke
 SHOWN_RESPONSES = 5
 
 
-class TrackingError(ValueError):
+class TrackingError(RefusedInputError, ValueError):
     """A recording cannot be followed; the text says why."""
 
 
