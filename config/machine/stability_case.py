@@ -8,8 +8,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from config.loader import load_yaml_model, with_absolute_paths
 from config.schema.base import KeyPath, KeyProblems, Section
+from models.errors import StabilityError
 from models.stability.cutting_coefficients import MATERIALS
-from models.stability.errors import StabilityError
 from models.stability.milling import Cut, MillingMode, engagement_rad
 
 ALL_DIRECTIONS = "all"

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
-from daemon.telemetry.memory import give_memory_back
+from daemon.telemetry.metrics import give_memory_back
 from models.records import FloatArray, Reference
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
 from models.thermal.family import ThermalModel

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from daemon.history import HistoryError, HistoryReader
-from daemon.telemetry.memory import give_memory_back
+from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
 from models.quality import Quality
 from models.records import FloatArray

@@ -10,7 +10,7 @@ from daemon.model_release.loading import LoadedModel
 from daemon.model_release.releasing import Kind
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
 from daemon.spindle_speed.planning import OperationPlanning, planned_with
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.thermomechanics.regression import ThermomechanicalModel
 
 

@@ -15,12 +15,11 @@ from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from daemon.spindle_speed.messages import CalledOperation, PlannedSpeed, PlanRequest
 from models.dynamics.assembly import SpindleAssembly
-from models.dynamics.errors import IdentificationError
+from models.errors import IdentificationError, StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.spindle_speed.verification import StabilityVerification
-from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.dynamics.beam import ComplexArray
-from models.dynamics.errors import IdentificationError
+from models.errors import IdentificationError
 from models.records import FloatArray
 
 BOUNDS = {"kt": (1e-6, 1e13), "ct": (1e-12, 1e9), "kr": (1e-6, 1e11), "cr": (1e-15, 1e7)}

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.plan import SpeedChoice
-from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 
 SLOWEST_RPM, FASTEST_RPM = 1e-3, 1e7

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.tool_point import EstimatedToolPoint
-from models.stability.errors import StabilityError
 from models.stability.response import ModalResponse, Mode
 
 AXES = ("x", "y")

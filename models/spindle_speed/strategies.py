@@ -6,13 +6,13 @@ Each is asked once with every reading of the temperatures and answers with the p
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from models.errors import StabilityError
 from models.records import Phase
 from models.spindle_speed.choice import resonance_speed_rpm
 from models.spindle_speed.planner import LobesOf, MillingOperation, SpeedPlanner
 from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.tuning import SpeedTuningInputs, SpeedTuningSettings, initial_memory, step
 from models.spindle_speed.verification import StabilityVerification
-from models.stability.errors import StabilityError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

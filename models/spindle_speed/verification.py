@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.collocation import radius_bounds
-from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.milling import Cut
 from models.stability.response import ComplexArray, ModalResponse, Mode, SampledResponse, ToolPointResponse

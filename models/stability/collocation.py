@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.milling import Cut
 from models.stability.response import ModalResponse, Mode, feed_rotation
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.milling import Cut
 from models.units import m_from_mm
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.response import ComplexArray, Mode, modal_receptance
 
 MOST_PAIRS = 12

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.milling import tooth_passing_hz
 
 

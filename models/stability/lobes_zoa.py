@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_lines, check_range
 from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
 from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, feed_rotation

@@ -11,8 +11,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 
 LEAST_IMMERSION = 1e-6
 """Radial depth over diameter; less is no cut."""

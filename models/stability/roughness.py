@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 
 FEWEST_POINTS = 20
 GAUSSIAN = np.sqrt(np.log(2.0) / np.pi)

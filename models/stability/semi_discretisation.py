@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.milling import Cut, directional_matrix
 from models.stability.response import ComplexArray, Mode
 from models.stability.state_space import StateSpace

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 
 FAINTEST_M_S2, LOUDEST_M_S2 = 1e-9, 1e9
 """Range of the largest acceleration of a recording; outside, its unit or its scale is wrong [m/s^2]."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.errors import StabilityError
 from models.stability.response import ModalResponse, Mode, feed_rotation
 
 STILL = 1e-12

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.dynamics.errors import IdentificationError
+from models.errors import IdentificationError
 from models.records import FloatArray
 from models.thermomechanics.regression import (
     AxisRegression,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.dynamics.beam import ComplexArray
-from models.dynamics.errors import IdentificationError
+from models.errors import IdentificationError
 from models.records import FloatArray
 
 Receptance = Callable[[Mapping[str, float]], ComplexArray]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.chatter import (
     ChatterMonitor,
@@ -14,7 +15,6 @@ from models.stability.chatter import (
     short_time_spectra,
     summarise,
 )
-from models.stability.errors import StabilityError
 from models.stability.signal_checks import check_clipping
 
 RATE_HZ = 6400.0

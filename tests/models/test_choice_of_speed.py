@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from models.errors import StabilityError
 from models.spindle_speed.choice import (
     SpeedDemand,
     SpeedLimits,
@@ -12,7 +13,6 @@ from models.spindle_speed.choice import (
     resonance_speed_rpm,
     rule_candidates_rpm,
 )
-from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from models.errors import StabilityError
 from models.stability.collocation import passing_maps, radius_bounds
-from models.stability.errors import StabilityError
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, Mode, mode_from_residue, mode_from_stiffness
 from models.stability.semi_discretisation import fine_steps, semi_discretisation, spectral_radius

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.response import modal_receptance, mode_from_residue, mode_from_stiffness
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import (
     Cut,

@@ -9,8 +9,8 @@ from config.machine.spindle import spindle_folder
 from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import properties_from_parameters
-from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
+from models.errors import IdentificationError
 from models.thermomechanics.resonance import ResonanceFollower, band, peaks
 
 TYPICAL = {"ct_12": 300.0, "kr_12": 3e6, "kt_34": 1e8, "kt_5": 5e7, "ct_5": 800.0}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.stability.roughness import profile_roughness, roughness_per_depth
 
 POSITION_MM = np.arange(5451) * 0.032e-1

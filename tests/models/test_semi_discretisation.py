@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.stability.lobes_sdm import semi_discretised_lobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad, tooth_passing_hz

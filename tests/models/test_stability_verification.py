@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.verification import StabilityVerification
 from models.stability.collocation import radius_bounds
-from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad

@@ -8,8 +8,8 @@ from config.machine.spindle import spindle_folder
 from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
-from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
+from models.errors import IdentificationError
 from models.model_file import ModelError
 from models.quality import Quality
 from models.records import FloatArray, Instant, MachineTemperatures, Trace

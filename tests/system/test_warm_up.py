@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from config.machine.stability_case import load_stability_case
 from daemon.cli import main
 from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun, warm_up
+from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
-from models.stability.errors import StabilityError
 
 CASE = """\
 teeth: 4

@@ -10,8 +10,8 @@ from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
 from drivers.sim.spindle.spindle_beam import END_MILL_16, SpindleBeam
 from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from drivers.sim.spindle.warming_spindle import WarmingBeams
+from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
-from models.stability.errors import StabilityError
 
 CASE = """\
 teeth: 4

@@ -85,8 +85,8 @@ def identify(
     from config.machine.spindle_chain import read_spindle
     from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
-    from models.dynamics.errors import IdentificationError
     from models.dynamics.measurement import MeasurementError
+    from models.errors import IdentificationError
 
     try:
         spindle = read_spindle(spindle_path, rotary)
@@ -139,8 +139,8 @@ def contact(
     from config.machine.spindle_chain import read_spindle
     from daemon.workbench.dynamics.identifying import Band, contact_summary, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
-    from models.dynamics.errors import IdentificationError
     from models.dynamics.measurement import MeasurementError
+    from models.errors import IdentificationError
 
     try:
         spindle = read_spindle(spindle_path, rotary)

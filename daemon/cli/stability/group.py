@@ -93,7 +93,7 @@ def lobes(
     """Limiting depth of cut over spindle speed for the milling CASE."""
     from config.machine.stability_case import load_stability_case
     from daemon.workbench.stability.lobes import LobesRequest, find_lobes, radii_at
-    from models.stability.errors import StabilityError
+    from models.errors import StabilityError
 
     if method == "zoa" and (at or steps is not None):
         refuse("--at and --steps belong to the semi-discretisation; add --method sdm")
@@ -247,8 +247,8 @@ def choose(
     """
     from config.machine.stability_case import load_stability_case
     from daemon.workbench.stability.lobes import choose_for_case
+    from models.errors import StabilityError
     from models.spindle_speed.choice import SpeedDemand, SpeedLimits
-    from models.stability.errors import StabilityError
 
     limits = SpeedLimits(
         machine_lowest_rpm=min_rpm, machine_highest_rpm=max_rpm, within_fraction=max_change_percent / 100.0

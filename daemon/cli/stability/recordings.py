@@ -57,7 +57,7 @@ def chatter(
     """Look for chatter in the accelerometer RECORDING (WAV, or CSV with time_s,acceleration_m_s2)."""
     from daemon.workbench.stability.recordings import judge_recording
     from drivers.files.accelerometer_recording import read_acceleration
-    from models.stability.errors import StabilityError
+    from models.errors import StabilityError
 
     try:
         recording = read_acceleration(recording_path, full_scale_m_s2)

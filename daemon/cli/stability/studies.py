@@ -83,7 +83,7 @@ def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
     """Modes fitted to the FRF files of a CASE, as the semi-discretisation uses them."""
     from config.machine.stability_case import load_stability_case
     from daemon.workbench.stability.studies import fitted_modes, modes_content
-    from models.stability.errors import StabilityError
+    from models.errors import StabilityError
 
     try:
         found = fitted_modes(load_stability_case(case_path))

@@ -90,9 +90,9 @@ def warm_up(
     from daemon.simulation.warm_up.report import in_words, warm_up_content, warm_up_picture
     from daemon.simulation.warm_up.run import WarmUpRequest
     from daemon.simulation.warm_up.run import warm_up as milled
+    from models.errors import StabilityError
     from models.spindle_speed.choice import SpeedDemand, SpeedLimits
     from models.spindle_speed.tuning import SpeedTuningError
-    from models.stability.errors import StabilityError
 
     request = WarmUpRequest(
         demand=SpeedDemand(

@@ -16,10 +16,10 @@ from daemon.simulation.warm_up.machine import CYCLE_S, STANDING_S
 from daemon.workbench.stability.case_files import modal_response_of
 from drivers.sim.machine.day import Day
 from drivers.sim.spindle.warming_spindle import VibrationModes, WarmingModes, WarmingSpindle, impact_response
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.modal_regression import AXES, ModalEstimator, ModalRegression, ModalSample, SignalHistory
 from models.spindle_speed.tool_point import ToolPointEstimator
-from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.response import Mode
 

@@ -16,13 +16,13 @@ from daemon.simulation.warm_up.modes import CaseMachine
 from daemon.simulation.warm_up.referee import CutState, WarmUpReferee
 from daemon.simulation.warm_up.spindle import SpindleMachine
 from drivers.sim.spindle.warming_spindle import WarmingSpindle
+from models.errors import StabilityError
 from models.records import Phase
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.spindle_speed.planner import MillingOperation
 from models.spindle_speed.strategies import ProgrammedSpeed, ResonanceRule, SpeedInForce, SpeedStrategy, TunedSpeed
 from models.spindle_speed.tuning import SpeedTuningSettings
 from models.spindle_speed.verification import StabilityVerification
-from models.stability.errors import StabilityError
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes
 from models.stability.lobes_zoa import zeroth_order_lobes

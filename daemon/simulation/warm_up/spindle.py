@@ -27,10 +27,10 @@ from drivers.sim.spindle.impact_campaign import run_campaign as hit
 from drivers.sim.spindle.spindle_beam import END_MILL_10, END_MILL_16, MountedTool
 from drivers.sim.spindle.spindle_bearings import COLD_DEGC
 from drivers.sim.spindle.warming_spindle import VibrationModes, WarmingBeams
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.tool_point import ToolPointEstimator
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
-from models.stability.errors import StabilityError
 from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointTracker
 

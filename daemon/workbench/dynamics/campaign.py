@@ -19,10 +19,10 @@ from drivers.files.impact_index import ImpactIndexError, first_time, read_index
 from drivers.files.recording_csv import SECONDS, read_header, read_recording
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import CondensedShaft
-from models.dynamics.errors import IdentificationError
 from models.dynamics.identification import FIXED
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
 from models.dynamics.plausibility import check_frequencies
+from models.errors import IdentificationError
 from models.records import FloatArray
 from models.thermomechanics.artifact import model_to_json
 from models.thermomechanics.fitting import FittedProperty, MinuteSeries, fit_axis, minute_series

@@ -8,7 +8,7 @@ from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.measurement import Measurement, MeasurementError
 from models.dynamics.plausibility import check_tool_point
-from models.stability.errors import StabilityError
+from models.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.lobes import check_lines
 from models.stability.response import (

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from drivers.files.accelerometer_recording import AccelerationRecording
+from models.errors import StabilityError
 from models.json_values import finite_or_none
 from models.records import FloatArray
 from models.stability.chatter import ChatterVerdict, detect_chatter
-from models.stability.errors import StabilityError
 from models.stability.roughness import roughness_per_depth
 from models.stability.signal_checks import check_clipping
 

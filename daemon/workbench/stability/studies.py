@@ -13,11 +13,11 @@ from config.machine.stability_case import DirectionCase, StabilityCase, load_sta
 from daemon.workbench.stability.case_files import read_direction
 from daemon.workbench.stability.lobes import LobesRequest, find_lobes
 from models.dynamics.measurement import Measurement
+from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.choice import SpeedDemand, choose_speed
 from models.spindle_speed.plan import SpeedChoice
 from models.stability.cutting_coefficients import CoefficientFit, fit_mean_forces
-from models.stability.errors import StabilityError
 from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.lobes import StabilityLobes
 
