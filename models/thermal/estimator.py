@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
-from models.thermal.lags import lag_step, speed_inputs
-from models.thermal.layout import BRIDGE_MIN
+from models.thermal.features import BRIDGE_MIN, lag_step, speed_inputs
 from models.thermal.left_out import LeftOut
 from models.thermal.model import LinearParameters
 from models.thermal.solution import band_factor

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.layout import IntArray
+from models.thermal.features import IntArray
 from models.thermal.model import LinearParameters
 from models.thermal.solution import leverage
 

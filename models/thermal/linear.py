@@ -1,20 +1,188 @@
-"""The family of models that are linear in temperatures, their lags and lagged speed: default, increments, ridge .."""
+"""The family of models that are linear in temperatures, their lags and lagged speed: default, increments, ridge ..
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+The states of a model in use live from sample to sample and need no storage of their own: a rebuild over four times
+the longest lag gives the same states as if nothing had been interrupted. Only which sensors the watch has excluded,
+and what sensors that returned count from, does not follow from the temperatures; the caller keeps that with the
+reference, and brings it back with it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from models.model_file import file_text, record_of
 from models.records import FloatArray
-from models.thermal.estimation import Machine
-from models.thermal.lags import feature_table
-from models.thermal.layout import Design, Layout
-from models.thermal.model import Domain, HyperParameters, LinearParameters, TestVector, TrainingData
-from models.thermal.online import LinearOnline
-from models.thermal.solution import Solution
+from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
+from models.thermal.estimator import LinearEstimator, ModelState, blamed_again, blamed_signs, readmitted
+from models.thermal.features import feature_table
+from models.thermal.model import LinearParameters
+from models.thermal.rebase import StateReference, estimate_since, rebased, resumed, returning, state_reference
+from models.thermal.watch import MISSING
 
 FAMILY = "linear"
+
+
+class LinearOnline:
+    """Advances the states once per sample of the training's period; estimates whenever it is asked.
+
+    Parameters
+    ----------
+    model
+        The model.
+    machine
+        Components of its sensors, which a model without ridges takes for each other.
+
+    """
+
+    def __init__(self, model: LinearParameters, machine: Machine) -> None:
+        self.model = model
+        components = tuple(machine.components.get(sensor_id, "") for sensor_id in model.sensor_ids)
+        self._estimator = LinearEstimator(model, components)
+        self._state: ModelState | None = None
+        self._reference: StateReference | None = None
+        self._reference_min = 0.0
+        self._anew: set[int] = set()
+        self._left_out: dict[int, str] = {}
+        self._speed_rpm = float("nan")
+
+    @property
+    def history_min(self) -> float:
+        """So much history the states need [min]."""
+        return self._estimator.history_min
+
+    @property
+    def inputs(self) -> str:
+        """What the history must hold, in words."""
+        return "temperatures and spindle speed" if self.model.layout.speed_lags_min else "temperatures"
+
+    @property
+    def filled(self) -> float:
+        """How far the states are filled, 0..1."""
+        if self.history_min <= 0.0:
+            return 1.0
+        return 0.0 if self._state is None else self._estimator.settled(self._state)
+
+    def rebuild(self, history: Samples) -> None:
+        """Fill the states from the history; there is nothing to fill in a model without lags."""
+        if self.history_min > 0.0:
+            self._state = self._estimator.rebuild(history)
+
+    def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
+        """Advance the states when a sample of the training's period is due; temperatures [degC], speed [1/min]."""
+        self._speed_rpm = speed_rpm
+        now = self._counted(degc)
+        if self._state is None:
+            if np.isfinite(now).any():
+                self._state = self._estimator.begin(time_min, now, speed_rpm)
+        elif time_min - self._state.time_min >= self.model.period_min:
+            self._state = self._estimator.advance(self._state, time_min, now, speed_rpm)
+
+    def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
+        """Keep the states at the reference; those of one that lies back come from its history."""
+        self._left_out = {}
+        readmitted_ids: tuple[int, ...] = ()
+        if reference.excluded is None:
+            readmitted_ids = self._readmit()
+        elif self.model.watch is None:
+            self._left_out = dict(reference.excluded)
+        if self.history_min <= 0.0:
+            state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
+        elif reference.history is not None:
+            state = self._estimator.rebuild(reference.history)
+        else:
+            state = self._now(reference.now_min, reference.degc)
+        self._reference = None if state is None else state_reference(self._estimator, state)
+        self._reference_min, self._anew = reference.time_min, set()
+        if reference.excluded is not None and self._state is not None:
+            self._state = blamed_again(self.model, self._state, reference.excluded)
+        if reference.kept is not None and reference.kept["model_id"] == self.model.model_id:
+            self._restore(reference.kept)
+        return readmitted_ids
+
+    @property
+    def reference_degc(self) -> FloatArray | None:
+        """What the temperatures at the reference count as [degC]; None for a model with lags, see `kept`."""
+        if self._reference is None or self.history_min > 0.0:
+            return None
+        then = self._reference.state
+        return np.where(then.missing, np.nan, then.degc)
+
+    @property
+    def excluded(self) -> dict[int, str]:
+        """Sensors whose values were found wrong; a silent one counts again when it has values again."""
+        signs = {} if self._state is None else blamed_signs(self.model, self._state)
+        return self._left_out | {sensor_id: sign for sensor_id, sign in signs.items() if sign != MISSING}
+
+    @property
+    def kept(self) -> dict[str, Any] | None:
+        """What the sensors that returned since the reference count from; None while none has."""
+        if self._reference is None or not self._anew or self.history_min <= 0.0:
+            return None
+        then = self._reference.state
+        return {
+            "model_id": self.model.model_id,
+            "reference_degc": {
+                str(self.model.sensor_ids[i]): [float(then.degc[i]), *then.lagged[:, i].tolist()]
+                for i in sorted(self._anew)
+            },
+            "shift_degc": self._reference.shift_degc.tolist(),
+            "rest_um": self._reference.rest_um.tolist(),
+            "rest_after_min": self._reference.rest_since_min - self._reference_min,
+        }
+
+    def estimate(
+        self, time_min: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
+    ) -> tuple[Estimation | None, tuple[int, ...]]:
+        """Return the thermal error between the states now and at the reference, and who was set anew for it."""
+        state = self._now(time_min, self._counted(degc))
+        if state is None or self._reference is None:
+            return None, ()
+        away = [int(i) for i in np.flatnonzero(absent)]
+        back = returning(self._estimator, state, self._reference, away)
+        found = rebased(self._estimator, state, self._reference, back) if back else None
+        anew: tuple[int, ...] = ()
+        if found is not None:
+            self._state, self._reference = found
+            state = found[0]
+            self._anew |= set(back)
+            anew = tuple(self.model.sensor_ids[i] for i in back)
+        return estimate_since(self._estimator, state, self._reference), anew
+
+    def _counted(self, degc: FloatArray) -> FloatArray:
+        """Return the temperatures without those of sensors that another model found wrong [degC]."""
+        if not self._left_out:
+            return degc
+        return np.where(np.isin(self.model.sensor_ids, list(self._left_out)), np.nan, degc)
+
+    def _now(self, time_min: float, degc: FloatArray) -> ModelState | None:
+        if self._state is None:
+            return None
+        return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, blame=False)
+
+    def _restore(self, kept: Mapping[str, Any]) -> None:
+        """Let sensors that returned before a restart count from where they did."""
+        if self._reference is None or self._state is None:
+            return
+        columns = {self.model.sensor_ids.index(int(i)): values for i, values in kept["reference_degc"].items()}
+        counted = replace(
+            self._reference,
+            rest_um=np.array(kept["rest_um"]),
+            shift_degc=np.array(kept["shift_degc"]),
+            rest_since_min=self._reference_min + kept["rest_after_min"],
+        )
+        self._anew = set(columns)
+        self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
+
+    def _readmit(self) -> tuple[int, ...]:
+        """Let sensors that were blamed count again from a new reference on; return their IDs."""
+        if self._state is None or self._state.watch is None:
+            return ()
+        out = self._state.watch.excluded
+        self._state = readmitted(self._state, out)
+        return tuple(self.model.sensor_ids[i] for i in out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,81 +234,3 @@ class LinearModel(LinearParameters):
 def linear_model(content: bytes) -> LinearModel:
     """Return the model that the content of a file holds; raises ModelError."""
     return record_of(content, LinearModel)
-
-
-def increment_model(
-    *,
-    model_id: str,
-    kind: str,
-    channels: tuple[str, ...],
-    sensor_ids: tuple[int, ...],
-    sensor_names: tuple[str, ...],
-    coefficients_um_per_k: FloatArray,
-    drift_um_per_min: FloatArray,
-    lowest_increment_k: FloatArray,
-    highest_increment_k: FloatArray,
-    band_um: FloatArray,
-    training: tuple[TrainingData, ...],
-    created: str,
-    test_pairs: Sequence[tuple[FloatArray, FloatArray]],
-    hyper_parameters: HyperParameters | None = None,
-    period_min: float = 1.0,
-    refused: str | None = None,
-    axis_positions: tuple[str, ...] = (),
-) -> LinearModel:
-    """Return the telescoped model of increments since the reference: a linear model without lags.
-
-    Parameters
-    ----------
-    coefficients_um_per_k : shape (n_channels, n_sensors)
-        b [um/K].
-    drift_um_per_min : shape (n_channels,)
-        b_0 [um/min].
-    lowest_increment_k, highest_increment_k : shape (n_sensors,)
-        Range of increments since any earlier instant of training [K].
-    test_pairs
-        Temperatures now and at the reference [degC], of which test vectors are made, 1, 2 .. hours apart.
-    model_id, kind, channels, sensor_ids, sensor_names, band_um, training, created, hyper_parameters, period_min, \
-refused, axis_positions
-        See `LinearParameters`.
-
-    """
-    layout = Layout(sensors=len(sensor_ids), lags_min=(), speed_lags_min=())
-    weights = np.ascontiguousarray(coefficients_um_per_k.T)
-    return LinearModel(
-        model_id=model_id,
-        kind=kind,
-        channels=channels,
-        sensor_ids=sensor_ids,
-        sensor_names=sensor_names,
-        layout=layout,
-        speed_scale_rpm=1.0,
-        period_min=period_min,
-        solutions=(
-            Solution(
-                layout=layout,
-                design=Design(departures=False, correlation_min=None),
-                gain=np.ones(layout.columns),
-                weights=weights,
-            ),
-        ),
-        drift_um_per_min=drift_um_per_min,
-        centre=np.zeros(layout.columns),
-        domain=Domain(of_increments=True, lowest=lowest_increment_k, highest=highest_increment_k),
-        band_um=band_um,
-        watch=None,
-        hyper_parameters=hyper_parameters or {},
-        refused=refused,
-        training=training,
-        created=created,
-        test_vectors=tuple(
-            TestVector(
-                features=now,
-                reference=then,
-                elapsed_min=60.0 * hours,
-                thermal_error_um=(now - then) @ weights + 60.0 * hours * drift_um_per_min,
-            )
-            for hours, (now, then) in enumerate(test_pairs, start=1)
-        ),
-        axis_positions=axis_positions,
-    )

@@ -10,7 +10,7 @@ import numpy as np
 
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
-from models.thermal.layout import IntArray, Layout
+from models.thermal.features import IntArray, Layout
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
-from models.thermal.layout import Layout
+from models.thermal.features import Layout
 
 WATCH_LAGS_MIN = (10.0, 90.0)
 """Lags of temperatures and of spindle speed from which sensors are predicted [min]."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
-from models.thermal.layout import Design, IntArray, Layout, canonical, design_columns
+from models.thermal.features import Design, IntArray, Layout, canonical, design_columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

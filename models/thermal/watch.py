@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.lags import lag_step, speed_inputs
-from models.thermal.layout import BRIDGE_MIN
+from models.thermal.features import BRIDGE_MIN, lag_step, speed_inputs
 from models.thermal.sensor_watch import (
     FAST_MIN,
     SAME_K,

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from daemon.cli import main
 from daemon.model_release.loading import read_model
 from models.thermal.family import model_from_json
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 
 MAP = "time: t\nspeed: rpm\ntemperatures: ['t[0-9]*']\naxis_positions: ['*_mm']\ndisplacements: [c1]\n"
 

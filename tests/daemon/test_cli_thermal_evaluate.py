@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS, parse_fault
 from models.thermal.family import model_from_json
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.trial import Fault

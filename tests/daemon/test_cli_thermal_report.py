@@ -12,7 +12,7 @@ from daemon.cli import main
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from drivers.files.recording_csv import read_recording, write_recording
 from models.thermal.family import model_from_json
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 
 STOPS_MIN = (300, 420, 960)
 """Standstill in a hall that warms by 2 K; 120 min of rotation; standstill."""

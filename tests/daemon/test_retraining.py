@@ -24,7 +24,7 @@ from daemon.model_release.past_recordings import recordings_from_history
 from drivers.clock import SystemClock
 from models.recordings.dataset import DatasetError
 from models.thermal.family import model_from_json
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 
 CYCLE_MIN = 180
 CYCLES = 5

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
 from models.thermal.estimator import DOMAIN_MARGIN_K, LinearEstimator
-from models.thermal.linear import LinearModel, increment_model
+from models.thermal.linear import LinearModel
 from models.thermal.model import TrainingData
 from models.thermal.training.evaluation import residual_metrics
+from models.thermal.training.making import increment_model
 
 COEFFICIENTS = np.array([[1.0, 2.0, -1.0, 0.0], [0.5, 0.0, 0.0, -0.5]])
 DRIFT = np.array([0.1, 0.0])

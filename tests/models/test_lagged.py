@@ -14,8 +14,7 @@ from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted
 from models.thermal.family import model_from_json
-from models.thermal.lags import lag_step, lag_table
-from models.thermal.layout import Design
+from models.thermal.features import Design, lag_step, lag_table
 from models.thermal.linear import LinearModel
 from models.thermal.training.families import Fit, default_family
 from models.thermal.training.folds import inner_folds

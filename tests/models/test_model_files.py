@@ -14,8 +14,9 @@ from signed_models import signed
 
 from models.model_file import ModelError, content_sha256
 from models.thermal.family import model_from_json
-from models.thermal.linear import LinearModel, increment_model
+from models.thermal.linear import LinearModel
 from models.thermal.model import TestVector, TrainingData
+from models.thermal.training.making import increment_model
 
 OLD = Path(__file__).parents[1] / "fixtures/version_0_1_0/models"
 COEFFICIENTS = np.array([[1.5, -0.25, 0.1], [0.0, 2.0, 1.0 / 3.0]])

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.thermal.estimator import LinearEstimator
-from models.thermal.linear import increment_model
 from models.thermal.mean_increment import first_mean_increment, renewed_mean_increment
 from models.thermal.rebase import estimate_since, rebased, returning, state_reference
+from models.thermal.training.making import increment_model
 
 SENSORS = 6
 COMPONENTS = ("head", "head", "head", "column", "column", "column")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.recordings.dataset import Recording
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.selection import Method, SensorComparison

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import default_family

@@ -7,7 +7,7 @@ import pytest
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.lags import lag_table
+from models.thermal.features import lag_table
 from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs

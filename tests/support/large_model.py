@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import Design, Layout
+from models.thermal.features import Design, Layout
 from models.thermal.linear import LinearModel
 from models.thermal.model import Domain, TestVector
 from models.thermal.sensor_watch import SensorWatch

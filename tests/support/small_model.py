@@ -3,7 +3,8 @@
 import numpy as np
 from control_rig import SENSOR_IDS
 
-from models.thermal.linear import LinearModel, increment_model
+from models.thermal.linear import LinearModel
+from models.thermal.training.making import increment_model
 
 
 def model(name: str = "ridge-1", band_um: float = 2.0) -> LinearModel:

@@ -14,7 +14,7 @@ from daemon.telemetry.metrics import Telemetry
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.family import ThermalModel
-from models.thermal.linear import increment_model
+from models.thermal.training.making import increment_model
 
 PERIOD_S = 10.0
 CHAINS = {"spindle": (1, 2, 3), "column": (11, 12)}

@@ -15,7 +15,7 @@ from daemon.estimation.task import Message, ThermalTask
 from models.quality import Quality, Reason
 from models.records import FloatArray, TemperatureCycle, Trace
 from models.thermal.family import ThermalModel
-from models.thermal.layout import Design, Layout
+from models.thermal.features import Design, Layout
 from models.thermal.linear import LinearModel
 from models.thermal.model import Domain, TestVector
 from models.thermal.solution import Solution

@@ -16,7 +16,8 @@ from config.schema import Configuration
 from daemon.simulation.demonstration import switch_on, watch
 from daemon.simulation.processes import Rehearsal
 from drivers.sim.machine.packs import PackScript
-from models.thermal.linear import LinearModel, increment_model
+from models.thermal.linear import LinearModel
+from models.thermal.training.making import increment_model
 
 Mode = Literal["temperature", "compensation"]
 

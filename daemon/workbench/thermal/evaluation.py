@@ -13,7 +13,7 @@ from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
-from models.thermal.layout import BoolArray
+from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
 from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, design_columns
+from models.thermal.features import BoolArray, design_columns
 from models.thermal.solution import Solution
 from models.thermal.training.inputs import Inputs
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, Design, IntArray
+from models.thermal.features import BoolArray, Design, IntArray
 from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution
 from models.thermal.training.evaluation import ResidualMetrics

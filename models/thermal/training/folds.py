@@ -6,7 +6,7 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.inputs import Inputs
 
 STANDSTILL_SHARE = 0.002

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
 from models.thermal.training.families import Fit, Problem, chosen, fold_numbers, require_enough
 from models.thermal.training.increments import (

@@ -12,8 +12,7 @@ import numpy as np
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.jumps import remove_sudden_jumps
 from models.records import FloatArray
-from models.thermal.lags import feature_table
-from models.thermal.layout import BRIDGE_MIN, BoolArray, IntArray, Layout
+from models.thermal.features import BRIDGE_MIN, BoolArray, IntArray, Layout, feature_table
 
 TEMPERATURE_LAGS_MIN = (10.0, 30.0, 90.0, 240.0)
 """Time constants of the lags of temperatures [min]."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
 from models.thermal.training.families import (
     Fit,

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.layout import BoolArray
-from models.thermal.linear import LinearModel, increment_model
+from models.thermal.features import BoolArray, Design, Layout
+from models.thermal.linear import LinearModel
 from models.thermal.model import Domain, HyperParameters, TestVector, TrainingData
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
@@ -116,6 +116,84 @@ def _telescoped(fitted: Fitted) -> LinearModel:
         period_min=inputs.period_min,
         refused=fitted.trust.refused,
         axis_positions=inputs.axis_positions,
+    )
+
+
+def increment_model(
+    *,
+    model_id: str,
+    kind: str,
+    channels: tuple[str, ...],
+    sensor_ids: tuple[int, ...],
+    sensor_names: tuple[str, ...],
+    coefficients_um_per_k: FloatArray,
+    drift_um_per_min: FloatArray,
+    lowest_increment_k: FloatArray,
+    highest_increment_k: FloatArray,
+    band_um: FloatArray,
+    training: tuple[TrainingData, ...],
+    created: str,
+    test_pairs: Sequence[tuple[FloatArray, FloatArray]],
+    hyper_parameters: HyperParameters | None = None,
+    period_min: float = 1.0,
+    refused: str | None = None,
+    axis_positions: tuple[str, ...] = (),
+) -> LinearModel:
+    """Return the telescoped model of increments since the reference: a linear model without lags.
+
+    Parameters
+    ----------
+    coefficients_um_per_k : shape (n_channels, n_sensors)
+        b [um/K].
+    drift_um_per_min : shape (n_channels,)
+        b_0 [um/min].
+    lowest_increment_k, highest_increment_k : shape (n_sensors,)
+        Range of increments since any earlier instant of training [K].
+    test_pairs
+        Temperatures now and at the reference [degC], of which test vectors are made, 1, 2 .. hours apart.
+    model_id, kind, channels, sensor_ids, sensor_names, band_um, training, created, hyper_parameters, period_min, \
+refused, axis_positions
+        See `LinearParameters`.
+
+    """
+    layout = Layout(sensors=len(sensor_ids), lags_min=(), speed_lags_min=())
+    weights = np.ascontiguousarray(coefficients_um_per_k.T)
+    return LinearModel(
+        model_id=model_id,
+        kind=kind,
+        channels=channels,
+        sensor_ids=sensor_ids,
+        sensor_names=sensor_names,
+        layout=layout,
+        speed_scale_rpm=1.0,
+        period_min=period_min,
+        solutions=(
+            Solution(
+                layout=layout,
+                design=Design(departures=False, correlation_min=None),
+                gain=np.ones(layout.columns),
+                weights=weights,
+            ),
+        ),
+        drift_um_per_min=drift_um_per_min,
+        centre=np.zeros(layout.columns),
+        domain=Domain(of_increments=True, lowest=lowest_increment_k, highest=highest_increment_k),
+        band_um=band_um,
+        watch=None,
+        hyper_parameters=hyper_parameters or {},
+        refused=refused,
+        training=training,
+        created=created,
+        test_vectors=tuple(
+            TestVector(
+                features=now,
+                reference=then,
+                elapsed_min=60.0 * hours,
+                thermal_error_um=(now - then) @ weights + 60.0 * hours * drift_um_per_min,
+            )
+            for hours, (now, then) in enumerate(test_pairs, start=1)
+        ),
+        axis_positions=axis_positions,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.recordings.dataset import DatasetError, Recording
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.families import Problem, fold_numbers, relative_rmse
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BRIDGE_MIN, BoolArray, Design, IntArray, design_columns
+from models.thermal.features import BRIDGE_MIN, BoolArray, Design, IntArray, design_columns
 from models.thermal.solution import Solution
 from models.thermal.training.inputs import Inputs
 

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.families import DEFAULT_DESIGNS, Fit, fold_numbers, relative_rmse, ridge_fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.ridge import RidgeProblem

@@ -9,7 +9,7 @@ from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
 from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data

@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.lags import lag_table
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray, lag_table
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import band_factor
 from models.thermal.training.domain import farthest_leverage, leverage_positions

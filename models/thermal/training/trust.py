@@ -7,7 +7,7 @@ import numpy as np
 from models.recordings.dataset import DatasetError
 from models.recordings.jumps import scatter_um
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.solution import band_factor
 from models.thermal.training.domain import REFERENCES, farthest_leverage, leverage_positions
 from models.thermal.training.evaluation import ResidualMetrics

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.layout import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.sensor_watch import (
     FAST_MIN,
     FLAT_FACTOR,
