@@ -144,7 +144,7 @@ class LinearEstimator:
         degc: FloatArray,
         speed_rpm: float = float("nan"),
         *,
-        blame: bool = True,
+        find_faults: bool = True,
     ) -> ModelState:
         """Return the state after a sample.
 
@@ -158,7 +158,7 @@ class LinearEstimator:
             Before it.
         time_min, degc, speed_rpm
             See `begin`. A time that does not lie after the state's changes nothing.
-        blame
+        find_faults
             Whether the watch may exclude sensors; False while history is replayed.
 
         """
@@ -185,7 +185,7 @@ class LinearEstimator:
             speed_since_min=time_min if anew else state.speed_since_min,
             lagged=lagged,
             speed_lagged=speed_lagged,
-            watch=self._watched(state.watch, time_min, degc, speed_rpm, blame),
+            watch=self._watched(state.watch, time_min, degc, speed_rpm, find_faults),
         )
         return self.begun(advanced, np.flatnonzero(returned).tolist()) if returned.any() else advanced
 
@@ -226,12 +226,12 @@ class LinearEstimator:
         )
 
     def _watched(
-        self, watch: WatchState | None, time_min: float, degc: FloatArray, speed_rpm: float, blame: bool
+        self, watch: WatchState | None, time_min: float, degc: FloatArray, speed_rpm: float, find_faults: bool
     ) -> WatchState | None:
         """Return the watch's state: it looks as often as in training, because its limits on slew are from there."""
         if self._watcher is None or watch is None or time_min - watch.time_min < 0.999 * self.model.period_min:
             return watch
-        return self._watcher.step(watch, time_min, degc, speed_rpm, blame=blame)
+        return self._watcher.step(watch, time_min, degc, speed_rpm, find_faults=find_faults)
 
     def rebuild(self, samples: Iterable[tuple[float, FloatArray, float]]) -> ModelState | None:
         """Return the state after a history of (time [min], temperatures [degC], speed [1/min]); None when empty."""
@@ -240,7 +240,7 @@ class LinearEstimator:
             if state is None:
                 state = self.begin(time_min, degc, speed_rpm)
             else:
-                state = self.advance(state, time_min, degc, speed_rpm, blame=False)
+                state = self.advance(state, time_min, degc, speed_rpm, find_faults=False)
         return state
 
     def settled(self, state: ModelState) -> float:
@@ -300,9 +300,9 @@ class LinearEstimator:
         return tuple(self.model.sensor_ids[index] for index in indices)
 
     def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
-        """Return the state in which sensors (indices) that were silent are watched anew, and blamed for it no longer.
+        """Return the state in which sensors (indices) that were silent are watched anew, see `Watcher.reinitialised`.
 
-        See `Watcher.reinitialised`; a model without a watch blames nobody.
+        A model without a watch has nothing to begin anew.
         """
         if self._watcher is None or state.watch is None:
             return state
@@ -321,14 +321,14 @@ def excluded_sensors(state: ModelState, reference: ModelState) -> tuple[int, ...
     return tuple(int(index) for index in np.flatnonzero(out))
 
 
-def blamed_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:
+def fault_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:
     """Return the sensors that the watch excludes, by ID, each with the sign by which it was found."""
     if state.watch is None:
         return {}
-    return {model.sensor_ids[blame.sensor]: blame.sign for blame in reversed(state.watch.blamed)}
+    return {model.sensor_ids[fault.sensor]: fault.sign for fault in reversed(state.watch.faults)}
 
 
-def blamed_again(model: LinearParameters, state: ModelState, signs: Mapping[int, str]) -> ModelState:
+def with_faults(model: LinearParameters, state: ModelState, signs: Mapping[int, str]) -> ModelState:
     """Return the state in which these sensors are excluded as well.
 
     Parameters
@@ -338,24 +338,24 @@ def blamed_again(model: LinearParameters, state: ModelState, signs: Mapping[int,
     state
         As it was rebuilt from the history, which does not tell who was excluded.
     signs
-        IDs of sensors with the sign by which each was found, from `blamed_signs`; IDs that the model does not
+        IDs of sensors with the sign by which each was found, from `fault_signs`; IDs that the model does not
         have are passed over, and so are all of them for a model without a watch.
 
     """
     if state.watch is None:
         return state
-    already = blamed_signs(model, state)
+    already = fault_signs(model, state)
     more = tuple(
         SensorFault(sensor=model.sensor_ids.index(sensor_id), time_min=state.time_min, sign=sign)
         for sensor_id, sign in signs.items()
         if sensor_id in model.sensor_ids and sensor_id not in already
     )
-    return replace(state, watch=replace(state.watch, blamed=(*state.watch.blamed, *more)))
+    return replace(state, watch=replace(state.watch, faults=(*state.watch.faults, *more)))
 
 
 def readmitted(state: ModelState, sensors: Sequence[int]) -> ModelState:
-    """Return the state in which some sensors (indices) are not blamed any more; then set a new reference."""
+    """Return the state in which some sensors (indices) are not faulty any more; then set a new reference."""
     if state.watch is None:
         return state
-    kept = tuple(blame for blame in state.watch.blamed if blame.sensor not in sensors)
-    return replace(state, watch=replace(state.watch, blamed=kept))
+    kept = tuple(fault for fault in state.watch.faults if fault.sensor not in sensors)
+    return replace(state, watch=replace(state.watch, faults=kept))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from models.model_file import file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
-from models.thermal.estimator import LinearEstimator, ModelState, blamed_again, blamed_signs, readmitted
+from models.thermal.estimator import LinearEstimator, ModelState, fault_signs, readmitted, with_faults
 from models.thermal.features import feature_table
 from models.thermal.model import LinearParameters
 from models.thermal.rebase import StateReference, estimate_since, rebased, resumed, returning, state_reference
@@ -97,7 +97,7 @@ class LinearOnline:
         self._reference = None if state is None else state_reference(self._estimator, state)
         self._reference_min, self._anew = reference.time_min, set()
         if reference.excluded is not None and self._state is not None:
-            self._state = blamed_again(self.model, self._state, reference.excluded)
+            self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None and reference.kept["model_id"] == self.model.model_id:
             self._restore(reference.kept)
         return readmitted_ids
@@ -113,7 +113,7 @@ class LinearOnline:
     @property
     def excluded(self) -> dict[int, str]:
         """Sensors whose values were found wrong; a silent one counts again when it has values again."""
-        signs = {} if self._state is None else blamed_signs(self.model, self._state)
+        signs = {} if self._state is None else fault_signs(self.model, self._state)
         return self._left_out | {sensor_id: sign for sensor_id, sign in signs.items() if sign != MISSING}
 
     @property
@@ -160,7 +160,7 @@ class LinearOnline:
     def _now(self, time_min: float, degc: FloatArray) -> ModelState | None:
         if self._state is None:
             return None
-        return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, blame=False)
+        return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, find_faults=False)
 
     def _restore(self, kept: Mapping[str, Any]) -> None:
         """Let sensors that returned before a restart count from where they did."""
@@ -177,7 +177,7 @@ class LinearOnline:
         self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
 
     def _readmit(self) -> tuple[int, ...]:
-        """Let sensors that were blamed count again from a new reference on; return their IDs."""
+        """Let sensors that were found faulty count again from a new reference on; return their IDs."""
         if self._state is None or self._state.watch is None:
             return ()
         out = self._state.watch.excluded

@@ -104,7 +104,7 @@ def returning(
     back[list(absent)] = True
     back &= ~state.missing
     if state.watch is not None:
-        back[[blame.sensor for blame in state.watch.blamed if blame.sign != MISSING]] = False
+        back[[fault.sensor for fault in state.watch.faults if fault.sign != MISSING]] = False
     return tuple(int(index) for index in np.flatnonzero(back))
 
 

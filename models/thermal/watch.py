@@ -24,7 +24,7 @@ from models.thermal.sensor_watch import (
 )
 
 CONFIRM_MIN = 10.0
-"""A departure must last so long [min] before a sensor is blamed."""
+"""A departure must last so long [min] before it is a fault."""
 MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
 MISSING = "missing"
@@ -71,12 +71,12 @@ class WatchState:
     """The same over the long time."""
     over_min: FloatArray
     """For how long each sensor has departed [min], shape (n_sensors,)."""
-    blamed: tuple[SensorFault, ...] = field(default=())
+    faults: tuple[SensorFault, ...] = field(default=())
 
     @property
     def excluded(self) -> tuple[int, ...]:
         """Indices of the excluded sensors, sorted."""
-        return tuple(sorted({blame.sensor for blame in self.blamed}))
+        return tuple(sorted({fault.sensor for fault in self.faults}))
 
 
 def _expected(precision: Precision, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
@@ -117,11 +117,11 @@ class Watcher:
             Their indices, from 0.
 
         """
-        blamed = tuple(b for b in state.blamed if b.sensor not in sensors or b.sign != MISSING)
-        still = {b.sensor for b in blamed}
+        faults = tuple(b for b in state.faults if b.sensor not in sensors or b.sign != MISSING)
+        still = {b.sensor for b in faults}
         anew = [sensor for sensor in sensors if sensor not in still]
         if not anew:
-            return replace(state, blamed=blamed)
+            return replace(state, faults=faults)
         watch, out = self.watch, self.watch.layout.of_sensors(anew)
         others = watch.layout.of_sensors(sorted(still)).tolist() if still else []
         precision = without_columns(watch.precision, others)
@@ -134,7 +134,7 @@ class Watcher:
         slow[out] = fast[out] - _expected(precision, fast - slow, out)
         over_min[anew], flat_since[anew] = 0.0, state.time_min
         return replace(
-            state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, blamed=blamed
+            state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, faults=faults
         )
 
     def _lags_as_expected(self, state: WatchState, precision: Precision, sensors: Sequence[int]) -> FloatArray:
@@ -186,7 +186,7 @@ class Watcher:
         return np.asarray((columns - self.watch.centre) * self.watch.gain)
 
     def step(
-        self, state: WatchState, time_min: float, degc: FloatArray, speed_rpm: float, *, blame: bool = True
+        self, state: WatchState, time_min: float, degc: FloatArray, speed_rpm: float, *, find_faults: bool = True
     ) -> WatchState:
         """Return the state after a sample.
 
@@ -200,25 +200,25 @@ class Watcher:
             Temperatures [degC], NaN where missing.
         speed_rpm
             Spindle speed [1/min]; NaN repeats the last one.
-        blame
+        find_faults
             Whether sensors may be excluded; False while the watch only fills its memory.
 
         Returns
         -------
         WatchState
-            With what was blamed so far; an excluded sensor stays excluded.
+            With what was found so far; an excluded sensor stays excluded.
 
         """
         elapsed_min = time_min - state.time_min
         if elapsed_min <= 0.0:
             return state
         advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
-        if not blame:
-            return replace(advanced, over_min=np.zeros_like(advanced.over_min), blamed=state.blamed)
-        at_once = self._blame_at_once(state, advanced, degc)
+        if not find_faults:
+            return replace(advanced, over_min=np.zeros_like(advanced.over_min), faults=state.faults)
+        at_once = self._faults_at_once(state, advanced, degc)
         if at_once:
-            advanced = replace(advanced, blamed=(*advanced.blamed, *at_once))
-        return self._blame_departures(advanced, elapsed_min)
+            advanced = replace(advanced, faults=(*advanced.faults, *at_once))
+        return self._find_departures(advanced, elapsed_min)
 
     def _advance(
         self, state: WatchState, time_min: float, elapsed_min: float, degc: FloatArray, speed_rpm: float
@@ -247,10 +247,10 @@ class Watcher:
             fast=fast,
             slow=fast + np.exp(-elapsed_min / SLOW_MIN) * (state.slow - fast),
             over_min=state.over_min,
-            blamed=state.blamed,
+            faults=state.faults,
         )
 
-    def _blame_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
+    def _faults_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
         watch, excluded = self.watch, set(now.excluded)
         slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
@@ -273,7 +273,7 @@ class Watcher:
         limit_k = self.watch.threshold_k * np.maximum(widening, 1.0)
         return np.asarray(np.abs(maps @ (state.fast - state.slow)) / limit_k)
 
-    def _blame_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
+    def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
         excluded = state.excluded
         departures = self.relative_departures(state, excluded)
         over_min = np.where(departures > 1.0, state.over_min + elapsed_min, 0.0)
@@ -282,8 +282,8 @@ class Watcher:
         culprits = self._culprits(state, excluded, departures)
         if not culprits:
             return replace(state, over_min=over_min)
-        blames = tuple(SensorFault(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
-        return replace(state, over_min=np.zeros_like(over_min), blamed=(*state.blamed, *blames))
+        found = tuple(SensorFault(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
+        return replace(state, over_min=np.zeros_like(over_min), faults=(*state.faults, *found))
 
     def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:
         """Return the one or two sensors without which the others agree; none where the machine itself is unusual."""

@@ -155,7 +155,7 @@ def test_sample_by_sample_gives_what_the_whole_table_gives(recording: Recording,
     assert reference is not None
     state = reference
     for time_min, degc, speed_rpm in samples[101:300]:
-        state = estimator.advance(state, time_min, degc, speed_rpm, blame=False)
+        state = estimator.advance(state, time_min, degc, speed_rpm, find_faults=False)
     estimation = estimator.estimate(state, reference)
     assert estimation is not None
     wanted = fit.estimate_um(inputs.features[299], inputs.features[100], 0.0)
@@ -223,7 +223,7 @@ def test_far_from_training_confidence_fades(recording: Recording, model: LinearM
     reference = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
     assert reference is not None
     near = estimator.estimate(reference, reference)
-    hot = estimator.advance(reference, 961.0, degc + 200.0, 0.0, blame=False)
+    hot = estimator.advance(reference, 961.0, degc + 200.0, 0.0, find_faults=False)
     far = estimator.estimate(hot, reference)
     assert near is not None and far is not None
     assert near.confidence == 1.0 and near.in_domain and near.band_factor == 1.0

@@ -1,4 +1,4 @@
-"""The watch of the temperature sensors: what is blamed, when, and what is not."""
+"""The watch of the temperature sensors: what is found, when, and what is not."""
 
 from dataclasses import replace
 
@@ -54,12 +54,12 @@ def follow(watch: SensorWatch, whole: Recording, degc: FloatArray, first: int = 
     state = watcher.begin(0.0, degc[0], float(whole.speed_rpm[0]))
     for row in range(1, whole.rows):
         speed_rpm = float(whole.speed_rpm[row])
-        state = watcher.step(state, float(row), degc[row], speed_rpm, blame=row >= first)
+        state = watcher.step(state, float(row), degc[row], speed_rpm, find_faults=row >= first)
     return state
 
 
 def test_a_healthy_machine_blames_nobody(watch: SensorWatch, whole: Recording) -> None:
-    assert follow(watch, whole, whole.temperatures_degc).blamed == ()
+    assert follow(watch, whole, whole.temperatures_degc).faults == ()
 
 
 @pytest.mark.parametrize("sensor", [0, 3])
@@ -79,31 +79,31 @@ def test_a_fault_is_blamed_on_the_sensor_that_has_it(
     assert callable(fault)
     degc = whole.temperatures_degc.copy()
     degc[:, sensor] += fault(np.arange(whole.rows) - 760.0)
-    (blame,) = follow(watch, whole, degc).blamed
-    assert (blame.sensor, blame.sign) == (sensor, sign)
-    assert 0.0 <= blame.time_min - 760.0 <= within_min
+    (fault,) = follow(watch, whole, degc).faults
+    assert (fault.sensor, fault.sign) == (sensor, sign)
+    assert 0.0 <= fault.time_min - 760.0 <= within_min
 
 
 def test_a_stuck_sensor_is_blamed_after_the_time_that_training_allows(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     degc[760:, 2] = degc[760, 2]
-    (blame,) = follow(watch, whole, degc).blamed
-    assert (blame.sensor, blame.sign, blame.time_min) == (2, "flat", 760.0 + watch.flat_min[2])
+    (fault,) = follow(watch, whole, degc).faults
+    assert (fault.sensor, fault.sign, fault.time_min) == (2, "flat", 760.0 + watch.flat_min[2])
 
 
 def test_a_missing_sensor_is_excluded_after_what_is_bridged(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     degc[700:705, 1] = np.nan
     degc[760:, 4] = np.nan
-    (blame,) = follow(watch, whole, degc).blamed
-    assert (blame.sensor, blame.sign, blame.time_min) == (4, "missing", 770.0)
+    (fault,) = follow(watch, whole, degc).faults
+    assert (fault.sensor, fault.sign, fault.time_min) == (4, "missing", 770.0)
 
 
 def test_two_faults_at_once_are_both_found(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     drift = np.arange(200.0) / 20.0
     degc[760:, [1, 4]] += drift[:, None] * [1.0, -1.0]
-    assert {blame.sensor for blame in follow(watch, whole, degc).blamed} == {1, 4}
+    assert {fault.sensor for fault in follow(watch, whole, degc).faults} == {1, 4}
 
 
 @pytest.mark.parametrize("amount_k", [0.6, 3.0])
@@ -114,7 +114,7 @@ def test_what_no_sensor_explains_is_blamed_on_nobody(watch: SensorWatch, whole: 
     degc[:, :3] += draught[:, None]
     state = follow(watch, whole, degc)
     assert Watcher(watch).relative_departures(state, ()).max() > 2.0
-    assert state.blamed == ()
+    assert state.faults == ()
 
 
 def test_two_faults_one_after_the_other_are_both_found(watch: SensorWatch, whole: Recording) -> None:
@@ -127,7 +127,7 @@ def test_two_faults_one_after_the_other_are_both_found(watch: SensorWatch, whole
 def test_without_blame_only_the_memory_is_filled(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     degc[300:, 0] += 50.0
-    assert follow(watch, whole, degc, first=10**9).blamed == ()
+    assert follow(watch, whole, degc, first=10**9).faults == ()
 
 
 def test_leaving_columns_out_of_a_precision_is_inverting_without_them() -> None:
@@ -162,7 +162,7 @@ def test_a_constant_sensor_neither_counts_nor_disturbs(whole: Recording) -> None
     rows = inputs.trainable()
     fitted = fit_watch([flat], 60.0, rows, inner_folds(inputs, rows)[0])
     assert np.isfinite(fitted.precision).all()
-    assert follow(fitted, flat, degc).blamed == ()
+    assert follow(fitted, flat, degc).faults == ()
 
 
 def test_a_smoothed_step_follows_its_time_constant() -> None:

@@ -202,7 +202,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
     channels = _channel_figures(inputs.channels, outcomes)
     refusals = [o for o in outcomes if o.trust.refused is not None]
     several = len(outcomes) > 1
-    healthy = [(o, blame) for o in outcomes for trial in o.trials for blame in trial.blamed if blame.sign != "missing"]
+    healthy = [(o, fault) for o in outcomes for trial in o.trials for fault in trial.faults if fault.sign != "missing"]
     names = [[n for n in inputs.sensor_names if n not in o.dropped] for o in outcomes]
     of_outcome = {id(o): kept for o, kept in zip(outcomes, names, strict=True)}
     return {
@@ -223,7 +223,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
             for fault in o.faults
         ],
         "false_alarms": len(healthy),
-        "false_alarm_sensors": [of_outcome[id(o)][blame.sensor] for o, blame in healthy],
+        "false_alarm_sensors": [of_outcome[id(o)][fault.sensor] for o, fault in healthy],
         "tests": [_test_figures(inputs, o) for o in outcomes],
     }
 

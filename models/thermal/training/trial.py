@@ -61,7 +61,7 @@ class Trial:
     """Measured minus estimated, after probes [um]."""
     band_factor: FloatArray
     """By how much the band is widened beyond the domain of training, shape (n,); ones with probes."""
-    blamed: tuple[SensorFault, ...]
+    faults: tuple[SensorFault, ...]
 
 
 def trial_rows(inputs: Inputs, rows: BoolArray) -> list[IntArray]:
@@ -130,9 +130,9 @@ class Tester:
         spoilt = self._trial(trial.name, rows, features, states)
         usual, largest = _largest(trial.residual_um), _largest(spoilt.residual_um)
         began_min = float(inputs.time_min[begins])
-        of_sensor = [blame.time_min - began_min for blame in spoilt.blamed if blame.sensor == sensor]
+        of_sensor = [each.time_min - began_min for each in spoilt.faults if each.sensor == sensor]
         found = [minutes for minutes in of_sensor if minutes >= 0.0]
-        others = {blame.sensor for blame in spoilt.blamed} - {blame.sensor for blame in trial.blamed} - {sensor}
+        others = {each.sensor for each in spoilt.faults} - {each.sensor for each in trial.faults} - {sensor}
         return FaultOutcome(
             sensor=fault.sensor,
             kind=fault.kind,
@@ -173,12 +173,14 @@ class Tester:
         )
         for row in before[1:]:
             degc = self._measured_degc(inputs.degc, int(row))
-            state = self._watcher.step(state, float(inputs.time_min[row]), degc, self._speed(int(row)), blame=False)
+            state = self._watcher.step(
+                state, float(inputs.time_min[row]), degc, self._speed(int(row)), find_faults=False
+            )
         absent = np.flatnonzero(inputs.long_missing[first, : self._watcher.watch.layout.sensors])
-        blamed = tuple(
+        faults = tuple(
             SensorFault(sensor=int(index), time_min=float(inputs.time_min[first]), sign="missing") for index in absent
         )
-        return replace(state, blamed=blamed)
+        return replace(state, faults=faults)
 
     def _follow(self, rows: IntArray, degc: FloatArray, state: WatchState, first: int) -> list[WatchState]:
         """Return the state before row `first` of a stretch and after each row from there on."""
@@ -197,7 +199,7 @@ class Tester:
         for out in set(excluded):
             if out not in self._fits:
                 self._fits[out] = self._fits[()].refit(out)
-            chosen = np.array([blamed == out for blamed in excluded])
+            chosen = np.array([left_out == out for left_out in excluded])
             elapsed_min = inputs.time_min[rows[chosen]] - inputs.time_min[rows[0]]
             estimated_um[chosen] = self._fits[out].estimate_um(features[rows[chosen]], features[rows[0]], elapsed_min)
         measured_um = since_first_known(inputs.measured_um[rows])
@@ -210,7 +212,7 @@ class Tester:
             measured_um=measured_um,
             residual_um=residual_um,
             band_factor=band_factor(np.linalg.norm(self._points[rows] - self._points[rows[0]], axis=1)),
-            blamed=states[-1].blamed if states else (),
+            faults=states[-1].faults if states else (),
         )
 
 
