@@ -227,14 +227,14 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     if first["type"] == "extra_forbidden":
         return _unknown_key(path, model)
     beyond_type = [detail for detail in details if detail["type"] not in _TYPES]
-    wishes = list(dict.fromkeys(_wish(detail) for detail in beyond_type or details))
-    if any(target is None for target in wishes):
+    expected = list(dict.fromkeys(_expected(detail) for detail in beyond_type or details))
+    if any(each is None for each in expected):
         return "; ".join(str(detail["msg"]).removeprefix("Value error, ") for detail in beyond_type)
     subject = "the name" if "[key]" in first["loc"] else "this"
-    return f"{subject} must be {' or '.join(str(wish) for wish in wishes)}, not {_described(first['input'])}"
+    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {_described(first['input'])}"
 
 
-def _wish(detail: Any) -> str | None:
+def _expected(detail: Any) -> str | None:
     """Return what the schema wants there, None when its own message says it."""
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in _TYPES:

@@ -111,7 +111,7 @@ class SpindleSpeedSnapshot:
     commanded_rpm: float | None
     """None while the NC may not follow it; so is the feed."""
     commanded_feed_mm_min: float | None
-    wished_rpm: float | None
+    target_rpm: float | None
     limiting_depth_mm: float | None
     margin_met: bool | None
     flagged_span_rpm: float | None

@@ -159,7 +159,7 @@ class SpindleSpeedConfig(Section):
     sensor_step_k: float = Field(
         0.0625, gt=0, le=1, description="resolution of a sensor [K]; the hysteresis must exceed twice what it moves"
     )
-    read_period_s: Seconds = Field(1.0, description="time between two looks at the operation")
+    read_period_s: Seconds = Field(1.0, description="time between two readings of the operation")
     stale_after_s: Seconds = Field(60.0, description="without newer dynamics for this long the speed is frozen")
     validity_s: Seconds = Field(30.0, description="how far valid_until lies ahead of the CNC's clock")
 
@@ -180,7 +180,9 @@ class SpindleSpeedConfig(Section):
             if key in keys[:index]:
                 problems.append((("operations", index, "tool_number"), f"T{key[0]} is there already"))
         if self.validity_s <= 3.0 * self.read_period_s:
-            problems.append((("validity_s",), "must exceed three read_period_s, or the pair expires between two looks"))
+            problems.append(
+                (("validity_s",), "must exceed three read_period_s, or the pair expires before the next reading")
+            )
         if problems:
             raise KeyProblems(problems)
         return self

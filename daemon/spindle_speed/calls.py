@@ -36,7 +36,7 @@ class SpeedOperation:
 class SpeedCalls:
     """Follows the counter of the calls; owned by the control task.
 
-    A call counts once two looks have shown the same, so that none is taken half told, and once a poll came after
+    A call counts once two readings have shown the same, so that none is taken half told, and once a poll came after
     the first of them, so that tool and program are those of the call. What polls show later in the operation changes
     nothing in it: a subprogram, a guard, a tool that is got ready.
     """
@@ -64,8 +64,8 @@ class SpeedCalls:
         """Return the configuration of an operation."""
         return None if operation.place is None else self._tuning.operations[operation.place]
 
-    def look(self, found: MacroValues, now_s: float, sample: CncSample) -> bool:
-        """Look at the macros that were read just now; return whether another operation has begun."""
+    def update(self, found: MacroValues, now_s: float, sample: CncSample) -> bool:
+        """Take the macros that were read just now; return whether another operation has begun."""
         begun = self._taken_up(found, now_s, sample)
         if begun:
             self._programs, self._over = set(), ""

@@ -67,7 +67,7 @@ class SpeedDecision:
             flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
         )
         command, memory = step(before.memory, inputs, self._settings)
-        if operation.wanted and planned is None:  # nobody has looked yet how far the target is off: that stays noted
+        if operation.wanted and planned is None:  # nobody knows yet how far the target is off: that stays noted
             memory = replace(memory, off_since_s=before.memory.off_since_s)
         known_s = now_s if plan is not None else before.known_s
         outdated = now_s - known_s > KEPT_S

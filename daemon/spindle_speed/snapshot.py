@@ -35,7 +35,7 @@ def speed_snapshot(
         programmed_rpm=called.speed_rpm if called is not None else None,
         commanded_rpm=followed.speed_rpm if followed is not None else None,
         commanded_feed_mm_min=followed.feed_mm_min if followed is not None else None,
-        wished_rpm=plan.choice.speed_rpm if plan is not None else None,
+        target_rpm=plan.choice.speed_rpm if plan is not None else None,
         limiting_depth_mm=plan.choice.limiting_depth_mm if plan is not None else None,
         margin_met=plan.choice.margin_met if plan is not None else None,
         flagged_span_rpm=plan.flagged_span_rpm if plan is not None else None,

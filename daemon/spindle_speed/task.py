@@ -1,4 +1,4 @@
-"""Moves the spindle speed with the stability pockets: looks at the operation, decides, writes the pair.
+"""Moves the spindle speed with the stability pockets: reads the operation, decides, writes the pair.
 
 Owned by the control task, which alone talks to the CNC. What is slow happens in `SpeedWorker`; what is
 commanded, and when, is decided by `models.spindle_speed.tuning.step`. The CNC takes a pair only when its
@@ -59,7 +59,7 @@ class SpindleSpeedOutput:
         self.worker.take(time.monotonic_s, temperatures.degc)
 
     async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
-        """Look at the operation when it is time, decide, and write what is due.
+        """Read the operation when it is time, decide, and write what is due.
 
         `sample` is the latest poll, with the part program's block while a program of the guard runs.
         """
@@ -109,8 +109,8 @@ class _Follower:
         self.writer = SpeedWriter(tuning, self._block, configuration.history.path)
         self.switch = SpeedSwitch(journal)
         self._decision = SpeedDecision(tuning, worker)
-        self._standing: OperationState | None = None
-        self._next_look_s = -math.inf
+        self._operation_state: OperationState | None = None
+        self._next_read_s = -math.inf
         self._found: MacroValues = {}
         self._session: CncSession | None = None
         self._fault_raised = (journal.fault or "").startswith(OUR_FAULT)
@@ -121,14 +121,14 @@ class _Follower:
 
     async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
         if session is None or session.sample is None or sample is None:
-            self._hinder(NO_LINK)
+            self._inhibit(NO_LINK)
             return
         if self._unreadable is not None and self._unreadable[0] is session:
             return
         now_s = self._clock.now().monotonic_s
-        if now_s < self._next_look_s and session is self._session:
+        if now_s < self._next_read_s and session is self._session:
             return
-        self._next_look_s = now_s + self._tuning.read_period_s
+        self._next_read_s = now_s + self._tuning.read_period_s
         found = await self._read(session)
         if found is None:
             return
@@ -137,7 +137,7 @@ class _Follower:
             self.writer.doubt()
         self._found = found
         clock_s = sample.clock_s + (now_s - sample.time.monotonic_s)
-        self._hinder(self._judged(session, found, clock_s, now_s))
+        self._inhibit(self._judged(session, found, clock_s, now_s))
         self._take_call(found, now_s, sample)
         operation = self._calls.under_way
         if operation is not None:
@@ -154,10 +154,10 @@ class _Follower:
         except FatalDriverError as error:
             why = f"its macros cannot be read, so it is not tuned before the next connection: {error}"
             self._unreadable = (session, why)
-            self._hinder(why)
+            self._inhibit(why)
             return None
 
-    def _hinder(self, obstacle: str) -> None:
+    def _inhibit(self, obstacle: str) -> None:
         """Take what stands against deciding and writing; say once what is said nowhere else."""
         elsewhere = obstacle in ("", NO_LINK) or self._journal.fault is not None
         if not elsewhere and obstacle != self._obstacle:
@@ -185,9 +185,9 @@ class _Follower:
     def _take_call(self, found: MacroValues, now_s: float, sample: CncSample) -> None:
         """Take the operation that the NC program has begun; another one is decided on anew."""
         before = self._calls.under_way
-        begun = self._calls.look(found, now_s, sample)
+        begun = self._calls.update(found, now_s, sample)
         if self._calls.waiting:
-            self._next_look_s = now_s
+            self._next_read_s = now_s
         if not begun:
             return
         self._put_away(before)
@@ -197,9 +197,9 @@ class _Follower:
         )
 
     def _put_away(self, operation: SpeedOperation | None) -> None:
-        if operation is not None and self._standing is not None:
-            self._memories.keep(operation, self._standing.memory, moved=self._standing.moved)
-        self._standing = None
+        if operation is not None and self._operation_state is not None:
+            self._memories.keep(operation, self._operation_state.memory, moved=self._operation_state.moved)
+        self._operation_state = None
 
     def _begun(self, operation: SpeedOperation, now_s: float) -> OperationState:
         """Return where an operation stands that begins, or goes on after something else was in the machine."""
@@ -230,18 +230,18 @@ class _Follower:
             await self._write(session, DISABLED, None, clock_s, now_s)
         if operation is None or self._withheld:
             return
-        if self._standing is None:
-            self._standing = self._begun(operation, now_s)
-        before = self._standing
+        if self._operation_state is None:
+            self._operation_state = self._begun(operation, now_s)
+        before = self._operation_state
         if before.moved and phase is Phase.CUTTING and self._taken(before, operation):
             before = replace(before, moved=False)
-        standing = before if self._calls.waiting else self._decision.decide(before, operation, now_s, phase)
-        if not await self._write(session, self._decision.pair(standing, operation), operation, clock_s, now_s):
+        state = before if self._calls.waiting else self._decision.decide(before, operation, now_s, phase)
+        if not await self._write(session, self._decision.pair(state, operation), operation, clock_s, now_s):
             return
-        self._standing = standing
-        if standing is not before:
-            self._report(before, standing)
-        self._memories.keep(operation, standing.memory, moved=standing.moved)
+        self._operation_state = state
+        if state is not before:
+            self._report(before, state)
+        self._memories.keep(operation, state.memory, moved=state.moved)
 
     @property
     def _withheld(self) -> str:
@@ -258,17 +258,17 @@ class _Follower:
         try:
             await self.writer.write(session, pair, configured, self._found, clock_s=clock_s, now_s=now_s)
         except SpeedWriteError as error:
-            self._hinder(self._raise_fault(str(error)))
+            self._inhibit(self._raise_fault(str(error)))
             return False
         return True
 
-    def _taken(self, standing: OperationState, operation: SpeedOperation) -> bool:
+    def _taken(self, state: OperationState, operation: SpeedOperation) -> bool:
         """Whether the NC has taken for this operation what is commanded, from the block or as programmed."""
         applied_rpm = self._block.applied_rpm(self._found)
         return (
             not self._calls.waiting
             and self._block.made_for(self._found) == operation.made_for
-            and applied_rpm == float(round(standing.memory.commanded_rpm))
+            and applied_rpm == float(round(state.memory.commanded_rpm))
         )
 
     def _report(self, before: OperationState, now: OperationState) -> None:
@@ -286,7 +286,7 @@ class _Follower:
     # --- showing -------------------------------------------------------------------------
 
     def _state(self) -> tuple[SpeedState, str]:
-        command = self._standing.command if self._standing is not None else None
+        command = self._operation_state.command if self._operation_state is not None else None
         if self._obstacle:
             return SpeedState.HOLD, f"nothing is decided or written: {self._obstacle}"
         if self._withheld:
@@ -303,7 +303,7 @@ class _Follower:
     def snapshot(self, *, stands_off: bool) -> SpindleSpeedSnapshot:
         """Return what status shows; the command only while the NC may follow it."""
         state, reason = self._state()
-        alarm = self._standing.alarm if self._standing is not None else ""
+        alarm = self._operation_state.alarm if self._operation_state is not None else ""
         followed = not self._obstacle and self.followed
         return speed_snapshot(
             state=state.value,

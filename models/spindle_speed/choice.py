@@ -88,7 +88,7 @@ class SpeedLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedDemand:
-    """What a stable speed has to bear."""
+    """What a speed has to be stable to."""
 
     programmed_rpm: float
     depth_mm: float
@@ -106,7 +106,7 @@ def choose_speed(
     range_rpm: tuple[float, float] | None = None,
     candidates_rpm: Sequence[float] | None = None,
 ) -> SpeedChoice:
-    """Return the speed nearest to the programmed one that bears the demand.
+    """Return the speed nearest to the programmed one that is stable to the demand.
 
     Both axes are checked, because the lobes hold both.
 
@@ -124,7 +124,7 @@ def choose_speed(
     Returns
     -------
     SpeedChoice
-        The programmed speed with an alarm when nothing bears the demand.
+        The programmed speed with an alarm when nothing is stable to the demand.
 
     Raises
     ------
@@ -138,16 +138,16 @@ def choose_speed(
             f"{demand.tolerance_fraction:.0%} cannot be met; depth above 0, margin at least 0, tolerance below 50 %"
         )
     speeds = lobes.speed_rpm
-    borne = _worst_within(lobes, demand.tolerance_fraction) >= demand.depth_mm * (1.0 + demand.margin_fraction)
+    meets = _worst_within(lobes, demand.tolerance_fraction) >= demand.depth_mm * (1.0 + demand.margin_fraction)
     low, high = range_rpm or (float(speeds[0]), float(speeds[-1]))
     offered = _inside(speeds if candidates_rpm is None else candidates_rpm, low, high)
     places = _nearest_places(speeds, offered)
-    stable = offered[borne[places]]
+    stable = offered[meets[places]]
     programmed = demand.programmed_rpm
     if (
         candidates_rpm is None
         and low <= programmed <= high
-        and borne[_nearest_places(speeds, np.array([programmed]))[0]]
+        and meets[_nearest_places(speeds, np.array([programmed]))[0]]
     ):
         stable = np.array([programmed])
     if not len(stable):
@@ -157,7 +157,7 @@ def choose_speed(
             speed_rpm=programmed,
             limiting_depth_mm=_depth_at(lobes, programmed),
             pocket_rpm=(programmed, programmed),
-            alarm=f"{what} between {low:.0f} and {high:.0f} 1/min bears {demand.depth_mm:g} mm with a "
+            alarm=f"{what} between {low:.0f} and {high:.0f} 1/min is stable to {demand.depth_mm:g} mm with a "
             f"margin of {demand.margin_fraction:.0%} (at most {best:.3g} mm anywhere); the programmed "
             f"{programmed:g} 1/min stays: cut less deep or widen the limits",
         )
@@ -165,14 +165,14 @@ def choose_speed(
     return SpeedChoice(
         speed_rpm=chosen,
         limiting_depth_mm=_depth_at(lobes, chosen),
-        pocket_rpm=_pocket(speeds, borne, int(_nearest_places(speeds, np.array([chosen]))[0])),
+        pocket_rpm=_pocket(speeds, meets, int(_nearest_places(speeds, np.array([chosen]))[0])),
     )
 
 
 def deepest_speed(
     lobes: StabilityLobes, demand: SpeedDemand, range_rpm: tuple[float, float] | None = None
 ) -> SpeedChoice | None:
-    """Return the speed with the greatest limiting depth, for when none bears the demand with its margin.
+    """Return the speed with the greatest limiting depth, for when none is stable to the demand with its margin.
 
     Parameters
     ----------
@@ -255,9 +255,9 @@ def _depth_at(lobes: StabilityLobes, speed_rpm: float) -> float:
     return float(np.interp(speed_rpm, lobes.speed_rpm, lobes.limiting_depth_mm))
 
 
-def _pocket(speeds: FloatArray, borne: np.ndarray, place: int) -> tuple[float, float]:
+def _pocket(speeds: FloatArray, meets: np.ndarray, place: int) -> tuple[float, float]:
     """Return the ends of the unbroken stable range around a place."""
-    outside = np.flatnonzero(~borne)
+    outside = np.flatnonzero(~meets)
     below, above = outside[outside < place], outside[outside > place]
     first = int(below[-1]) + 1 if len(below) else 0
     last = int(above[0]) - 1 if len(above) else len(speeds) - 1

@@ -15,7 +15,7 @@ class SpeedChoice:
     alarm: str | None = None
     """Why no stable speed was found."""
     margin_met: bool = True
-    """The demand is met with its margin; without, this is the deepest speed, and bears the depth itself."""
+    """The demand is met with its margin; without, this is the deepest speed, stable to the depth itself."""
 
     @property
     def stable(self) -> bool:

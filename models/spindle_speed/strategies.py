@@ -92,7 +92,7 @@ class ResonanceRule:
 
 
 class TunedSpeed:
-    """The speed nearest to the programmed one that bears the depth, commanded by `speed_tuning.step`.
+    """The speed nearest to the programmed one that is stable to the depth, commanded by `speed_tuning.step`.
 
     Parameters
     ----------

@@ -207,7 +207,7 @@ def _wanted(
         return SpeedState.HOLD, frozen, text, text
     if inputs.choice.alarm is not None:
         return SpeedState.NO_STABLE_SPEED, inputs.programmed_rpm, "the programmed speed", inputs.choice.alarm
-    return SpeedState.TUNED, inputs.choice.speed_rpm, f"bears {inputs.choice.limiting_depth_mm:.3g} mm", None
+    return SpeedState.TUNED, inputs.choice.speed_rpm, f"stable to {inputs.choice.limiting_depth_mm:.3g} mm", None
 
 
 def _watched(
@@ -237,7 +237,8 @@ def _moved(
 ) -> tuple[float, bool]:
     """Return the speed that a safe block would take now [1/min], and whether that is a jump.
 
-    Where no speed bears the demand, no hysteresis keeps another speed than the programmed one, which the alarm names.
+    Where no speed is stable to the demand, no hysteresis keeps another one than the programmed speed, which the alarm
+    names.
     """
     here = memory.commanded_rpm
     if target is None:

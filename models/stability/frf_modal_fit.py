@@ -28,9 +28,9 @@ POOR_FIT = 0.25
 CLEAR_FIT = 0.05
 LEAST_DAMPING = 1e-5
 EXACT_FIT = 1e-6
-"""A relative residual that no further round need lower; looked at after these rounds, because poles that nothing needs
+"""A relative residual that no further round need lower; checked after these rounds, because poles that nothing needs
 wander on."""
-LOOKS = (3, 6, 12)
+CHECKS = (3, 6, 12)
 DEPENDENT = 1e-12
 """A column that adds less than this share to the others is no information of its own."""
 WARM_ROUNDS = 4
@@ -149,7 +149,7 @@ def _supported(fit: ModalFit, frequency_hz: FloatArray, receptance: ComplexArray
     """Return the fit without the modes that nothing in the samples asks for.
 
     One more mode always lowers the residual; on noise alone by some four of its degrees of freedom, and by the best of
-    as many places as there are frequencies. Where few of them bear most of the residual, these count.
+    as many places as there are frequencies. Where few of them hold most of the residual, these count.
     """
     scale = 2.0 * np.pi * float(frequency_hz[-1])
     laplace: ComplexArray = (2j * np.pi * frequency_hz / scale).astype(np.complex128)
@@ -203,7 +203,7 @@ def _vector_fit(
         poles = moved
         if done:
             break
-        if number in LOOKS:
+        if number in CHECKS:
             modes = _residues(laplace, receptance, _wide_enough(poles, frequency_hz), weight, scale)
             if _residual(modes, frequency_hz, receptance) < EXACT_FIT:
                 return modes

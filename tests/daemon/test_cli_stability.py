@@ -214,7 +214,7 @@ def test_choosing_a_speed_and_finding_none(case: Path) -> None:
     assert none.exit_code == 1
     content = json.loads(none.stdout)
     assert (content["speed_rpm"], content["stable"]) == (10000.0, False)
-    assert "no speed between 8000 and 12000 1/min bears 30 mm" in content["alarm"]
+    assert "no speed between 8000 and 12000 1/min is stable to 30 mm" in content["alarm"]
     assert "leave no range" in refusal("choose", case, "--programmed-rpm", 30000, "--depth-mm", 1.0)
 
 

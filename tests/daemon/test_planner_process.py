@@ -242,13 +242,13 @@ async def test_a_lost_planner_freezes_the_speed_and_a_new_one_goes_on(tmp_path: 
             await bench.rig.control._guarded(bench.rig.control.side.show(bench.rig.link.session))
             assert bench.picture()["state"] == "HOLD"
             assert "is started again, and the speed is frozen" in bench.picture()["alarm"]
-            assert bench.picture()["wished_rpm"] is None
+            assert bench.picture()["target_rpm"] is None
             assert bench.call()[0] == speed_rpm
 
             await again.wait()
             await bench.pass_by(30.0, CUT)
             assert bench.picture()["alarm"] == ""
-            assert bench.picture()["wished_rpm"] not in (None, speed_rpm)
+            assert bench.picture()["target_rpm"] not in (None, speed_rpm)
             assert health.attempts == 2
     finally:
         keeper.cancel()

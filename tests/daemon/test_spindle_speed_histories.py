@@ -44,7 +44,7 @@ PLACES = ["before", "announced", "announced", "decided", "taken", "cut"]
 HIGHEST_RPM = {1: 12000.0, 2: 10000.0}
 LOWEST_RPM, WITHIN, STEP_RPM, ROUNDING_RPM = 2000.0, 0.2, 30.0, 1.0
 SETTINGS = {"step_rpm": STEP_RPM, "hysteresis_rpm": 20.0, "dwell_s": 5.0}
-"""So small that the wish is often several steps away."""
+"""So small that the target is often several steps away."""
 CHANGES = ("moves", "jumps")
 
 Operation = tuple[float, ...]

@@ -94,8 +94,8 @@ async def test_the_tool_s_own_limit_holds(tmp_path: Path) -> None:
     free = SpeedRig(tmp_path)
     async with running(free.rig):
         await free.rig.turn()
-        wished_rpm = (await free.operation())[0]
-    assert wished_rpm > 9100.0
+        target_rpm = (await free.operation())[0]
+    assert target_rpm > 9100.0
     folder = tmp_path / "limited"
     folder.mkdir()
     assert free.configuration.spindle_speed is not None

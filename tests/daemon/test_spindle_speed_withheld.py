@@ -154,7 +154,7 @@ async def test_the_programmed_speed_counts_as_taken_also_where_the_nc_refuses_it
         tuned = await bench.operation(S=10400.0)
         assert tuned[2] is APPLIED
         await bench.pass_by(3.0, CUT)
-        bench.degc = 150.0  # nothing bears the depth any more
+        bench.degc = 150.0  # nothing is stable to the depth any more
         await bench.pass_by(40.0, SAFE)
         assert bench.picture()["state"] == "NO_STABLE_SPEED"
         assert bench.call(S=10400.0)[::2] == (10400.0, SpeedStatus.OUT_OF_BOUNDS)

@@ -80,7 +80,7 @@ def test_no_stable_speed_gives_the_programmed_one_and_an_alarm() -> None:
     choice = choose_speed(lobes(), SpeedDemand(programmed_rpm=7000.0, depth_mm=1000.0))
     assert choice.speed_rpm == 7000.0
     assert choice.alarm is not None
-    assert "no speed between 4000 and 12000 1/min bears 1000 mm" in choice.alarm
+    assert "no speed between 4000 and 12000 1/min is stable to 1000 mm" in choice.alarm
     assert "7000 1/min stays" in choice.alarm
 
 

@@ -64,7 +64,7 @@ def test_less_than_the_hysteresis_changes_nothing() -> None:
     assert memory.commanded_rpm == 8600.0
 
 
-def test_a_wish_must_last_and_then_moves_in_steps_inside_the_pocket() -> None:
+def test_a_target_must_last_and_then_moves_in_steps_inside_the_pocket() -> None:
     memory = begun()
     pocket = (8300.0, 9200.0)
     for now_s in (1.0, 10.0, 20.9):
@@ -77,7 +77,7 @@ def test_a_wish_must_last_and_then_moves_in_steps_inside_the_pocket() -> None:
     assert taken == [(8700.0, True, False), (8800.0, True, False), (8800.0, False, False), (8800.0, False, False)]
 
 
-def test_a_wish_that_goes_away_starts_the_dwell_anew() -> None:
+def test_a_target_that_goes_away_starts_the_dwell_anew() -> None:
     memory = begun()
     for now_s, speed in ((1.0, 8700.0), (15.0, 8700.0), (16.0, 8600.0), (17.0, 8700.0), (36.0, 8700.0)):
         command, memory = step(memory, at(now_s, choice(speed)), SETTINGS)
@@ -121,11 +121,11 @@ def test_a_flagged_property_that_moves_the_speed_blocks_it() -> None:
 
 def test_no_stable_speed_returns_to_the_programmed_one_with_an_alarm() -> None:
     memory = begun()
-    none = choice(8000.0, (8000.0, 8000.0), alarm="no speed bears it")
+    none = choice(8000.0, (8000.0, 8000.0), alarm="no speed is stable")
     memory = step(memory, at(1.0, none), SETTINGS)[1]
     command, memory = step(memory, at(21.0, none), SETTINGS)
     assert (command.state, command.speed_rpm, command.feed_mm_min) == (SpeedState.NO_STABLE_SPEED, 8000.0, 1600.0)
-    assert command.alarm == "no speed bears it"
+    assert command.alarm == "no speed is stable"
 
 
 def test_disabling_returns_at_the_next_safe_block() -> None:

@@ -27,8 +27,8 @@ async def cut(wires: MillingWires, seconds: float) -> set[float]:
     return held
 
 
-def wished_away(wires: MillingWires) -> bool:
-    """The wish has left the command by more than the hysteresis, and has waited long enough."""
+def target_is_off(wires: MillingWires) -> bool:
+    """The target has left the command by more than the hysteresis, and has waited long enough."""
     return "waiting for a safe block" in wires.picture()["reason"]
 
 
@@ -58,10 +58,10 @@ async def test_a_part_is_milled_while_the_spindle_warms(tmp_path: Path) -> None:
             assert feed_mm_min == pytest.approx(1800.0 * rough_rpm / 9000.0, rel=1e-5)
             assert nc.spindle_speed_rpm == rough_rpm
 
-            # Within the cut the spindle warms and the wish moves: the command stays.
+            # Within the cut the spindle warms and the target moves: the command stays.
             wires.machine.degc += 10.0
             assert await cut(wires, 30.0) == {rough_rpm}
-            await wires.until("another wish", lambda: wished_away(wires))
+            await wires.until("another target", lambda: target_is_off(wires))
             assert wires.macro(MACROS.speed) == rough_rpm
 
             # At the next safe block it follows, by a step at most.

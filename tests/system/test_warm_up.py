@@ -26,7 +26,7 @@ feed_deg: 0
 """
 SEEDS = (1, 2, 3)
 DEPTH_MM = {1: 4.5, 2: 5.5, 3: 4.5}
-"""At 5.5 mm no speed bears the margin."""
+"""At 5.5 mm no speed is stable with the margin."""
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ STILL_TO_GO = {
     "Past",
     "blame",
     "doubt",
-    "hinder",
     "objection",
     "obstacle",
     "permission",
@@ -21,7 +20,6 @@ STILL_TO_GO = {
     "rehearsal",
     "rehearse",
     "shelf",
-    "wish",
 }
 """Words of the second table that the program still has; this list may only get shorter."""
 

@@ -56,7 +56,7 @@ class WarmUpReferee:
         self._feed_m = feed_per_tooth_mm * 1e-3
 
     def stable(self, states: Sequence[CutState], depth_mm: FloatArray) -> np.ndarray:
-        """Return whether each state bears its depth [mm], shape (n,)."""
+        """Return whether each state is stable at its depth [mm], shape (n,)."""
         speed_rpm = np.array([state.pair.speed_rpm for state in states])
         same = np.ones(len(states))
         frequency_hz = np.array([state.modes.frequency_hz for state in states])
@@ -86,8 +86,8 @@ class WarmUpReferee:
         found = np.zeros(len(states))
         for _ in range(2):
             depths = np.geomspace(lower, upper, DEPTHS)
-            borne = self.stable(list(states) * DEPTHS, depths.ravel()).reshape(depths.shape)
-            count = np.cumprod(borne, axis=0).sum(axis=0)
+            stable = self.stable(list(states) * DEPTHS, depths.ravel()).reshape(depths.shape)
+            count = np.cumprod(stable, axis=0).sum(axis=0)
             columns = np.arange(len(states))
             found = np.where(count > 0, depths[np.maximum(count - 1, 0), columns], found)
             lower = np.where(count > 0, found, 0.2 * SHALLOWEST * programmed_mm)

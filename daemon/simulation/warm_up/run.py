@@ -47,7 +47,7 @@ class WarmUpRequest:
     """`spindle`: the finite elements of the simulated machine; `case`: the modes of the case, by a law."""
     method: str = "zoa"
     verify_with_sdm: bool = True
-    """A chosen speed is looked at by semi-discretisation too."""
+    """A chosen speed is verified beyond the lobes."""
     rule_axis: str | None = None
     """Followed by the source's rule; None: the axis that is softer at its resonance."""
     offset_hz: float = 20.0
