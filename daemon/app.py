@@ -224,7 +224,8 @@ class Daemon:
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros
         writer = AuditedWriter(cnc, self._block, self._clock, self._history, self._telemetry)
-        return CncSession(writer, self.control.limits, known, self._last_block)
+        resumed = last is None or last.sample is None
+        return CncSession(writer, self.control.limits, known, self._last_block, resumed=resumed)
 
     # --- what the tasks call back --------------------------------------------------------
 

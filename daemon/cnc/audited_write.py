@@ -68,6 +68,10 @@ class AuditedWriter:
         self.last_write_id: int | None = None
         """Number of the latest write in the audit."""
 
+    def note(self, kind: str, text: str) -> None:
+        """Record what the daemon found out about earlier writes."""
+        self._history.event(kind, text, "daemon")
+
     async def write(self, write: MacroWrite) -> Receipt:
         """Compare, write, read back; intent and outcome are in the audit however it ends.
 

@@ -1,5 +1,6 @@
 """What the output did and why: events, notices, alarm, the latched FAULT, and what a restart needs."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import structlog
@@ -54,6 +55,10 @@ class Journal:
     def keep(self, key: str, value: Any) -> None:
         """Keep a JSON value for the next start of the daemon."""
         self._history.put_state(key, value)
+
+    def audited(self, macros: Sequence[int]) -> tuple[dict[int, tuple[float, ...]] | None, int | None]:
+        """Return what these macros may hold by the audit, and the number of the newest write in it."""
+        return self._history.last_written_macros(macros), self._history.last_write_id()
 
     def kept(self, key: str) -> Any:
         """Return a value that `keep` kept, None where there is none."""

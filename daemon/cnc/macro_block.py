@@ -16,6 +16,24 @@ ECHO_SLACK_UM = 0.05
 """Allowed between the echo and what explains it [um]."""
 LAST_SEQUENCE = 999_999
 """Sequence numbers run from 1 to here and start again."""
+UNRECORDED_WRITES = 3
+"""So many writes may have gone out while a slow disk had not yet committed the first of them."""
+
+
+def begun_after(
+    known: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None], sequence_a: int, sequence_b: int
+) -> bool:
+    """Say whether a block's sequence numbers show a write that was begun after everything that is recorded.
+
+    That is what a power cut leaves when it comes between the write and the disk: the next numbers, or the
+    next in sequence_a and the recorded one still in sequence_b. A value that somebody else has put there
+    leaves them as they were.
+    """
+    first, last, recorded = found.get(sequence_a), found.get(sequence_b), known.get(sequence_a)
+    if first is None or last is None or not recorded or first in recorded or not first.is_integer():
+        return False
+    ahead = (round(first) - round(recorded[-1])) % LAST_SEQUENCE
+    return 1 <= ahead <= UNRECORDED_WRITES and (last == first or last in known.get(sequence_b, ()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +134,24 @@ class MacroBlock:
                 expected = " or ".join(f"{v:g}" for v in written) or "nothing"
                 problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
         return problems
+
+    def unrecorded(
+        self, known: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None], limits: OutputLimits
+    ) -> bool:
+        """Say whether this is a block of ours that a power cut kept from the disk: begun next, and within the bounds.
+
+        Whether the guard's echo fits it is asked apart, as of every block.
+        """
+        values = {number: found.get(number) for number in self.ours}
+        if any(value is None or not math.isfinite(value) for n, value in values.items() if n != self._map.valid_until):
+            return False
+        bits = found.get(self._map.enable) or 0.0
+        within = np.abs(self.values_um(found)) <= limits.absolute_bound_um + self.slack_um
+        return (
+            begun_after(known, found, self._map.sequence_a, self._map.sequence_b)
+            and bits in range(1 << len(self._axes))
+            and bool(within.all())
+        )
 
     def vacant(self, ours: Mapping[int, float | None]) -> list[str]:
         """Return which of our macros are vacant, in words; power-off clears valid_until, so that one may be."""

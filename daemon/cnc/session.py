@@ -28,7 +28,10 @@ class CncSession:
         limits: OutputLimits,
         known: dict[int, tuple[float, ...]] | None,
         last_block: WriteAheadRecord,
+        *,
+        resumed: bool = False,
     ) -> None:
+        """`resumed`: `known` is what a previous run of the daemon left, of which a power cut may have lost the end."""
         self.cnc = writer.cnc
         self._writer = writer
         self._block = block = writer.block
@@ -38,6 +41,7 @@ class CncSession:
         self._apart: dict[int, tuple[float, ...]] = {n: v for n, v in (known or {}).items() if n not in block.ours}
         """What the macros that are written apart from the block may hold."""
         self._last_block = last_block
+        self._resumed = resumed
         self._sequence = 0
         self._enabled = False
         self._seen: Mapping[int, float | None] = {}
@@ -81,6 +85,10 @@ class CncSession:
         if self._acceptable is None:
             return self._adopt(sample)
         problems = self._block.differences(self._acceptable, sample.macros)
+        if problems and self._resumed and self._block.unrecorded(self._acceptable, sample.macros, self._limits):
+            self._writer.note("audit gap", f"a power cut kept the latest write from the disk: {'; '.join(problems)}")
+            problems = []
+        self._resumed = False
         if not problems:
             self._narrow(sample.macros)
         return problems + self._implausible_echo(sample.macros, sample.clock_s)
@@ -134,7 +142,7 @@ class CncSession:
         def sending(found: MacroValues) -> None:
             self._after_expiry |= self._block.expires_to_zero and self._block.expired(found, clock_s)
             self._expect_old_or_new(macros)
-            self._last_block.keep(self._acceptable or {})
+            self._last_block.keep(self._acceptable or {}, self._writer.last_write_id)
 
         def judge(found: MacroValues) -> list[str]:
             self._acceptable = {number: (value,) for number, value in macros}

@@ -2,7 +2,9 @@
 
 The audit's commit takes a disk's time and the write does not wait for it, so a daemon that is
 killed in between would find a block in the CNC that its audit does not know. These few bytes are
-handed to the operating system before the first macro goes out: they survive the process.
+handed to the operating system before the first macro goes out: they survive the process. They do not
+survive a power cut, after which an older line may stand here than in the audit; therefore the line says
+which write of the audit it belongs to, and the newer of the two counts.
 """
 
 import json
@@ -16,7 +18,9 @@ import structlog
 log = structlog.get_logger(__name__)
 
 LONGEST_LINE = 4096
-"""The file is one line of at most so many bytes, written by one call."""
+"""The file is two lines of together at most so many bytes, written by one call: the values, and the write's number."""
+
+Possible = Mapping[int, tuple[float, ...]]
 
 
 class WriteAheadRecord:
@@ -36,31 +40,86 @@ class WriteAheadRecord:
         """Return the file for the block of the spindle speed, which is written apart."""
         return cls(store.with_name(store.name + ".last-speed"))
 
-    def keep(self, possible: Mapping[int, tuple[float, ...]]) -> None:
-        """Hand what the macros may hold to the operating system; a failure is logged, the audit then stands alone."""
+    def keep(self, possible: Possible, write_id: int | None = None) -> None:
+        """Hand what the macros may hold to the operating system; a failure is logged, the audit then stands alone.
+
+        `write_id` is the audit's number of the write that is about to go out.
+        """
         content = json.dumps({str(number): values for number, values in possible.items()}).encode()
-        line = f"{zlib.crc32(content):08x} ".encode() + content + b"\n"
+        line = _checksum(content) + b" " + content + b"\n"
+        if write_id is not None:
+            number = str(write_id).encode()
+            line += _checksum(content + number) + b" " + number + b"\n"
         try:
             if len(line) > LONGEST_LINE:
                 raise OSError(f"{len(line)} bytes are more than {LONGEST_LINE}")
-            if self._descriptor is None:
-                self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
-            os.pwrite(self._descriptor, line, 0)
+            descriptor = self._opened()
+            os.pwrite(descriptor, line, 0)
+            os.ftruncate(descriptor, len(line))
         except OSError as error:
             log.error("last_block.unwritten", path=str(self._path), problem=str(error))
 
+    def _opened(self) -> int:
+        """Return the file's descriptor; a file that was deleted or replaced meanwhile is opened anew."""
+        if self._descriptor is not None:
+            try:
+                there = self._path.stat()
+            except FileNotFoundError:
+                there = None
+            if there is None or not os.path.samestat(there, os.fstat(self._descriptor)):
+                self.close()
+        if self._descriptor is None:
+            self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        return self._descriptor
+
     def load(self) -> dict[int, tuple[float, ...]] | None:
         """Return what was kept last; None where there is no whole line."""
+        kept = self._read()
+        return None if kept is None else kept[0]
+
+    def newer_of(
+        self, audit: Possible | None, last_write_id: int | None
+    ) -> tuple[dict[int, tuple[float, ...]] | None, str]:
+        """Return what the macros may hold by the audit and this file, and what of it the audit does not know, in words.
+
+        The newer of the two counts, by the numbers of their writes; where the file does not say which write it
+        belongs to (version 0.1.0), both do. None where nothing was ever written.
+        """
+        known, kept = None if audit is None else dict(audit), self._read()
+        if kept is None:
+            return known, ""
+        possible, write_id = kept
+        if write_id is not None and last_write_id is not None and write_id <= last_write_id:
+            return known, ""
+        if write_id is None:
+            both = {n: tuple(dict.fromkeys((*(known or {}).get(n, ()), *possible[n]))) for n in possible}
+            return {**(known or {}), **both}, _not_in(known or {}, possible)
+        return {**(known or {}), **possible}, _not_in(known or {}, possible)
+
+    def _read(self) -> tuple[dict[int, tuple[float, ...]], int | None] | None:
+        """Return what was kept last, and the number of its write; None where there is no whole line."""
         try:
-            with self._path.open("rb") as file:
-                checksum, _, content = file.readline(LONGEST_LINE).rstrip(b"\n").partition(b" ")
+            content, _, rest = self._path.read_bytes()[:LONGEST_LINE].partition(b"\n")
         except OSError:
             return None
-        if checksum != f"{zlib.crc32(content):08x}".encode():
+        checksum, _, content = content.partition(b" ")
+        if checksum != _checksum(content):
             return None
-        return {int(number): tuple(values) for number, values in json.loads(content).items()}
+        checksum, _, number = rest.partition(b"\n")[0].partition(b" ")
+        write_id = int(number) if number.isdigit() and checksum == _checksum(content + number) else None
+        return {int(number): tuple(values) for number, values in json.loads(content).items()}, write_id
 
     def close(self) -> None:
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+
+
+def _checksum(content: bytes) -> bytes:
+    return f"{zlib.crc32(content):08x}".encode()
+
+
+def _not_in(known: Possible, kept: Possible) -> str:
+    """Return in words the macros whose last value the audit does not know."""
+    lost = {number: values[-1] for number, values in kept.items() if values and values[-1] not in known.get(number, ())}
+    return ", ".join(f"#{number} {value:g}" for number, value in lost.items())

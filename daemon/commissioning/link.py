@@ -80,10 +80,12 @@ class CommissioningLink:
 
     def block_found(self, sample: CncSample) -> BlockFound:
         """Sort the variables of the block by what the last write and the audit say they may hold."""
-        kept = self.last_block.load()
-        known = kept if kept is not None else self.history.last_written_macros()
+        newest = self.history.last_write_id()
+        known, _ = self.last_block.newer_of(self.history.last_written_macros(), newest)
         if self._speed is not None:
-            known = {**(known or {}), **(WriteAheadRecord.of_speed(self.history.path).load() or {})}
+            speed = WriteAheadRecord.of_speed(self.history.path)
+            audit = self.history.last_written_macros(self._speed.ours)
+            known = {**(known or {}), **(speed.newer_of(audit, newest)[0] or {})}
         return find_block(self._macros, self.block, known, sample.macros, self._speed)
 
     async def initialise(self, numbers: tuple[int, ...], found: BlockFound, person: str) -> None:
@@ -93,7 +95,7 @@ class CommissioningLink:
         if not pairs:
             return
         possible = {n: tuple(dict.fromkeys((found.values[n] or 0.0, 0.0))) for n, _ in pairs}
-        now = self.clock.now()
+        now, writer = self.clock.now(), self.writer()
         write = MacroWrite(
             groups=groups,
             expected={number: (found.values[number],) for number, _ in pairs},
@@ -101,10 +103,10 @@ class CommissioningLink:
             trace=Trace(first_byte=now, last_byte=now),
             person=person,
             commit_s=COMMIT_S,
-            sending=lambda _found: self.last_block.keep(possible),
+            sending=lambda _found: self.last_block.keep(possible, writer.last_write_id),
         )
         try:
-            receipt = await self.writer().write(write)
+            receipt = await writer.write(write)
         except AuditError as error:
             raise CommissioningRefusedError(str(error)) from error
         except ForeignValueError as error:

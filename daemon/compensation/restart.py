@@ -176,8 +176,8 @@ def load_resume_point(
     kept_stored = history.get_state("kept_reference")
     if stored and not resumable:
         log.warning("reference.too_old", outage_s=outage_s)
-    known, kept = history.last_written_macros(), last_block.load()
-    if kept is not None and (lost := _not_in(known or {}, kept)):
+    known, lost = last_block.newer_of(history.last_written_macros(), history.last_write_id())
+    if lost:
         log.warning("audit.gap", macros=lost)
         history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
     return ResumePoint(
@@ -185,16 +185,10 @@ def load_resume_point(
         resumable=resumable,
         fault=history.get_state("fault"),
         reference=reference,
-        known_macros=kept if kept is not None else known,
+        known_macros=known,
         rest=history.get_state("rest"),
         kept_reference=reference_from_state(kept_stored, clock) if kept_stored and resumable else None,
     )
-
-
-def _not_in(known: dict[int, tuple[float, ...]], kept: dict[int, tuple[float, ...]]) -> str:
-    """Return in words the macros whose last value the audit does not know."""
-    lost = {number: values[-1] for number, values in kept.items() if values and values[-1] not in known.get(number, ())}
-    return ", ".join(f"#{number} {value:g}" for number, value in lost.items())
 
 
 NOT_REACHED = "the CNC has not been reached yet, so what it applies is unknown"

@@ -196,15 +196,25 @@ class HistoryReader:
         ).fetchall()
         return write_records(frame_from_rows(WRITES, WRITES.names, rows))
 
-    def last_written_macros(self) -> dict[int, tuple[float, ...]] | None:
+    def last_write_id(self) -> int | None:
+        """Return the highest number of a write in the audit, None where there never was one."""
+        found = self._connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'writes'").fetchone()
+        return None if found is None else int(found[0])
+
+    def last_written_macros(self, of: Sequence[int] = ()) -> dict[int, tuple[float, ...]] | None:
         """Return per macro what it may hold: the last verified value, then what later writes may have left.
 
-        None when the audit is empty.
+        Of the compensation's block and what was written since; or `of` these macros, as far as hours that are not
+        packed tell. None when the audit says nothing of them.
         """
         since_verified: list[WriteRecord] = []
-        for record in self._writes_backwards():
+        for record in self._writes_backwards(packed=not of):
+            written = {number for number, _ in record.macros}
+            if of and not written & set(of):
+                continue
             since_verified.append(record)
-            if record.outcome is WriteOutcome.VERIFIED and record.state is not None:
+            whole = written >= set(of) if of else record.state is not None
+            if record.outcome is WriteOutcome.VERIFIED and whole:
                 break  # a whole block; answers to the NC program and the like carry no state
         possible: dict[int, tuple[float, ...]] = {}
         for record in reversed(since_verified):
@@ -215,10 +225,12 @@ class HistoryReader:
                 possible[number] = before if value in before else (*before, value)
         return possible or None
 
-    def _writes_backwards(self) -> Iterator[WriteRecord]:
+    def _writes_backwards(self, *, packed: bool) -> Iterator[WriteRecord]:
         columns = ", ".join(WRITES.names)
         for row in self._connection.execute(f"SELECT {columns} FROM writes ORDER BY write_id DESC"):
             yield from write_records(frame_from_rows(WRITES, WRITES.names, [row]))
+        if not packed:
+            return
         chunks = self._connection.execute(
             "SELECT data FROM chunks WHERE kind = ? AND layout_id = 0 ORDER BY start_ms DESC", (WRITES.name,)
         )

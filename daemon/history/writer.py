@@ -238,9 +238,13 @@ class HistoryWriter:
             self._state[key] = self._look_up(lambda reader: reader.get_state(key))
         return self._state[key]
 
-    def last_written_macros(self) -> dict[int, tuple[float, ...]] | None:
-        """Return what our macros may hold by the audit; None when nothing was ever written."""
-        return self._look_up(lambda reader: reader.last_written_macros())
+    def last_written_macros(self, of: Sequence[int] = ()) -> dict[int, tuple[float, ...]] | None:
+        """Return what our macros, or `of` these, may hold by the audit; None when nothing was ever written."""
+        return self._look_up(lambda reader: reader.last_written_macros(of))
+
+    def last_write_id(self) -> int | None:
+        """Return the number of the newest write in the audit; None when nothing was ever written."""
+        return self._look_up(lambda reader: reader.last_write_id())
 
     def unsettled_writes(self) -> list[WriteRecord]:
         """Return the intents of earlier runs whose outcome is not known."""

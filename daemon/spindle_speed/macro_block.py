@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from config.schema.spindle_speed import SpeedMacrosConfig
-from daemon.cnc.macro_block import LAST_SEQUENCE
+from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after
 
 MacroValues = Mapping[int, float | None]
 Groups = tuple[tuple[tuple[int, float], ...], ...]
@@ -147,6 +147,10 @@ class SpeedBlock:
         """Whether the sequence numbers are there and equal."""
         first = found.get(self._map.sequence_a)
         return first is not None and first == found.get(self._map.sequence_b)
+
+    def unrecorded(self, known: Mapping[int, tuple[float, ...]], found: MacroValues) -> bool:
+        """Say whether this is a block that was written here, which a power cut kept from the disk."""
+        return begun_after(known, found, self._map.sequence_a, self._map.sequence_b)
 
     def enabled(self, found: MacroValues, clock_s: float) -> bool:
         """Whether the NC may take the pair at this time of its clock [s]."""

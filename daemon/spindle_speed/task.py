@@ -106,7 +106,7 @@ class _Follower:
         self._block = SpeedBlock(tuning.macros)
         self._calls = SpeedCalls(configuration, tuning, self._block)
         self._memories = OperationMemories(journal, clock)
-        self.writer = SpeedWriter(tuning, self._block, configuration.history.path)
+        self.writer = SpeedWriter(tuning, self._block, configuration.history.path, *journal.audited(self._block.ours))
         self.switch = SpeedSwitch(journal)
         self._decision = SpeedDecision(tuning, worker)
         self._operation_state: OperationState | None = None

@@ -30,10 +30,18 @@ class SpeedWriteError(Exception):
 class SpeedWriter:
     """The block of one CNC over every connection, and over a restart of the daemon."""
 
-    def __init__(self, tuning: SpindleSpeedConfig, block: SpeedBlock, store: Path) -> None:
+    def __init__(
+        self,
+        tuning: SpindleSpeedConfig,
+        block: SpeedBlock,
+        store: Path,
+        audit: Mapping[int, tuple[float, ...]] | None = None,
+        last_write_id: int | None = None,
+    ) -> None:
+        """`audit` is what the block may hold by the audit, whose newest write has this number."""
         self._tuning, self._block = tuning, block
         self._last = WriteAheadRecord.of_speed(store)
-        kept = self._last.load()
+        kept, _ = self._last.newer_of(audit, last_write_id)
         self._known: Mapping[int, tuple[float, ...]] | None = kept if set(kept or ()) == set(block.ours) else None
         self._adopted = self._certain = False
         self._written_s = -math.inf
@@ -53,10 +61,11 @@ class SpeedWriter:
             return vacant
         foreign = "" if self._known is None else self._block.foreign(self._known, found)
         if not self._adopted and (self._known is None or foreign):
-            if not self._block.whole(found):
-                return f"{foreign or 'nobody here has written the block, and'}; its sequence numbers differ"
-            if self._block.enabled(found, clock_s):
-                return f"{foreign or 'nobody here has written the block'}, and it is enabled and valid"
+            if self._known is None or not self._block.unrecorded(self._known, found):
+                if not self._block.whole(found):
+                    return f"{foreign or 'nobody here has written the block, and'}; its sequence numbers differ"
+                if self._block.enabled(found, clock_s):
+                    return f"{foreign or 'nobody here has written the block'}, and it is enabled and valid"
             foreign = ""
         if not foreign and not self._adopted:
             self._adopt(found, clock_s, now_s)

@@ -195,7 +195,8 @@ class Rig:
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self.resume.known_macros
         writer = AuditedWriter(cnc, self.block, self.clock, self.history, self.telemetry)
-        return CncSession(writer, self.control.limits, known, self.last_block)
+        resumed = last is None or last.sample is None
+        return CncSession(writer, self.control.limits, known, self.last_block, resumed=resumed)
 
     async def connected(self, *, timeout_s: float = FOREVER_S) -> None:
         """Return when the supervisor has opened a session."""
