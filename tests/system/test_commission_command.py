@@ -28,7 +28,7 @@ class Standing:
     """A simulated machine that stands at a safe point, in a process of its own."""
 
     def __init__(self, directory: Path) -> None:
-        speed = bearable(30.0)
+        speed = bearable(15.0)
         self.directory = directory
         self.record = directory / "record.json"
         self.config, self.configuration = write_rehearsal_configuration(
