@@ -135,7 +135,7 @@ async def test_non_finite_values_are_refused_before_anything_is_sent(
 async def test_macros_outside_the_list_are_refused_before_anything_is_sent(
     server: SimulatedCncServer, nc: ScriptedNc, number: int
 ) -> None:
-    cnc = OpcUaCnc(cnc_config(server.endpoint, writable=["100-110", "500-505"]), SystemClock())
+    cnc = OpcUaCnc(cnc_config(server.endpoint, writable=["100-110", "500-506"]), SystemClock())
     await cnc.connect()
     with pytest.raises(FatalDriverError, match=rf"#{number} is outside cnc\.macros\.writable"):
         await cnc.write_macros([[(500, 1.0)], [(number, 1.0)]])
