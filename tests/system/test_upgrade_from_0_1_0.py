@@ -310,7 +310,9 @@ async def restarted(asked: set[str], installed: Installed) -> Any:
 async def test_a_restart_goes_on_where_the_old_version_was_killed(restarted: Restarted) -> None:
     wanted, control = expected("store/restarted.json"), restarted.rig.control
     resume = expected("store/resumed.json")["resume_point"]
-    agree(plain(restarted.rig.resume.known_macros), resume["known_macros"], "known_macros")
+    possible = {str(number): set(values) for number, values in (restarted.rig.resume.known_macros or {}).items()}
+    for number, values in resume["known_macros"].items():
+        assert possible[number] == set(values), number
     await restarted.moment()
     memory, then = plain(control.memory), wanted["memory_at_first"]
     for what in (

@@ -11,7 +11,6 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
 STILL_TO_GO = {
     "Past",
-    "blame",
     "doubt",
     "objection",
     "obstacle",
