@@ -129,15 +129,27 @@ def chosen(
     candidates: Callable[[int], Sequence[Fit]],
 ) -> int:
     """Return the index of the candidate that predicts left-out folds best; the middle one without two folds."""
+    return chosen_with_score(inputs, rows, fold, probe_min, candidates)[0]
+
+
+def chosen_with_score(
+    inputs: Inputs,
+    rows: BoolArray,
+    fold: IntArray,
+    probe_min: float | None,
+    candidates: Callable[[int], Sequence[Fit]],
+) -> tuple[int, float]:
+    """Return what `chosen` does, and what remains of the left-out error with it (NaN without two folds)."""
     numbers = fold_numbers(rows, fold)
     fits = {number: candidates(number) for number in numbers}
     if len(numbers) < 2:
-        return len(next(iter(fits.values()))) // 2 if fits else 0
+        return len(next(iter(fits.values()))) // 2 if fits else 0, float("nan")
     scores = [
         relative_rmse(inputs, rows, fold, {number: fits[number][index] for number in numbers}, probe_min)
         for index in range(len(fits[numbers[0]]))
     ]
-    return int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
+    best = int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
+    return best, scores[best]
 
 
 def ridge_fit(solutions: Sequence[Solution], without: tuple[int, ...] = ()) -> Fit:
@@ -151,36 +163,77 @@ def ridge_fit(solutions: Sequence[Solution], without: tuple[int, ...] = ()) -> F
     )
 
 
+MEMBER_FACTOR = 1.3
+"""A ridge that leaves more than so many times what the best one leaves of the left-out error is not in the mean ..."""
+MEMBER_SLACK = 0.02
+"""... unless it leaves no more than this share of the error more: that is no difference."""
+
+
 class MeanOfRidges:
-    """The mean of ridges of one or more designs, one penalty per ridge shared by all channels."""
+    """The mean of ridges of one or more designs, one penalty per ridge shared by all channels.
+
+    A ridge is a member by what it leaves of the left-out error alone: one that predicts much worse than the best,
+    perhaps worse than nothing, would only spoil the mean.
+    """
 
     def __init__(
         self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, designs: Sequence[Design]
     ) -> None:
-        self._problems = [RidgeProblem(inputs, rows, fold, design) for design in designs]
-        self._penalties = [self._choose(inputs, rows, fold, probe_min, problem) for problem in self._problems]
+        problems = [RidgeProblem(inputs, rows, fold, design) for design in designs]
+        chosen = [self._choose(inputs, rows, fold, probe_min, problem) for problem in problems]
+        scores = [score for _, score in chosen]
+        kept = members(scores)
+        self._problems = [problems[index] for index in kept]
+        self._penalties = [chosen[index][0] for index in kept]
         layout = inputs.layout
         self.hyper_parameters: HyperParameters = {
             "penalties": list(self._penalties),
             "lags_min": list(layout.lags_min),
             "speed_lags_min": list(layout.speed_lags_min),
         }
-        if any(design.correlation_min is not None for design in designs):
+        if any(designs[index].correlation_min is not None for index in kept):
             self.hyper_parameters["correlation_min"] = CORRELATION_MIN
+        if len(designs) > 1 and np.isfinite(scores).all():
+            self.hyper_parameters["members"] = [float(index + 1) for index in kept]
+            self.hyper_parameters["left_out_relative_rmse"] = scores
 
     def _choose(
         self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, problem: RidgeProblem
-    ) -> float:
+    ) -> tuple[float, float]:
+        """Return the penalty of one ridge, and what remains of the left-out error with it."""
+
         def candidates(number: int) -> list[Fit]:
             """Return one fit per penalty without the fold."""
             return [ridge_fit([solution]) for solution in problem.solve(frozenset({number}), PENALTIES)]
 
-        return PENALTIES[chosen(inputs, rows, fold, probe_min, candidates)]
+        best, score = chosen_with_score(inputs, rows, fold, probe_min, candidates)
+        return PENALTIES[best], score
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
         pairs = zip(self._problems, self._penalties, strict=True)
         return ridge_fit([problem.solve(left_out, [penalty])[0] for problem, penalty in pairs])
+
+
+def members(left_out_rmse: Sequence[float]) -> list[int]:
+    """Return which ridges enter the mean.
+
+    Parameters
+    ----------
+    left_out_rmse
+        RMSE with / without each ridge on what was left out; NaN where nothing could be.
+
+    Returns
+    -------
+    list of int
+        Indices from 0 of all that are nearly as good as the best; of all where no score is known.
+
+    """
+    scores = np.asarray(left_out_rmse, dtype=np.float64)
+    if not np.isfinite(scores).any():
+        return list(range(len(scores)))
+    best = float(np.nanmin(scores))
+    return [int(index) for index in np.flatnonzero(scores <= max(MEMBER_FACTOR * best, best + MEMBER_SLACK))]
 
 
 def default_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:

@@ -1,0 +1,60 @@
+"""Which ridges enter the default model: those that predict what was left out, and no other."""
+
+import numpy as np
+import pytest
+
+from models.recordings.dataset import Recording
+from models.thermal.features import lag_table
+from models.thermal.training.families import MEMBER_FACTOR, MEMBER_SLACK, members
+from models.thermal.training.train_family import FamilyTraining, train_family
+
+MINUTES, SENSORS = 73, 8
+
+
+def warm_up(seed: int) -> Recording:
+    """A short run from cold, too short for a ridge that only believes what outlasts an hour."""
+    rng = np.random.default_rng(seed)
+    time_min, level = np.arange(float(MINUTES)), rng.uniform(0.5, 1.0)
+    heat = np.tile([level, level**2], (MINUTES, 1))
+    heat[0] = 0.0
+    body = np.hstack(list(lag_table(time_min, heat, (8.0, 35.0))))
+    places = np.random.default_rng(0).uniform(0.2, 1.0, (4, SENSORS))
+    degc = 22.0 + rng.normal(0.0, 1.0) + 10.0 * body @ places + rng.normal(0.0, 0.03, (MINUTES, SENSORS))
+    um = body @ np.random.default_rng(1).normal(0.0, 20.0, (4, 2)) + rng.normal(0.0, 0.05, (MINUTES, 2))
+    return Recording(
+        name=f"warm-up {seed}",
+        time_s=60.0 * time_min,
+        speed_rpm=None,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=np.round(degc, 1),
+        displacement_names=("y", "z"),
+        displacements_um=um,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained() -> FamilyTraining:
+    return train_family([warm_up(seed) for seed in range(5)], "default", sample_s=60.0, created="2026-01-01T00:00:00Z")
+
+
+def test_a_ridge_that_predicts_left_out_runs_much_worse_does_not_spoil_the_mean(trained: FamilyTraining) -> None:
+    scores = trained.hyper_parameters["left_out_relative_rmse"]
+    assert isinstance(scores, list) and scores[1] > 2.0 * scores[0]
+    assert trained.hyper_parameters["members"] == [1.0]
+    assert trained.trust.held_out_relative_rmse == pytest.approx(scores[0])
+    assert trained.trust.held_out_relative_rmse < 0.1
+
+
+def test_the_model_has_the_members_alone(trained: FamilyTraining) -> None:
+    penalties = trained.hyper_parameters["penalties"]
+    assert isinstance(penalties, list) and len(penalties) == 1
+    assert "correlation_min" not in trained.hyper_parameters
+
+
+def test_members_are_all_that_are_nearly_as_good_as_the_best() -> None:
+    assert members([0.20, 0.19]) == [0, 1]
+    assert members([0.40, 0.40 * MEMBER_FACTOR + 1e-9]) == [0]
+    assert members([0.01, 0.01 + MEMBER_SLACK]) == [0, 1], "both leave next to nothing"
+    assert members([0.01, 0.02 + MEMBER_SLACK]) == [0]
+    assert members([1.46, 0.10, float("nan")]) == [1]
+    assert members([float("nan"), float("nan")]) == [0, 1], "nothing was left out, so nothing is known"
