@@ -5,6 +5,7 @@ it is not there no speed is planned, so the commanded one is frozen with the rea
 """
 
 import asyncio
+import math
 import signal
 from collections.abc import Callable, Coroutine, Sequence
 
@@ -108,6 +109,8 @@ class PlannerProcess:
         request, answer = asked.result()
         try:
             reply = await self._answer(process, ended, to_line(request))
+            if not _answers(request, reply.planned):
+                raise self._gone("has answered something else than it was asked")
             if not answer.done():
                 answer.set_result(reply.planned)
         finally:
@@ -149,6 +152,14 @@ class PlannerProcess:
                 answer.set_exception(LinkError(self._lost))
                 answer.exception()
         return LinkError(self._lost)
+
+
+def _answers(request: PlanRequest, planned: PlannedSpeed | None) -> bool:
+    """Return whether this is a plan of what was asked for, with a speed that is a number."""
+    if planned is None:
+        return True
+    of_the_request = planned.called == request.called and planned.time_s == request.time_s
+    return of_the_request and (planned.plan is None or 0.0 < planned.plan.choice.speed_rpm < math.inf)
 
 
 def _how_it_ended(status: int) -> str:

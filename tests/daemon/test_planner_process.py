@@ -2,13 +2,16 @@
 
 import asyncio
 import contextlib
+import json
 import os
 import select
 import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from control_rig import running
@@ -168,6 +171,30 @@ async def test_one_that_needs_too_much_memory_ends_and_says_so(tmp_path: Path) -
 async def test_what_is_no_answer_is_not_believed(tmp_path: Path, program: str, words: str) -> None:
     async with supervised(tmp_path, (sys.executable, "-c", f"import sys; sys.stdin.readline(); {program}")) as child:
         assert words in await child.lost()
+
+
+@pytest.mark.parametrize("wrong", [{"speed_rpm": float("nan")}, {"speed_rpm": -1.0}, {"time_s": 0.0}, {"program": 7}])
+async def test_a_plan_of_something_else_or_without_a_speed_is_not_taken(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    called = asdict(CALLED) | {key: value for key, value in wrong.items() if key == "program"}
+    choice = {"speed_rpm": 9100.0, "limiting_depth_mm": float("inf"), "pocket_rpm": [9000.0, 9200.0]}
+    choice |= {key: value for key, value in wrong.items() if key == "speed_rpm"}
+    planned = {
+        "called": called,
+        "time_s": wrong.get("time_s", 1000.0),
+        "plan": {"choice": choice, "flagged_span_rpm": 0.0},
+        "problem": "",
+        "resonance_hz": {},
+        "change_per_step_rpm": {},
+    }
+    model = dict.fromkeys(("model_id", "sha256", "release", "released_by", "released"))
+    opened = {"obstacle": "", "words": "", "model": model | {"problem": "", "warning": ""}}
+    replies = [json.dumps({"opened": opened}), json.dumps({"planned": planned})]
+    program = f"import sys\nfor reply in {replies!r}:\n    sys.stdin.readline()\n    print(reply, flush=True)"
+    async with supervised(tmp_path, (sys.executable, "-c", f"{program}\nsys.stdin.readline()")) as child:
+        await child.opened()
+        with pytest.raises(LinkError, match="something else than it was asked"):
+            await child.planner.plan(asked())
+        assert "something else than it was asked" in await child.lost()
 
 
 async def test_a_program_that_is_not_there_is_said(tmp_path: Path) -> None:
