@@ -165,8 +165,15 @@ class Daemon:
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""
-        configuration = self._configuration
         self._history.start()
+        try:
+            with self._parts.hold_cnc(self._configuration.cnc):
+                await self._run()
+        finally:
+            await asyncio.to_thread(self._history.close)
+
+    async def _run(self) -> None:
+        configuration = self._configuration
         self._report("daemon", "started")
         self._report("model", self._loaded.in_words())
         scheduler = self._parts.housekeeping(self._history, configuration.history)
@@ -200,7 +207,6 @@ class Daemon:
                 job.stop()
             self._displacements.flush()
             self._report("daemon", "stopped")
-            await asyncio.to_thread(self._history.close)
             self._last_block.close()
             self.control.side.close()
 

@@ -2,10 +2,13 @@
 
 import sys
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from config.schema import Configuration
+from config.schema.cnc_drivers import CncDriverConfig
 from config.schema.temperatures import LineConfig
+from daemon.cnc.cnc_lock import CncLock
 from daemon.housekeeping.side_job import Housekeeping, housekeeping_scheduler
 from daemon.model_release.loading import LoadedModel
 from daemon.model_release.side_load import load_beside
@@ -27,6 +30,8 @@ class Parts:
         open_displacement_source
     )
     open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc
+    hold_cnc: Callable[[CncDriverConfig], AbstractContextManager[object]] = CncLock
+    """Keeps a second writer on this computer away from the CNC."""
     housekeeping: Housekeeping = housekeeping_scheduler
     load_model: Callable[[Configuration], Awaitable[LoadedModel[ThermalModel]]] = load_beside
     """Loads the released model anew, off the loop."""

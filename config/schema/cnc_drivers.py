@@ -29,6 +29,11 @@ class CncConnection(Section):
         return False
 
     @property
+    def address(self) -> str:
+        """Where the CNC is, equal for every configuration that means the same one."""
+        return self.model_dump_json()
+
+    @property
     def secrets(self) -> dict[str, Path]:
         """Files with passwords and keys by their keys in the section: not shown, and in no back-up."""
         return {}
@@ -115,6 +120,11 @@ class OpcUaConfig(CncConnection):
     def encrypted(self) -> bool:
         """Whether the session is signed, encrypted and has a user."""
         return self.security is not None
+
+    @property
+    def address(self) -> str:
+        """The server's host and port."""
+        return self.endpoint.removeprefix("opc.tcp://").partition("/")[0].lower()
 
     @property
     def secrets(self) -> dict[str, Path]:

@@ -36,7 +36,8 @@ from daemon.backup.manifest import (
     Manifest,
     last_block_beside,
 )
-from daemon.history.database import HistoryError, WriterLock, connect_reader, connect_writer
+from daemon.history.database import HistoryError, connect_reader, connect_writer
+from daemon.history.store_lock import WriterLock
 
 LARGEST_MANIFEST = 16 * 2**20
 BESIDE_STORE = ("-wal", "-shm")

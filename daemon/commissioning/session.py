@@ -10,6 +10,7 @@ from pathlib import Path
 from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon.backup.restoring import give_to_owner_of_folder
+from daemon.cnc.cnc_lock import CncLock, CncLockError
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
@@ -76,13 +77,19 @@ async def commission(
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task is not None
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    lock = CncLock(configuration.cnc)
     try:
+        if open_cnc is None:
+            lock.acquire()
         for number in signals:
             loop.add_signal_handler(number, task.cancel)
         station = Station(configuration, link)
         work = Commissioning(configuration, plan, station, dialogue, instruments, history, _today, log)
         return await work.run()
+    except CncLockError as error:
+        raise CommissioningRefusedError(str(error)) from error
     finally:
+        lock.release()
         for number in signals:
             loop.remove_signal_handler(number)
         await asyncio.to_thread(history.close)

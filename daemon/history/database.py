@@ -1,11 +1,8 @@
-"""Open the store: its schema, migration and refusal, and the lock that keeps it to one writer."""
+"""Open the store: its schema, migration and refusal."""
 
-import fcntl
-import os
 import sqlite3
 from importlib import resources
 from pathlib import Path
-from typing import Self
 from urllib.parse import quote
 
 from models.errors import RefusedInputError
@@ -33,48 +30,6 @@ def schema_version() -> int:
 
 class OlderStoreError(HistoryError):
     """The store has an older schema, which only a writer may bring up to date."""
-
-
-class WriterLock:
-    """Keeps a second writer away from a store, in this and in other processes."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._descriptor: int | None = None
-
-    def acquire(self) -> None:
-        """Take the lock, or raise HistoryError naming who holds it."""
-        lock_path = Path(f"{self._path}.lock")
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT, 0o660)
-        except OSError as error:
-            raise HistoryError(f"{lock_path}: cannot be created ({error.strerror}); check history.path") from error
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            holder = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip() or "unknown"
-            os.close(descriptor)
-            raise HistoryError(
-                f"{self._path}: process {holder} writes this store; two writers would damage it. "
-                "Stop that process, or give this one another history.path"
-            ) from error
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, str(os.getpid()).encode("ascii"), 0)
-        self._descriptor = descriptor
-
-    def release(self) -> None:
-        """Let another writer in; without effect when the lock is not held."""
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
-
-    def __enter__(self) -> Self:
-        self.acquire()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:

@@ -10,9 +10,11 @@ from pathlib import Path
 import structlog
 
 from daemon.history.database import HistoryError, connect_writer
+from daemon.history.identity import Kept, StoreIdentity
 from daemon.history.intake import Entry, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
 from daemon.history.rows import ACKNOWLEDGE
+from daemon.history.store_lock import StoreLostError, WriterLock
 
 log = structlog.get_logger(__name__)
 
@@ -34,6 +36,8 @@ _BAD_ROW = (sqlite3.IntegrityError, sqlite3.DataError, sqlite3.InterfaceError, s
 
 def cause_in_words(error: Exception) -> str:
     """Return what an error of the store means for a person."""
+    if isinstance(error, HistoryError):
+        return str(error)
     name = getattr(error, "sqlite_errorname", None) or ""
     for prefix, words in _CAUSES.items():
         if name.startswith(prefix):
@@ -57,11 +61,20 @@ class Engine:
         path: Path,
         intake: Intake,
         layout: MachineLayout,
+        lock: WriterLock,
         *,
         on_acknowledged: Callable[[str, int], None],
         on_problem: Callable[[str], None],
+        on_lost: Callable[[str], None],
+        kept: Callable[[], Kept],
     ) -> None:
-        self._path, self._intake, self._layout = path, intake, layout
+        """`on_lost` hears that the store was lost and is begun anew; `kept` returns the states that a new one gets."""
+        self._path, self._intake, self._layout, self._lock = path, intake, layout, lock
+        self._on_lost, self._kept = on_lost, kept
+        self._identity = StoreIdentity()
+        self._lost = ""
+        """What became of the store that was written before, until another one is."""
+        self._log_inode: int | None = None
         self._on_acknowledged, self._on_problem = on_acknowledged, on_problem
         self._connection: sqlite3.Connection | None = None
         self._layout_ids: LayoutIds = {}
@@ -132,9 +145,9 @@ class Engine:
             except Unwritable as bad:
                 records.remove(bad.entry)
                 self._give_up(bad.entry, bad.error)
-            except (sqlite3.Error, HistoryError) as error:
+            except StoreLostError as error:
                 self._intake.put_back([*records, *jobs])
-                self._fail(error)
+                self._lose(error)
                 return
             except Exception as error:  # a mistake in this program must not end the record: loud, and tried again
                 self._intake.put_back([*records, *jobs])
@@ -150,6 +163,7 @@ class Engine:
     def _write(self, connection: sqlite3.Connection, records: list[Entry]) -> None:
         if not records:
             return
+        self._prove()
         connection.execute("BEGIN IMMEDIATE")
         for entry in records:
             try:
@@ -160,6 +174,26 @@ class Engine:
         latest = {e.acknowledges[0]: e.acknowledges for e in records if e.acknowledges}
         connection.executemany(ACKNOWLEDGE, latest.values())
         connection.execute("COMMIT")
+        self._prove()
+        self._secure_log(connection)
+
+    def _prove(self) -> None:
+        """Raise StoreLostError when what is committed does not reach the file that stands in the store's place."""
+        if lost := self._lock.lost():
+            raise StoreLostError(lost)
+
+    def _secure_log(self, connection: sqlite3.Connection) -> None:
+        """Bring what is committed from the log into the store itself when somebody has deleted the log."""
+        log_path = Path(f"{self._path}-wal")
+        there = log_path.stat().st_ino if log_path.exists() else None
+        if self._log_inode in (None, there):
+            self._log_inode = there
+            return
+        (busy, _, _) = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        self._close()
+        if busy:
+            raise StoreLostError("has lost its log (-wal)")
+        self._call(self._on_lost, f"{log_path} was deleted while the daemon wrote it; nothing of it is lost")
 
     def _acknowledge(self, records: list[Entry]) -> None:
         for entry in records:
@@ -169,7 +203,9 @@ class Engine:
 
     def _run_job(self, job: Entry) -> None:
         try:
-            result = job.execute(self._open(), self._layout_ids)
+            connection = self._open()
+            self._prove()
+            result = job.execute(connection, self._layout_ids)
         except Exception as error:  # whoever asked for the job gets its error; closing rolls back
             self._close()
             job.commit.fail(error)
@@ -183,13 +219,20 @@ class Engine:
 
     def _open(self) -> sqlite3.Connection:
         if self._connection is None:
+            self._lost = self._lost or self._lock.lost()
+            self._lock.hold()
             connection = connect_writer(self._path)
             try:
+                self._prove()
+                now_ms = time.time_ns() // 1_000_000
+                told = self._identity.settle(connection, self._path, self._lost, self._kept(), now_ms)
                 self._learn_layouts(connection)
-            except sqlite3.Error:
+            except (sqlite3.Error, HistoryError):
                 connection.close()
                 raise
-            self._connection = connection
+            self._connection, self._log_inode, self._lost = connection, None, ""
+            if told:
+                self._call(self._on_lost, told)
         return self._connection
 
     def _learn_layouts(self, connection: sqlite3.Connection) -> None:
@@ -223,6 +266,31 @@ class Engine:
             f"{self._path}: the history cannot be written: {cause_in_words(error)}. "
             f"Records wait in memory and are written when it works again; compensation goes on{self._newly_dropped()}"
         )
+
+    def _lose(self, error: StoreLostError) -> None:
+        """Give the file up that is no longer the store; what was not acknowledged goes to the one in its place."""
+        self._lost = str(error)
+        self._take_log_along()
+        self._close()
+        self._not_before_s = time.monotonic() + RETRY_FIRST_S
+        self.report(
+            f"{self._path}: the store {error} while the daemon writes it. Records wait in memory until it is found or "
+            "begun anew; compensation goes on"
+        )
+
+    def _take_log_along(self) -> None:
+        """Bring the log into the file that is given up: SQLite would take it for the log of the one in its place."""
+        if self._connection is None:
+            return
+        try:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+            (busy, _, _) = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+            log_path = Path(f"{self._path}-wal")
+            if busy and log_path.exists() and log_path.stat().st_ino == self._log_inode:
+                log_path.rename(f"{log_path}.lost")
+        except (sqlite3.Error, OSError) as error:
+            log.error("history.log_left", path=str(self._path), problem=str(error))
 
     def _recover(self) -> None:
         if not self._problem:

@@ -8,7 +8,8 @@ from pathlib import Path
 from config.schema.service import HistoryConfig
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
 from daemon.history.columns.packing import PackedHour, pack_hours, packing_cutoff_ms, rows_of_hour, table_of
-from daemon.history.database import HistoryError, WriterLock, connect_reader, connect_writer
+from daemon.history.database import HistoryError, connect_reader, connect_writer
+from daemon.history.store_lock import WriterLock
 
 DAY_MS = 86_400_000
 SLICE_ROWS = 2000

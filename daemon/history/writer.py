@@ -14,13 +14,14 @@ from config.schema.service import HistoryConfig
 from daemon.history import rows
 from daemon.history.columns.packer import packed_hours
 from daemon.history.columns.packing import PackedHour
-from daemon.history.database import OlderStoreError, WriterLock, connect_writer
+from daemon.history.database import OlderStoreError, connect_writer
 from daemon.history.engine import Engine, cause_in_words
 from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.retention import HousekeepingReport, store_hour, tidy
 from daemon.history.series import WriteRecord
+from daemon.history.store_lock import WriterLock
 from drivers.clock import Clock
 from models.records import (
     CncSample,
@@ -83,8 +84,17 @@ class HistoryWriter:
         self._clock = clock
         self._machine = machine
         self._intake = Intake(queue_limit)
-        self._engine = Engine(path, self._intake, machine, on_acknowledged=on_acknowledged, on_problem=on_problem)
         self._lock = WriterLock(path)
+        self._engine = Engine(
+            path,
+            self._intake,
+            machine,
+            self._lock,
+            on_acknowledged=on_acknowledged,
+            on_problem=on_problem,
+            on_lost=self._tell_loss,
+            kept=self._kept_states,
+        )
         self._state: dict[str, Any] = {}
         self._last_displacement_utc_s: float | None = None
         self._write_id: int | None = None
@@ -213,6 +223,14 @@ class HistoryWriter:
         text, time_ms = json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
         self._state[key] = json.loads(text)
         return self._audit("states", rows.PUT_STATE, lambda: (key, text, time_ms))
+
+    def _tell_loss(self, sentence: str) -> None:
+        self.event("history", sentence, "daemon")
+
+    def _kept_states(self) -> list[tuple[str, str, int]]:
+        """Return the states of this run, for a store that is begun anew."""
+        now_ms = rows.utc_ms(self._clock.now())
+        return [(key, json.dumps(value), now_ms) for key, value in list(self._state.items()) if value is not None]
 
     def _audit(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> Commit:
         return self._put(kind, _statement(sql, build))

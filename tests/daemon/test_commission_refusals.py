@@ -6,7 +6,7 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import Bench, Person, refused, serving
 
-from daemon.history.database import WriterLock
+from daemon.history.store_lock import WriterLock
 from daemon.monitor.control_socket import ControlSocket
 from models.records import WriteOutcome
 

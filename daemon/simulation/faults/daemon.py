@@ -11,6 +11,7 @@ import resource
 import socket
 import sys
 from collections import deque
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,7 @@ class CampaignDaemon:
             open_temperature_source=self._open_line,
             open_displacement_source=self._open_displacements,
             open_cnc=lambda configuration, _: VirtualCnc(configuration.cnc, self._world, self._clock),
+            hold_cnc=lambda _: nullcontext(),
             housekeeping=self._housekeeping,
             load_model=lambda configuration: asyncio.to_thread(load_released, configuration, own_account()),
         )

@@ -1,0 +1,111 @@
+"""Keeps a store to one writer, and notices when the store's file is no longer the one that is written.
+
+Two locks: one on a file beside the store, which says who holds it, and one on the store's own file, which holds
+when somebody deletes the first. Both are of flock(2), which SQLite does not use. But the system drops SQLite's own
+locks on a file when the process closes *any* descriptor of it; therefore the store is opened here before SQLite
+opens it and closed after SQLite has closed it, and never opened twice.
+"""
+
+import fcntl
+import os
+from pathlib import Path
+from typing import Self
+
+from daemon.history.database import HistoryError
+
+
+class StoreLostError(HistoryError):
+    """The file that was written is no longer the store; nothing of what was committed last counts."""
+
+
+_never_closed: list[int] = []
+"""Descriptors of stores that another writer holds: closing one could take away the locks of that writer, when it is
+one of this process."""
+
+
+class WriterLock:
+    """Keeps a second writer away from a store, in this and in other processes."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor: int | None = None
+        self._store: int | None = None
+
+    def acquire(self) -> None:
+        """Take both locks, or raise HistoryError naming who holds them."""
+        lock_path = Path(f"{self._path}.lock")
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
+        except OSError as error:
+            raise HistoryError(f"{lock_path}: cannot be created ({error.strerror}); check history.path") from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            holder = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip() or "unknown"
+            os.close(descriptor)
+            raise HistoryError(
+                f"{self._path}: process {holder} writes this store; two writers would damage it. "
+                "Stop that process, or give this one another history.path"
+            ) from error
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, str(os.getpid()).encode("ascii"), 0)
+        self._descriptor = descriptor
+        try:
+            self.hold(create=False)
+        except HistoryError:
+            self.release()
+            raise
+
+    def hold(self, *, create: bool = True) -> None:
+        """Lock the store's own file where it stands now; SQLite must not have it open yet.
+
+        Raises HistoryError when another writer holds it. A disk that does not let it be opened is left to SQLite,
+        whose errors say why.
+        """
+        if not self.lost() and self._store is not None:
+            return
+        before, self._store = self._store, None
+        if before is not None:
+            os.close(before)
+        try:
+            if create:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0), 0o644)
+        except OSError:
+            return
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            _never_closed.append(descriptor)
+            raise HistoryError(
+                f"{self._path}: another process writes this store, although its lock file is gone; two writers would "
+                f"damage it. Stop that process (`fuser {self._path}` names it), or give this one another history.path"
+            ) from error
+        self._store = descriptor
+
+    def lost(self) -> str:
+        """Return in words what became of the file that is held, '' while it is the store."""
+        if self._store is None:
+            return ""
+        try:
+            there = self._path.stat()
+        except FileNotFoundError:
+            return "was deleted or moved away"
+        except OSError as error:
+            return f"can no longer be found ({error.strerror})"
+        return "" if os.path.samestat(there, os.fstat(self._store)) else "was replaced by another file"
+
+    def release(self) -> None:
+        """Let another writer in; without effect when the lock is not held."""
+        for descriptor in (self._store, self._descriptor):
+            if descriptor is not None:
+                os.close(descriptor)
+        self._store = self._descriptor = None
+
+    def __enter__(self) -> Self:
+        self.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
