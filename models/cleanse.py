@@ -176,21 +176,15 @@ def cleanse_cycle(
     elapsed_s = now_s - previous_at_s
     returning = ~known | (elapsed_s > rules.stale_after_s)
     change_degc = np.where(known, np.abs(measured_degc - previous_degc), 0.0)
-    gap_s = np.where(known, np.maximum(elapsed_s - cycle_period_s, 0.0), 0.0)
-    allowed_degc = np.minimum(
-        rules.max_change_degc + rules.max_rate_degc_per_min / 60.0 * gap_s,
-        max(rules.max_gap_change_degc, rules.max_change_degc),
-    )
+    allowed_degc = _allowed(rules, np.where(known, np.maximum(elapsed_s - cycle_period_s, 0.0), 0.0))
     needed = _samples_needed(rules, np.where(known, change_degc, np.inf), allowed_degc, returning)
     waiting_degc, count = _count_agreeing(rules, state, indices, measured_degc, in_range & (needed > 1))
     accepted = in_range & ((needed == 1) | (count >= needed))
 
     held = ~accepted & known & (elapsed_s <= rules.stale_after_s)
-    why = np.where(reason == Reason.NONE, np.uint8(Reason.NOT_RECEIVED), reason)
     unconfirmed = returning | (change_degc <= allowed_degc)
-    doubted = np.where(unconfirmed, np.uint8(Reason.UNCONFIRMED), np.uint8(Reason.RATE))
-    why = np.where(usable, np.where(in_range, doubted, np.uint8(Reason.OUT_OF_RANGE)), why)
-    keeps_reason = held | ~known | (usable & in_range)
+    why = np.where(usable, np.where(in_range, _doubted(unconfirmed), np.uint8(Reason.OUT_OF_RANGE)), _unusable(reason))
+    keeps_reason = held | ~known | in_range
     why = np.where(accepted, np.uint8(Reason.NONE), np.where(keeps_reason, why, np.uint8(Reason.STALE)))
     verdict = np.where(accepted, np.uint8(Quality.GOOD), np.where(held, np.uint8(Quality.HELD), np.uint8(2)))
     return CleansingResult(
@@ -201,6 +195,22 @@ def cleanse_cycle(
         returned=accepted & returning,
         new_level=accepted & (change_degc > allowed_degc),
     )
+
+
+def _allowed(rules: CleansingRules, gap_s: FloatArray) -> FloatArray:
+    """Return the change that is allowed after gaps [s]: it grows with them up to a bound [degC]."""
+    grown_degc = rules.max_change_degc + rules.max_rate_degc_per_min / 60.0 * gap_s
+    return np.minimum(grown_degc, max(rules.max_gap_change_degc, rules.max_change_degc))
+
+
+def _unusable(reason: CodeArray) -> CodeArray:
+    """Return the driver's reasons for values that it does not call GOOD."""
+    return np.where(reason == Reason.NONE, np.uint8(Reason.NOT_RECEIVED), reason)
+
+
+def _doubted(unconfirmed: npt.NDArray[np.bool_]) -> CodeArray:
+    """Return why possible values do not count yet."""
+    return np.where(unconfirmed, np.uint8(Reason.UNCONFIRMED), np.uint8(Reason.RATE))
 
 
 def _samples_needed(
