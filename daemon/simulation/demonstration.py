@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daemon.monitor.control_socket import RequestError
-from daemon.simulation.processes import Rehearsal, RehearsalError
+from daemon.simulation.processes import RunningSimulation, SimulationError
 
 JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""
@@ -14,7 +14,7 @@ DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
 
 
-def switch_on(running: Rehearsal, patience_s: float = 20.0) -> None:
+def switch_on(running: RunningSimulation, patience_s: float = 20.0) -> None:
     """Enable every axis that has a model, as an operator would."""
     deadline = time.monotonic() + patience_s
     while True:
@@ -27,11 +27,11 @@ def switch_on(running: Rehearsal, patience_s: float = 20.0) -> None:
         except RequestError as error:
             running.check_alive()
             if time.monotonic() > deadline:
-                raise RehearsalError(f"the daemon refused to enable: {error}") from error
+                raise SimulationError(f"the daemon refused to enable: {error}") from error
             time.sleep(0.1)
 
 
-def watch(running: Rehearsal, until_s: float, look: Callable[[dict[str, Any]], None], period_s: float) -> None:
+def watch(running: RunningSimulation, until_s: float, look: Callable[[dict[str, Any]], None], period_s: float) -> None:
     """Look at the daemon's status every `period_s` [s of the wall clock] until the simulated time is over."""
     while running.time_s < until_s:
         running.check_alive()
@@ -39,7 +39,7 @@ def watch(running: Rehearsal, until_s: float, look: Callable[[dict[str, Any]], N
         time.sleep(min(period_s, max(0.0, (until_s - running.time_s) / running.speed)))
 
 
-def settle(running: Rehearsal) -> tuple[dict[str, Any], dict[str, Any]]:
+def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
     """Wait until the simulator has sent its last cycle and the daemon has taken it; return both accounts."""
     final = running.wait_for_report("final", DRAIN_S + 60.0 / running.speed + 10.0)
     expected = sum(final["cycles_sent"].values())

@@ -36,8 +36,8 @@ LOOK_AHEAD = 1.5
 STOP_PATIENCE_S = 15.0
 
 
-class RehearsalError(RefusedInputError):
-    """The rehearsal could not be set up or broke off; the text says why."""
+class SimulationError(RefusedInputError):
+    """The simulation could not be set up, or it broke off; the text says why."""
 
 
 def free_port() -> int:
@@ -47,7 +47,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def write_rehearsal_configuration(
+def write_simulation_configuration(
     base: dict[str, Any], directory: Path, *, speed: float, http: bool, secure: bool = False
 ) -> tuple[Path, Configuration]:
     """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
@@ -109,7 +109,7 @@ def _keys(directory: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def folder_for(directory: Path | None) -> Iterator[Path]:
-    """Yield a new or empty folder that stays, or a temporary one that does not; raises RehearsalError."""
+    """Yield a new or empty folder that stays, or a temporary one that does not; raises SimulationError."""
     if directory is None:
         with tempfile.TemporaryDirectory(prefix="toolpoint-", ignore_cleanup_errors=True) as name:
             yield Path(name)
@@ -118,14 +118,14 @@ def folder_for(directory: Path | None) -> Iterator[Path]:
         directory.mkdir(parents=True, exist_ok=True)
         empty = not any(directory.iterdir())
     except OSError as error:
-        raise RehearsalError(f"{directory} cannot be used: {error.strerror}; name an empty or a new folder") from error
+        raise SimulationError(f"{directory} cannot be used: {error.strerror}; name an empty or a new folder") from error
     if not empty:
-        raise RehearsalError(f"{directory} is not empty; name an empty or a new folder")
+        raise SimulationError(f"{directory} is not empty; name an empty or a new folder")
     yield directory.resolve()
 
 
 @dataclass(slots=True)
-class Rehearsal:
+class RunningSimulation:
     """Two running processes and what they have said."""
 
     configuration: Configuration
@@ -142,10 +142,10 @@ class Rehearsal:
         return (time.monotonic() - self.epoch_real_s) * self.speed
 
     def check_alive(self) -> None:
-        """Raise RehearsalError when one of the two has ended."""
+        """Raise SimulationError when one of the two has ended."""
         for name, process in (("the simulated machine", self.simulator), ("the daemon", self.daemon)):
             if process.poll() is not None:
-                raise RehearsalError(f"{name} ended with status {process.returncode}")
+                raise SimulationError(f"{name} ended with status {process.returncode}")
 
     def wait_for_report(self, wanted: str, timeout_s: float) -> dict[str, Any]:
         """Return the first report that carries the key `wanted`."""
@@ -156,13 +156,13 @@ class Rehearsal:
                     return report
             self.check_alive()
             time.sleep(0.02)
-        raise RehearsalError(f"the simulated machine did not report {wanted!r} within {timeout_s:.0f} s")
+        raise SimulationError(f"the simulated machine did not report {wanted!r} within {timeout_s:.0f} s")
 
 
 @contextlib.contextmanager
-def rehearse(
+def start_simulation(
     simulate_arguments: Sequence[str], config_path: Path, *, speed: float, epoch_utc_s: float, directory: Path
-) -> Iterator[Rehearsal]:
+) -> Iterator[RunningSimulation]:
     """Start both processes so that the daemon is ready before the simulated time begins, and stop them."""
     lead_s = FIRST_LEAD_S
     for _ in range(MOST_LEADS):
@@ -176,7 +176,7 @@ def rehearse(
             if running is not None:
                 _stop(running)
         lead_s *= 2
-    raise RehearsalError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
+    raise SimulationError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
 
 
 def _start(
@@ -186,7 +186,7 @@ def _start(
     epoch_real_s: float,
     epoch_utc_s: float,
     directory: Path,
-) -> Rehearsal | None:
+) -> RunningSimulation | None:
     clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
     toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
     common = ["--config", str(config_path), "--simulated-clock", clock]
@@ -207,14 +207,14 @@ def _start(
         daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
     try:
         client = _connect(configuration.service.socket, daemon, epoch_real_s)
-        running = Rehearsal(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
+        running = RunningSimulation(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
         while time.monotonic() < epoch_real_s - 0.1:
             running.check_alive()
             links = client.ask("status")["links"]
             if all(link["up"] for link in links if link["name"] == "cnc"):
                 return running
             time.sleep(0.05)
-    except RehearsalError:
+    except SimulationError:
         _kill(simulator, daemon)
         raise
     except DaemonUnreachableError:
@@ -229,7 +229,7 @@ def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> C
             return ControlClient(path)
         except DaemonUnreachableError:
             if daemon.poll() is not None:
-                raise RehearsalError(f"the daemon ended with status {daemon.returncode}") from None
+                raise SimulationError(f"the daemon ended with status {daemon.returncode}") from None
             time.sleep(0.05)
     raise DaemonUnreachableError(f"{path}: no daemon in time")
 
@@ -240,7 +240,7 @@ def _collect(simulator: "subprocess.Popen[str]", reports: list[dict[str, Any]]) 
         reports.append(json.loads(line))
 
 
-def _stop(running: Rehearsal) -> None:
+def _stop(running: RunningSimulation) -> None:
     with contextlib.suppress(OSError):
         running.client.close()
     for process in (running.daemon, running.simulator):

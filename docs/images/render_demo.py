@@ -14,7 +14,7 @@ from rich.console import Console
 from daemon.cli.simulate.demo import demo_machine
 from daemon.monitor.view import status_view, truth_panel
 from daemon.simulation.demonstration import Trail, switch_on, watch
-from daemon.simulation.processes import folder_for, rehearse, write_rehearsal_configuration
+from daemon.simulation.processes import folder_for, start_simulation, write_simulation_configuration
 
 OUTPUT = Path(__file__).with_name("demo.svg")
 WIDTH = 120
@@ -27,8 +27,8 @@ def draw(minutes: float, speed: float) -> None:
     """Run the demonstration and write the picture beside this script."""
     trail = Trail()
     with folder_for(None) as folder:
-        path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=False)
-        with rehearse([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed, http=False)
+        with start_simulation([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
             watch(running, minutes * 60.0, lambda _: None, 0.25)
             report = trail.take(running.reports)

@@ -29,7 +29,7 @@ import psutil
 from daemon.cli.simulate.demo import demo_machine
 from daemon.history.reader import HistoryReader
 from daemon.simulation.demonstration import switch_on, watch
-from daemon.simulation.processes import rehearse, write_rehearsal_configuration
+from daemon.simulation.processes import start_simulation, write_simulation_configuration
 
 STAGES = ("cleansed", "estimated", "written", "read_back")
 SETTLING_S = 30.0
@@ -87,8 +87,8 @@ def main() -> None:
     try:
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            path, _ = write_rehearsal_configuration(base, directory, speed=1.0, http=True, secure=options.secure)
-            with rehearse([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
+            path, _ = write_simulation_configuration(base, directory, speed=1.0, http=True, secure=options.secure)
+            with start_simulation([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
                 switch_on(running)
                 daemon = psutil.Process(running.daemon.pid)
                 print(f"daemon ready {_ready_s(directory / 'daemon.log') - daemon.create_time():.2f} s after its start")

@@ -9,7 +9,7 @@ from config.loader import load_configuration
 from config.schema import Configuration
 from daemon.cli.simulate.demo import demo_machine
 from daemon.simulation.faults.invariants import Claims, Ledger, WriteWatch
-from daemon.simulation.processes import write_rehearsal_configuration
+from daemon.simulation.processes import write_simulation_configuration
 
 A, X, Y, Z, VALID, ENABLE, CHECK, B = 500, 501, 502, 503, 120, 504, 506, 505
 claims = partial(campaign_claims.claims, wanted=(False, True, True))
@@ -17,7 +17,7 @@ claims = partial(campaign_claims.claims, wanted=(False, True, True))
 
 @pytest.fixture(scope="module")
 def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
-    path, _ = write_rehearsal_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)
+    path, _ = write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)
     return load_configuration(path)
 
 

@@ -18,7 +18,7 @@ from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
 from daemon.simulation.demonstration import switch_on
-from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
 from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)
@@ -28,9 +28,9 @@ FIRST_REFERENCE_S = 150.0
 
 
 class Wires:
-    """One rehearsal whose daemon a test may end and start again."""
+    """One simulation whose daemon a test may end and start again."""
 
-    def __init__(self, running: Rehearsal, directory: Path) -> None:
+    def __init__(self, running: RunningSimulation, directory: Path) -> None:
         self.running = running
         self.directory = directory
         self.configuration: Configuration = running.configuration
@@ -133,7 +133,7 @@ def on_wires(
     """
     speed = bearable(speed)
     content = demo_machine()
-    path, _ = write_rehearsal_configuration(content, directory, speed=speed, http=False)
+    path, _ = write_simulation_configuration(content, directory, speed=speed, http=False)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
     content["service"]["retry_min_s"], content["service"]["retry_max_s"] = 0.05, 0.5
     change(content)
@@ -143,7 +143,7 @@ def on_wires(
         script = directory / "faults.yaml"
         script.write_text(yaml.safe_dump(list(faults)), encoding="utf-8")
         more += ["--faults", str(script)]
-    with rehearse(more, path, speed=speed, epoch_utc_s=time.time(), directory=directory) as running:
+    with start_simulation(more, path, speed=speed, epoch_utc_s=time.time(), directory=directory) as running:
         yield Wires(running, directory)
 
 

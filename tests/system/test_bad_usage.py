@@ -9,7 +9,7 @@ from config.records.commissioning import CommissioningError, load_commissioning
 from daemon.cli import main
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.model_release.loading import read_model
-from daemon.simulation.processes import RehearsalError
+from daemon.simulation.processes import SimulationError
 
 
 def refused(*arguments):
@@ -76,7 +76,7 @@ def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
     with pytest.raises(SystemExit) as ended, simulation_folder(None) as folder:
         (folder / "daemon.log").write_text("".join(f"line {number}\n" for number in range(9)), encoding="utf-8")
         (folder / "simulator.log").write_text("port taken\n", encoding="utf-8")
-        raise RehearsalError("the daemon ended with status 3")
+        raise SimulationError("the daemon ended with status 3")
     said = capsys.readouterr().err
     assert ended.value.code == 1 and not folder.exists()
     assert "status 3" in said and "line 4" in said and "line 8" in said and "port taken" in said
@@ -85,7 +85,7 @@ def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
 
 def test_a_run_that_breaks_off_names_the_folder_that_stays(tmp_path, capsys):
     with pytest.raises(SystemExit), simulation_folder(tmp_path / "run"):
-        raise RehearsalError("the daemon ended with status 3")
+        raise SimulationError("the daemon ended with status 3")
     assert str(tmp_path / "run") in capsys.readouterr().err
     assert (tmp_path / "run").is_dir()
 

@@ -15,7 +15,7 @@ from pace import bearable
 from config.records.commissioning import load_commissioning
 from daemon.cli.simulate.demo import demo_machine
 from daemon.monitor.control_socket import ControlClient
-from daemon.simulation.processes import write_rehearsal_configuration
+from daemon.simulation.processes import write_simulation_configuration
 
 TOOLPOINT = [sys.executable, "-P", "-m", "daemon.cli"]
 PATIENCE_S = 600.0
@@ -31,7 +31,7 @@ class Standing:
         speed = bearable(15.0)
         self.directory = directory
         self.record = directory / "record.json"
-        self.config, self.configuration = write_rehearsal_configuration(
+        self.config, self.configuration = write_simulation_configuration(
             self._machine(), directory, speed=speed, http=False, secure=True
         )
         self.clock = f"{time.monotonic()!r}:{time.time()!r}:{speed!r}"

@@ -87,7 +87,7 @@ def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
         wires.check_nothing_broke()
         check_audit(wires.writes(), wires.configuration)
         said = said_of_models(wires.configuration.history.path, "refused: ")
-        # A rehearsal whose processes were not ready in time starts its daemon once more.
+        # A simulation whose processes were not ready in time starts its daemon once more.
         first_said, second_said, third_said = said[-3:]
         assert first_said.startswith("ridge-") and "release 1 by " in first_said
         assert second_said.startswith("half-as-much-again, sha256 ") and "release 2 by " in second_said

@@ -15,7 +15,13 @@ import yaml
 from daemon.cli.common import FiniteFloat, json_option, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
-from daemon.simulation.processes import Rehearsal, RehearsalError, folder_for, rehearse, write_rehearsal_configuration
+from daemon.simulation.processes import (
+    RunningSimulation,
+    SimulationError,
+    folder_for,
+    start_simulation,
+    write_simulation_configuration,
+)
 
 LIVE_PERIOD_S = 0.25
 
@@ -64,11 +70,11 @@ def demo(
     if faults_path is not None:
         _check_faults(faults_path)
     with simulation_folder(directory) as folder:
-        path, _ = write_rehearsal_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
+        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
-        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+        with start_simulation(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
             if headless:
                 watch(running, duration_s, lambda status: None, 1.0)
@@ -107,7 +113,7 @@ def _check_faults(path: Path) -> None:
     read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
 
 
-def _show(running: Rehearsal, until_s: float) -> None:
+def _show(running: RunningSimulation, until_s: float) -> None:
     from rich.console import Console
     from rich.live import Live
 
@@ -143,7 +149,7 @@ def simulation_folder(directory: Path | None) -> Iterator[Path]:
         folder = stack.enter_context(folder_for(directory))
         try:
             yield folder
-        except (RehearsalError, DaemonUnreachableError) as error:
+        except (SimulationError, DaemonUnreachableError) as error:
             if directory is None:
                 click.echo("\n".join([str(error), *last_lines(folder)]), err=True)
             else:

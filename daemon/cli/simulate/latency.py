@@ -120,15 +120,17 @@ def _perform(experiment: Any, folder: Path, epoch_utc_s: float) -> tuple[Any, li
     """Run simulated machine and daemon through the experiment; return its setting and what the machine told."""
     from daemon.cli.simulate.demo import demo_machine
     from daemon.simulation.latency.experiment import latency_machine, perform, setting_of, write_script
-    from daemon.simulation.processes import rehearse, write_rehearsal_configuration
+    from daemon.simulation.processes import start_simulation, write_simulation_configuration
 
     base = latency_machine(demo_machine(), experiment, folder)
-    path, configuration = write_rehearsal_configuration(base, folder, speed=experiment.speed, http=False)
+    path, configuration = write_simulation_configuration(base, folder, speed=experiment.speed, http=False)
     setting = setting_of(experiment, configuration)
     script = folder / "packs.yaml"
     write_script(setting.script, script)
     arguments = ["--packs", str(script), "--until-s", repr(setting.until_s)]
-    with rehearse(arguments, path, speed=experiment.speed, epoch_utc_s=epoch_utc_s, directory=folder) as running:
+    with start_simulation(
+        arguments, path, speed=experiment.speed, epoch_utc_s=epoch_utc_s, directory=folder
+    ) as running:
         perform(running, setting)
     return setting, running.reports
 

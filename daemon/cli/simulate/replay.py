@@ -9,7 +9,7 @@ import click
 from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
-from daemon.simulation.processes import Rehearsal, rehearse, write_rehearsal_configuration
+from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
 from daemon.simulation.replaying import check_model, map_of, playing_time_s, replay_machine
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
@@ -79,7 +79,7 @@ def replay(
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
-            path, _ = write_rehearsal_configuration(machine, folder, speed=speed, http=False)
+            path, _ = write_simulation_configuration(machine, folder, speed=speed, http=False)
         except ValueError as error:
             refuse(str(error))
         until_s = playing_time_s(part)
@@ -87,7 +87,7 @@ def replay(
         arguments += ["--until-s", repr(until_s), "--report-s", "60"]
         if map_path is not None:
             arguments += ["--map", str(map_path.resolve())]
-        with rehearse(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+        with start_simulation(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
             _follow(running, until_s)
             final, status = settle(running)
@@ -112,7 +112,7 @@ def report(recording: Path, final: dict[str, Any], status: dict[str, Any], json_
     Console().print(table)
 
 
-def _follow(running: Rehearsal, until_s: float) -> None:
+def _follow(running: RunningSimulation, until_s: float) -> None:
     from rich.console import Console
     from rich.progress import Progress
 

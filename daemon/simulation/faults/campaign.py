@@ -13,7 +13,7 @@ from typing import Any
 
 from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims, Ledger, WriteWatch
-from daemon.simulation.faults.models import OF_MODELS, ModelShelf, change_policy
+from daemon.simulation.faults.models import OF_MODELS, CampaignModels, change_policy
 from daemon.simulation.faults.operations_check import HeartbeatWatch, OperationsWatch, Request
 from daemon.simulation.faults.operator import ROUND_S, Person
 from daemon.simulation.faults.process import WARM_UP_S, Acknowledgements, DaemonProcess, KillPlan, MemoryWatch
@@ -66,7 +66,7 @@ class Campaign:
         epoch_utc_s: float,
         progress: Callable[[str], None],
         script: Sequence[Happening],
-        shelf: ModelShelf,
+        models: CampaignModels,
     ) -> None:
         """Prepare."""
         self._configuration = configuration
@@ -89,10 +89,10 @@ class Campaign:
             configuration.compensation.axes,
             configuration.cnc.guard,
         )
-        self._shelf = shelf
+        self._models = models
         self._world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=epoch_utc_s, seed=seed)
         self._operations = OperationsWatch(ledger, configuration.cnc.macros.request)
-        self._truth = TruthKeeper(configuration, self._world, self._operations, shelf)
+        self._truth = TruthKeeper(configuration, self._world, self._operations, models)
         self._heart = HeartbeatWatch(configuration.cnc.macros, ledger)
         self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
         sensors = {line.name: line.sensor_ids[0] for line in lines}
@@ -159,7 +159,7 @@ class Campaign:
 
     def _start(self) -> DaemonProcess:
         self.result.lives += 1
-        self._shelf.repair()
+        self._models.repair()
         seed = f"daemon {self._seed} {self.result.lives}"
         self._process = DaemonProcess(
             self._config_path,
@@ -325,11 +325,11 @@ class Campaign:
             change_policy(self._config_path, zero_first=self._operations.zero_first)
             self._kills.due = happening
         elif happening.kind is Incident.MODEL_RELOAD:
-            self._shelf.exchange()
+            self._models.exchange()
             self._memory.restarted(time_s)
-            self._operations.released(time_s, self._shelf.model_id)
+            self._operations.released(time_s, self._models.model_id)
         elif happening.kind is Incident.DAMAGED_MODEL:
-            self._shelf.damage()
+            self._models.damage()
         elif happening.kind in OF_A_PERSON:
             self._person.do(happening)
         if happening.kind in OF_MODELS and process is not None:
@@ -341,7 +341,7 @@ class Campaign:
             self._process.free_disk()
         if happening.kind in OF_A_PERSON:
             self._person.undo(happening)
-        self._shelf.ended(happening)
+        self._models.ended(happening)
         self._operations.ended(happening)
         self._good_input.after(happening)
         if not self._world.active:
@@ -359,7 +359,7 @@ class Campaign:
         self._operations.round(world.time_s, self._claims)
         if self._claims is not None:
             self._heart.look(world.time_s, self._claims, world.machine.nc)
-            if self._shelf.is_watching(self._claims.model):
+            if self._models.is_watching(self._claims.model):
                 for happening in (h for h in world.active if h.kind is Incident.WRONG_SENSOR):
                     self._operations.wrong_sensor(world.time_s, happening, self._claims)
         if self._process is not None and self._memory.due(world.time_s):

@@ -26,7 +26,7 @@ IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL)
 OF_MODELS = (Incident.MODEL_RELOAD, Incident.DAMAGED_MODEL)
 
 
-class ModelShelf:
+class CampaignModels:
     """The model's file, and what stands in it."""
 
     def __init__(self, path: Path, script: Sequence[Happening]) -> None:
@@ -42,7 +42,7 @@ class ModelShelf:
             self._train()
 
     @classmethod
-    def beside(cls, source: Path, directory: Path, script: Sequence[Happening]) -> "ModelShelf":
+    def beside(cls, source: Path, directory: Path, script: Sequence[Happening]) -> "CampaignModels":
         """Make a copy of the shipped model in the campaign's folder."""
         path = directory / "model.json"
         shutil.copyfile(source, path)

@@ -8,10 +8,10 @@ from typing import Any
 from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.simulation.faults.campaign import Campaign
-from daemon.simulation.faults.models import ModelShelf
+from daemon.simulation.faults.models import CampaignModels
 from daemon.simulation.faults.result import Result
 from daemon.simulation.faults.script import Happening, campaign
-from daemon.simulation.processes import write_rehearsal_configuration
+from daemon.simulation.processes import write_simulation_configuration
 from drivers.sim.nc.program import RETREAT
 
 EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
@@ -39,9 +39,9 @@ def run_campaign(
     base["compensation"].setdefault("reference", {})["retreat_sequence_numbers"] = [RETREAT]
     lines = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.lines
     happenings = campaign(days, seed, lines) if script is None else script
-    shelf = ModelShelf.beside(Path(base["compensation"]["model_file"]), directory, happenings)
-    base["compensation"]["model_file"] = str(shelf.path)
-    path, configuration = write_rehearsal_configuration(base, directory, speed=1.0, http=False)
+    models = CampaignModels.beside(Path(base["compensation"]["model_file"]), directory, happenings)
+    base["compensation"]["model_file"] = str(models.path)
+    path, configuration = write_simulation_configuration(base, directory, speed=1.0, http=False)
     running = Campaign(
         configuration,
         path,
@@ -51,6 +51,6 @@ def run_campaign(
         epoch_utc_s=EPOCH_UTC_S,
         progress=progress,
         script=happenings,
-        shelf=shelf,
+        models=models,
     )
     return running.run()

@@ -2,7 +2,7 @@
 
 from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims
-from daemon.simulation.faults.models import ModelShelf
+from daemon.simulation.faults.models import CampaignModels
 from daemon.simulation.faults.operations_check import QUIET, OperationsWatch
 from daemon.simulation.faults.recovery import Truth
 from daemon.simulation.faults.script import Happening
@@ -21,12 +21,12 @@ class TruthKeeper:
     """Hears the wires and looks at the NC, where the daemon has only what it is told."""
 
     def __init__(
-        self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, shelf: ModelShelf
+        self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, models: CampaignModels
     ) -> None:
         self._macros = configuration.cnc.macros
         self._world = world
         self._operations = operations
-        self._shelf = shelf
+        self._models = models
         self._heard_s = -1e9
         self._disturbed_s = -1e9
         self._reference: str | None = None
@@ -93,5 +93,5 @@ class TruthKeeper:
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
-            model_has_states=any(map(self._shelf.is_watching, (claims.model, self._shelf.model_id))),
+            model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )

@@ -14,7 +14,7 @@ import yaml
 
 from config.schema import Configuration
 from daemon.simulation.demonstration import switch_on, watch
-from daemon.simulation.processes import Rehearsal
+from daemon.simulation.processes import RunningSimulation
 from drivers.sim.machine.packs import PackScript
 from models.thermal.linear import LinearModel
 from models.thermal.training.making import increment_model
@@ -158,7 +158,7 @@ def write_script(script: PackScript, path: Path) -> None:
     path.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(script)))), encoding="utf-8")
 
 
-def perform(running: Rehearsal, setting: Setting) -> None:
+def perform(running: RunningSimulation, setting: Setting) -> None:
     """Let the experiment happen; in mode compensation set the reference and switch on before the first move."""
     if setting.experiment.mode == "compensation":
         watch(running, REFERENCE_AT_S, lambda _: None, 0.2)
