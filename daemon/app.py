@@ -40,6 +40,8 @@ from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapsho
 from daemon.spindle_speed.messages import OpenedModel
 from daemon.spindle_speed.planner_process import PlannerProcess
 from daemon.spindle_speed.task import SpindleSpeedOutput
+from daemon.state_store.documents import DaemonAlive
+from daemon.state_store.store import StateStore
 from daemon.telemetry.latency import line_timings
 from daemon.telemetry.metrics import Telemetry
 from daemon.telemetry.sd_notify import ServiceManager
@@ -104,6 +106,7 @@ class Daemon:
         axes = tuple(configuration.compensation.axes)
         factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
         self._block = MacroBlock(configuration.cnc.macros, axes, factors, slack_um, configuration.cnc.guard)
+        self._store = StateStore(self._history, clock)
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
@@ -241,7 +244,7 @@ class Daemon:
         now = self._clock.now()
         if now.real_s - self._alive_real_s > ALIVE_PERIOD_S:
             self._alive_real_s = now.real_s
-            self._history.put_state("alive_utc_s", now.utc_s)
+            self._store.put(DaemonAlive(utc_s=now.utc_s))
         self._telemetry.report(now.real_s)
         self._telemetry.links((health.name, health.up) for health in self._links.shown)
         if self.thermal.latest is not None:

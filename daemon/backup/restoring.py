@@ -7,6 +7,7 @@ compared and acknowledged.
 """
 
 import filecmp
+import json
 import os
 import shutil
 import sqlite3
@@ -38,6 +39,8 @@ from daemon.backup.manifest import (
 )
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
+from daemon.state_store.documents import OutputFault
+from daemon.state_store.store import KEYS, document_json
 
 LARGEST_MANIFEST = 16 * 2**20
 BESIDE_STORE = ("-wal", "-shm")
@@ -171,8 +174,9 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
             now_ms = time.time_ns() // 1_000_000
             connection.execute("BEGIN IMMEDIATE")
             connection.execute("DELETE FROM state")
+            fault = json.dumps(document_json(OutputFault(reasons=(said,))))
             connection.execute(
-                "INSERT INTO state (key, json, utc_ms) VALUES ('fault', json_quote(?), ?)", (said, now_ms)
+                "INSERT INTO state (key, json, utc_ms) VALUES (?, ?, ?)", (KEYS[OutputFault], fault, now_ms)
             )
             connection.execute(
                 "INSERT INTO events (utc_ms, monotonic_ms, kind, text, person) VALUES (?, 0, 'restored', ?, ?)",

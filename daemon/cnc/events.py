@@ -1,27 +1,42 @@
 """What the output did and why: events, notices, alarm, the latched FAULT, and what a restart needs."""
 
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import structlog
 
 from daemon.history.writer import HistoryWriter
+from daemon.state_store.documents import OutputFault
+from daemon.state_store.store import StateStore
 
 log = structlog.get_logger(__name__)
 
 NOTICES_KEPT = 20
 """Latest notices that status can show."""
+MOST_REASONS = 50
+"""So many reasons of one FAULT are told apart."""
+NUMBERS = re.compile(r"(?<![#\w.])[-+]?\d[\d.e+-]*(?: or [-+]?\d[\d.e+-]*)*")
+"""Numbers in a reason, but not those of macros, tools or programs: with another value it is the same reason."""
+
+Document = TypeVar("Document")
 
 
 class Journal:
     """Hands what happened to history and log, and keeps what status shows; owned by the control task."""
 
-    def __init__(self, history: HistoryWriter, fault: str | None) -> None:
+    def __init__(self, history: HistoryWriter, store: StateStore, faults: tuple[str, ...]) -> None:
         self._history = history
-        self.fault = fault
-        """Why the output is not trusted; None while it is."""
+        self._store = store
+        self.faults = faults
+        """Why the output is not trusted, in the order in which it was found; empty while it is."""
         self.notices: list[str] = []
         self.alarm = ""
+
+    @property
+    def fault(self) -> str | None:
+        """Every reason of the latched FAULT in one text; None while there is none."""
+        return "; ".join(self.faults) or None
 
     def event(self, kind: str, text: str, person: str) -> None:
         """Record something that happened, and who did it; a refusal is shown in status too."""
@@ -40,19 +55,28 @@ class Journal:
         """Record something that a person should know."""
         self.say("notice", text)
 
-    def raise_fault(self, reason: str) -> None:
-        """Latch a FAULT; a second reason replaces the first in what is shown."""
-        if self.fault is None:
+    def raise_fault(self, *reasons: str) -> None:
+        """Latch a FAULT; every reason that is not latched already is logged, recorded and stored."""
+        latched = {NUMBERS.sub("~", reason) for reason in self.faults}
+        for reason in reasons:
+            if NUMBERS.sub("~", reason) in latched or len(self.faults) >= MOST_REASONS:
+                continue
+            latched.add(NUMBERS.sub("~", reason))
+            self.faults = (*self.faults, reason)
             self.say("fault", reason)
-            self._history.put_state("fault", reason)
-        self.fault = reason
+            self.keep(OutputFault(reasons=self.faults))
 
-    def acknowledge(self, remains: str) -> None:
-        """Clear the FAULT that a person acknowledged, except for what remains."""
-        self.fault = remains or None
-        self._history.put_state("fault", self.fault)
+    def acknowledge(self, *remain: str) -> None:
+        """Clear the reasons that a person acknowledged; what remains wrong stays, or becomes, a reason."""
+        self.faults = tuple(reason for reason in self.faults if reason in remain)
+        self.keep(OutputFault(reasons=self.faults))
+        self.raise_fault(*remain)
 
-    def keep(self, key: str, value: Any) -> None:
+    def keep(self, document: Any) -> None:
+        """Keep a document for the next start of the daemon."""
+        self._store.put(document)
+
+    def keep_value(self, key: str, value: Any) -> None:
         """Keep a JSON value for the next start of the daemon."""
         self._history.put_state(key, value)
 
@@ -60,6 +84,6 @@ class Journal:
         """Return what these macros may hold by the audit, and the number of the newest write in it."""
         return self._history.last_written_macros(macros), self._history.last_write_id()
 
-    def kept(self, key: str) -> Any:
-        """Return a value that `keep` kept, None where there is none."""
-        return self._history.get_state(key)
+    def kept(self, kind: type[Document]) -> Document | None:
+        """Return what `keep` kept of this kind, None where there is none."""
+        return self._store.get(kind)

@@ -27,6 +27,8 @@ from daemon.commissioning.preconditions import (
 from daemon.commissioning.readings import DisplacementLog, Instruments, Moment, Reading
 from daemon.commissioning.station import Station
 from daemon.history.writer import HistoryWriter
+from daemon.state_store.documents import WantedAxes
+from daemon.state_store.store import StateStore
 from models.records import CncSample
 
 
@@ -145,7 +147,7 @@ class Commissioning:
             refuse_other_speed_program(configuration, told)
             self._say(f"The speed program is the configuration's: text {told:g}.")
         station.take_over(sample)
-        self._history.put_state("wanted", dict.fromkeys(station.axes, False))
+        StateStore(self._history, station.clock).put(WantedAxes(axes=dict.fromkeys(station.axes, False)))
 
     async def _initialise(self, sample: CncSample) -> CncSample:
         station = self._station

@@ -17,6 +17,8 @@ from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.references import References, reference_from_state
 from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
+from daemon.state_store.documents import DaemonAlive, OutputFault, WantedAxes
+from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.compensation import initial_memory
 from models.control.state import OperatorRequest, OutputMemory, ToolBaseline
@@ -34,8 +36,8 @@ class ResumePoint:
     known_macros: dict[int, tuple[float, ...]] | None
     resumable: bool = True
     """The outage was short enough to go on as before."""
-    fault: str | None = None
-    """The latched FAULT that nobody has acknowledged."""
+    faults: tuple[str, ...] = ()
+    """The reasons of the latched FAULT that nobody has acknowledged."""
     rest: dict[str, Any] | None = None
     """Where the output stood when the reference was set, from `rest_to_state`."""
     kept_reference: Reference | None = None
@@ -79,7 +81,7 @@ def record_changes(
     if after.state is not before.state:
         journal.say("state", f"{before.state.value} -> {after.state.value}: {after.reason}")
     if after.wanted != before.wanted or after.state is not before.state:
-        journal.keep("wanted", dict(zip(axes, after.wanted, strict=True)))
+        journal.keep(WantedAxes(axes=dict(zip(axes, after.wanted, strict=True))))
     counts_anew = (
         after.baseline_um is not before.baseline_um
         or after.offset_um is not before.offset_um
@@ -90,7 +92,7 @@ def record_changes(
         numbers = ", ".join(f"T{number}" for number in sorted(before.tools))
         journal.notice(f"the tool settings of {numbers} have ended; set these tools again")
     if (after.reference_id is not None or after.tools) and counts_anew:
-        journal.keep("rest", rest_to_state(after, axes))
+        journal.keep_value("rest", rest_to_state(after, axes))
     if alarm and alarm.partition(":")[0] != journal.alarm.partition(":")[0]:
         journal.say("alarm", alarm)
     journal.alarm = alarm
@@ -166,10 +168,9 @@ def load_resume_point(
 ) -> ResumePoint:
     """Read from the store what was switched on, the reference, and what the macros may hold."""
     axes = tuple(configuration.compensation.axes)
-    wanted = history.get_state("wanted") or {}
-    alive_utc_s = history.get_state("alive_utc_s")
-    now_utc_s = clock.now().utc_s
-    outage_s = now_utc_s - alive_utc_s if alive_utc_s is not None else float("inf")
+    store = StateStore(history, clock)
+    wanted, fault, alive = store.get(WantedAxes), store.get(OutputFault), store.get(DaemonAlive)
+    outage_s = clock.now().utc_s - alive.utc_s if alive is not None else float("inf")
     resumable = 0 <= outage_s <= configuration.compensation.reference.max_outage_s
     stored = history.get_state("reference")
     reference = reference_from_state(stored, clock) if stored and resumable else None
@@ -181,9 +182,9 @@ def load_resume_point(
         log.warning("audit.gap", macros=lost)
         history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
     return ResumePoint(
-        wanted=tuple(bool(wanted.get(axis, False)) for axis in axes),
+        wanted=tuple(wanted is not None and wanted.axes.get(axis, False) for axis in axes),
         resumable=resumable,
-        fault=history.get_state("fault"),
+        faults=() if fault is None else fault.reasons,
         reference=reference,
         known_macros=known,
         rest=history.get_state("rest"),

@@ -33,6 +33,7 @@ from daemon.compensation.tool import ToolInSpindle
 from daemon.estimation.task import Delivery
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRequest
+from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from drivers.contract import DriverError, FatalDriverError, LinkError
@@ -105,7 +106,7 @@ class ControlTask:
         self.requests = Requests()
         self.memory: OutputMemory | None = None
         self.command: CompensationCommand | None = None
-        self.journal = Journal(history, resume.fault)
+        self.journal = Journal(history, StateStore(history, clock), resume.faults)
         macros = configuration.cnc.macros
         handshake = Handshake(macros.request, self.limits.axes)
         self._references = References(
@@ -267,7 +268,7 @@ class ControlTask:
         self._on_sample(sample)
         self._echo_watch.seen(session.echo, sample.time)
         if problems:
-            self.journal.raise_fault("; ".join(problems))
+            self.journal.raise_fault(*problems)
         self._guard_watch.follow(session.echo, sample)
         self._references.follow(sample)
         self._tool.follow(sample.tool_number, self._estimate)
@@ -354,7 +355,7 @@ class ControlTask:
         if person:
             self.journal.event("request", in_words(request), person)
         if request.acknowledge and self.journal.fault is not None and session is not None:
-            self.journal.acknowledge("; ".join(session.acknowledge()))
+            self.journal.acknowledge(*session.acknowledge())
         return self._inputs_now(self._beginning.heed(request))
 
     def _inputs_now(self, request: OperatorRequest) -> OutputInputs:

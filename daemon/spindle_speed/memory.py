@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 from daemon.cnc.events import Journal
 from daemon.spindle_speed.calls import SpeedOperation
+from daemon.state_store.documents import OperationSpeed, SpindleSpeeds, SpindleSpeedSwitch
 from drivers.clock import Clock
 from models.spindle_speed.tuning import SpeedTuningMemory, initial_memory
 
@@ -13,8 +13,6 @@ KEPT_S = 3600.0
 """A speed this old says nothing about the spindle of now: the operation then begins anew [s]."""
 MOST_OPERATIONS = 50
 """So many are kept, the latest."""
-STATE = "spindle_speed"
-"""Key in the store."""
 Key = tuple[float, ...]
 
 
@@ -25,14 +23,13 @@ class OperationMemories:
         self._journal, self._clock = journal, clock
         self._kept: dict[Key, tuple[SpeedTuningMemory, bool]] = {}
         now = clock.now()
-        for entry in journal.kept(STATE) or []:
-            age_s = now.utc_s - entry["utc_s"]
-            memory = initial_memory(entry["programmed_rpm"])
+        kept = journal.kept(SpindleSpeeds)
+        for entry in () if kept is None else kept.operations:
+            age_s = now.utc_s - entry.utc_s
+            memory = initial_memory(entry.programmed_rpm)
             if 0.0 <= age_s <= KEPT_S:
-                memory = replace(
-                    memory, commanded_rpm=entry["commanded_rpm"], begun=True, last_s=now.monotonic_s - age_s
-                )
-                self._kept[tuple(entry["key"])] = memory, bool(entry["moved"])
+                memory = replace(memory, commanded_rpm=entry.commanded_rpm, begun=True, last_s=now.monotonic_s - age_s)
+                self._kept[entry.key] = memory, entry.moved
 
     def begin(self, operation: SpeedOperation, lowest_rpm: float, highest_rpm: float) -> tuple[SpeedTuningMemory, bool]:
         """Return the memory with which an operation begins, or begins again, and whether the NC has yet to take it.
@@ -56,19 +53,20 @@ class OperationMemories:
         for old in list(self._kept)[:-MOST_OPERATIONS]:
             del self._kept[old]
         if memory.begun and (before is None or (before[0].commanded_rpm, before[1]) != (memory.commanded_rpm, moved)):
-            self._journal.keep(STATE, [self._entry(*kept) for kept in self._kept.items() if kept[1][0].begun])
+            begun = tuple(self._entry(*kept) for kept in self._kept.items() if kept[1][0].begun)
+            self._journal.keep(SpindleSpeeds(operations=begun))
 
-    def _entry(self, key: Key, kept: tuple[SpeedTuningMemory, bool]) -> dict[str, Any]:
+    def _entry(self, key: Key, kept: tuple[SpeedTuningMemory, bool]) -> OperationSpeed:
         memory, moved = kept
         now = self._clock.now()
         age_s = now.monotonic_s - memory.last_s if math.isfinite(memory.last_s) else 0.0
-        return {
-            "key": list(key),
-            "programmed_rpm": memory.programmed_rpm,
-            "commanded_rpm": memory.commanded_rpm,
-            "moved": moved,
-            "utc_s": now.utc_s - age_s,
-        }
+        return OperationSpeed(
+            key=key,
+            programmed_rpm=memory.programmed_rpm,
+            commanded_rpm=memory.commanded_rpm,
+            moved=moved,
+            utc_s=now.utc_s - age_s,
+        )
 
 
 def _key(operation: SpeedOperation) -> Key:
@@ -84,16 +82,13 @@ def _key(operation: SpeedOperation) -> Key:
     )
 
 
-SWITCHED_OFF = "spindle_speed_off"
-"""Key in the store: who switched it off; nothing while it is on."""
-
-
 class SpeedSwitch:
     """On, until a person says otherwise; owned by the control task."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
-        self._off_by = str(journal.kept(SWITCHED_OFF) or "")
+        kept = journal.kept(SpindleSpeedSwitch)
+        self._off_by = "" if kept is None else kept.off_by
 
     @property
     def obstacle(self) -> str:
@@ -105,5 +100,5 @@ class SpeedSwitch:
     def turn(self, *, on: bool, person: str) -> None:
         """Switch on or off; nothing moves by that, the NC takes what follows from it with its next call."""
         self._off_by = "" if on else person
-        self._journal.keep(SWITCHED_OFF, self._off_by)
+        self._journal.keep(SpindleSpeedSwitch(off_by=self._off_by))
         self._journal.event("request", f"{'enable' if on else 'disable'} the tuning of the spindle speed", person)

@@ -113,7 +113,7 @@ class _Follower:
         self._next_read_s = -math.inf
         self._found: MacroValues = {}
         self._session: CncSession | None = None
-        self._fault_raised = (journal.fault or "").startswith(OUR_FAULT)
+        self._fault_raised = any(reason.startswith(OUR_FAULT) for reason in journal.faults)
         """A FAULT has been raised here that nobody has acknowledged yet."""
         self._obstacle = NO_LINK
         """Why nothing may be decided or written, '' when it may."""

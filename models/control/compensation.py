@@ -229,6 +229,8 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
             return _enter(memory, target, condition, obstacle, inputs)
     if memory.state in (OutputState.ARMED, OutputState.HOLD):
         return replace(memory, reason=obstacle or memory.reason)
+    if memory.state is OutputState.FAULT:
+        return replace(memory, reason=inputs.output_fault or memory.reason)
     return memory
 
 

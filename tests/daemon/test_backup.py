@@ -235,7 +235,7 @@ def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation
     assert kept["toolpoint.yaml"].read_text(encoding="utf-8") == "changed: true\n"
     with HistoryReader(kept["history.sqlite"]) as reader:
         assert reader.events(*EVER)[-1].text == "after the back-up"
-        assert reader.get_state("wanted") == {"y": True, "z": True}
+        assert reader.get_state("wanted")["axes"] == {"y": True, "z": True}
 
 
 def test_a_running_daemon_is_not_restored_over(installation):
@@ -247,7 +247,7 @@ def test_a_running_daemon_is_not_restored_over(installation):
             restore(path, installation.config_path, person="anna", replace=True)
     finally:
         writer.close()
-    assert state_of(installation.configuration.history.path)["wanted"] == {"y": True, "z": True}
+    assert state_of(installation.configuration.history.path)["wanted"]["axes"] == {"y": True, "z": True}
 
 
 @as_root

@@ -54,7 +54,7 @@ async def test_a_restart_does_not_clear_a_fault(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -10.0, 30)
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
         bench.nc.macros.set(Z, 0.002)
         await rig.turn()
         assert rig.state == "FAULT"
@@ -77,7 +77,7 @@ async def test_another_model_does_not_take_the_old_reference_up(bench):
         await rig.follow(0.0, -10.0, 30)
         rest = rig.history.get_state("rest")
         rig.history.put_state("rest", rest | {"model_id": "another"})
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     async with running(bench.rig()) as again:
         await again.follow(0.0, -10.0, 5)
         assert again.state == "HOLD"

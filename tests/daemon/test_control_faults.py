@@ -13,6 +13,9 @@ from control_rig import (
     running,
 )
 
+from daemon.history import HistoryReader
+from daemon.state_store.documents import OutputFault
+from daemon.state_store.store import StateStore
 from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
@@ -303,3 +306,69 @@ async def test_an_insecure_connection_is_never_written_over(tmp_path):
         for _ in range(5):
             await rig.turn()
         assert bench.nc.written == []
+
+
+async def raised(rig):
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        return [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "fault"]
+
+
+async def test_every_reason_of_a_fault_is_logged_recorded_stored_and_shown_in_order(rig, bench):
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    with structlog.testing.capture_logs() as logs:
+        await rig.turn()
+        bench.nc.macros.set(Y, 0.001)
+        await rig.turn()
+        rig.control.journal.raise_fault("an answer to the NC program could not be written: made up")
+        for _ in range(5):
+            await rig.turn()
+    told = [entry["text"] for entry in logs if entry["event"] == "output.fault"]
+    assert [f"#{Z}" in told[0], f"#{Y}" in told[1], "made up" in told[2], len(told)] == [True, True, True, 3]
+    assert await raised(rig) == told == list(rig.control.journal.faults)
+    assert StateStore(rig.history, bench.clock).get(OutputFault).reasons == tuple(told)
+    places = [rig.control.journal.alarm.index(reason) for reason in told]
+    assert places == sorted(places) and rig.control.memory.reason == "; ".join(told)
+
+
+async def test_every_reason_comes_back_after_a_restart_and_none_that_was_acknowledged(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        bench.nc.macros.set(Z, 0.002)
+        await rig.turn()
+        rig.control.journal.raise_fault("something else that was found later")
+        reasons = rig.control.journal.faults
+        rig.alive()
+    async with running(bench.rig()) as rig:
+        assert rig.control.journal.faults == reasons and len(reasons) == 2
+        await rig.turn()
+        assert rig.control.journal.faults == reasons, "found again, it is no new reason"
+        assert rig.control.request(ACKNOWLEDGE, "p") == ""
+        await rig.turn()
+        assert rig.control.journal.faults == () and rig.state == "HOLD"
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.journal.faults == () and rig.state == "HOLD"
+
+
+async def test_a_foreign_value_that_goes_on_changing_is_one_reason(rig, bench):
+    await rig.active()
+    for value in (0.002, 0.003, 0.0035, 0.004):
+        bench.nc.macros.set(Z, value)
+        await rig.turn()
+    assert len(rig.control.journal.faults) == 1 and len(await raised(rig)) == 1
+
+
+async def test_an_acknowledgement_leaves_what_is_still_wrong(rig, bench):
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    await rig.turn()
+    bench.nc.macros.set(500, None)
+    await rig.turn()
+    assert len(rig.control.journal.faults) == 2
+    rig.control.request(ACKNOWLEDGE, "p")
+    await rig.turn()
+    assert rig.state == "FAULT" and len(rig.control.journal.faults) == 1
+    assert "#500 is vacant" in rig.control.journal.faults[0] and "#500 is vacant" in rig.control.journal.alarm
+    assert StateStore(rig.history, bench.clock).get(OutputFault).reasons == rig.control.journal.faults

@@ -29,7 +29,7 @@ async def leave(bench, error_um=-10.0):
     """Run until the output is active with an offset, then end as a crash would: without a word."""
     async with running(bench.rig()) as rig:
         await rig.active(handshake=True)
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
         await rig.follow(0.0, error_um, 60)
         assert rig.state == "ACTIVE"
         return rig.control.reference
@@ -58,7 +58,7 @@ async def test_a_restart_keeps_the_baseline_of_the_second_reference(bench):
         await rig.follow(0.0, -10.0, 40)
         rig.set_reference("r2")
         await rig.follow(0.0, -3.0, 20)
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     async with running(bench.rig()) as rig:
         await rig.turn()
         await rig.follow(0.0, -3.0, 20)
@@ -171,7 +171,7 @@ async def test_an_intent_that_a_crash_left_without_an_outcome_is_settled_by_read
         lost = rig.history.write_intent(rig.control.command, ((500, held[500] + 1), (Z, 0.5)), "tick")
         arrived = rig.history.write_intent(rig.control.command, tuple(held.items()), "tick")
         await rig.history.flushed()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     async with running(bench.rig()) as rig:
         await rig.turn()
         await rig.history.flushed()
@@ -189,7 +189,7 @@ async def leave_with_y_off(bench):
         await rig.follow(-11.0, -12.0, 60)
         rig.control.request(OperatorRequest(disable=frozenset({"y"})), "p")
         await rig.turn()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     bench.clock.monotonic_s += 3600.0
 
 
@@ -236,7 +236,7 @@ async def test_without_the_handshake_a_restart_while_the_program_ran_may_have_mi
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -10.0, 60)
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     bench.clock.monotonic_s += 300.0
     async with running(bench.rig()) as rig:
         await rig.turn()

@@ -156,7 +156,7 @@ async def test_a_request_from_before_the_start_is_refused(bench):
 async def test_a_reference_is_not_taken_up_when_the_program_asked_for_something_meanwhile(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     ask(bench, 1, REFERENCE)
     async with running(bench.rig()) as rig:
         await rig.turn()
@@ -181,7 +181,7 @@ async def test_the_answer_is_audited_with_intent_and_outcome_and_does_not_hide_t
         ask(bench, 1, TOOL_CHANGE, 0, 1.0)
         await rig.turn()
         await rig.history.flushed()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
         with HistoryReader(rig.history.path) as reader:
             (record,) = [w for w in reader.writes(0.0, 2.0**40) if w.cause == "handshake"]
             assert record.outcome is WriteOutcome.VERIFIED
@@ -211,7 +211,7 @@ async def test_a_positioning_that_polling_saw_too_is_no_notice(rig, bench):
 async def test_a_clock_that_went_on_too_little_while_the_daemon_was_away_is_a_power_cycle(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     bench.clock.monotonic_s += 60.0
     bench.nc.clock_zero_s -= 50.0
     async with running(bench.rig()) as rig:

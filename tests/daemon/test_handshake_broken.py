@@ -142,7 +142,7 @@ async def test_a_restart_after_a_tool_change_takes_the_reference_up(bench):
         await rig.active(handshake=True)
         ask(bench, 1, TOOL_CHANGE, 0, 2.0)
         await rig.turn()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.control.reference is not None

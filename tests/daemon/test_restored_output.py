@@ -36,7 +36,7 @@ async def test_after_a_restoration_the_output_waits_for_a_person(bench: Bench, t
             await rig.turn()
         assert rig.state == "FAULT"
         assert rig.control.reference is None
-        assert "acknowledge" in str(rig.resume.fault)
+        assert "acknowledge" in str(rig.resume.faults)
         assert dict(rig.applied) == applied, "nothing was moved"
         assert len(bench.nc.written) == sent
         assert rig.control.request(OperatorRequest(acknowledge=True), "anna (uid 1)") == ""

@@ -79,7 +79,7 @@ async def test_a_restart_takes_them_up_again_valid_reference_or_not(bench, ended
         if ended:
             bench.nc.work_offset = 55
             await rig.turn()
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     bench.nc.work_offset = 55
     async with running(bench.rig()) as rig:
         await rig.turn()
@@ -96,7 +96,7 @@ async def test_a_restart_takes_them_up_again_valid_reference_or_not(bench, ended
 async def test_a_restart_after_a_power_cycle_does_not(bench):
     async with running(bench.rig()) as rig:
         await tool_2_set(rig, bench)
-        rig.history.put_state("alive_utc_s", bench.clock.now().utc_s)
+        rig.alive()
     bench.nc.power_cycle()
     async with running(bench.rig()) as rig:
         await rig.turn()

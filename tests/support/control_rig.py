@@ -34,6 +34,8 @@ from daemon.monitor.status import StatusBoard
 from daemon.snapshots import SnapshotBoard, ThermalSnapshot
 from daemon.spindle_speed.messages import Planner
 from daemon.spindle_speed.task import SpindleSpeedOutput
+from daemon.state_store.documents import DaemonAlive
+from daemon.state_store.store import StateStore
 from daemon.supervisor import Backoff, run_with_reconnect
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
@@ -188,6 +190,10 @@ class Rig:
         status = StatusBoard(self.configuration, self.clock, self.snapshots, self.telemetry.picture)
         axes = self.configuration.compensation.axes
         return CommandDesk(status, self.snapshots, output_actions(self.control), axes)
+
+    def alive(self) -> None:
+        """Tell the store that the daemon lives, as its tick does."""
+        StateStore(self.history, self.clock).put(DaemonAlive(utc_s=self.clock.now().utc_s))
 
     def _tick(self) -> None:
         self.ticks += 1

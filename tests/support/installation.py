@@ -16,6 +16,8 @@ from daemon.compensation.references import reference_to_state
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.releasing import release
+from daemon.state_store.documents import DaemonAlive, WantedAxes
+from daemon.state_store.store import StateStore
 from drivers.clock import SystemClock
 from models.records import Reference
 
@@ -62,9 +64,10 @@ class Installation:
         """Leave what a daemon that was killed at work leaves."""
         writer = self.writer()
         writer.start()
-        writer.put_state("wanted", {"y": True, "z": True})
+        store = StateStore(writer, SystemClock())
+        store.put(WantedAxes(axes={"y": True, "z": True}))
         writer.put_state("reference", reference_to_state(REFERENCE))
-        writer.put_state("alive_utc_s", time.time())
+        store.put(DaemonAlive(utc_s=time.time()))
         writer.event("note", "before the back-up", "anna")
         writer.close()
         kept = WriteAheadRecord.beside(self.configuration.history.path)

@@ -1,0 +1,52 @@
+"""The documents: one frozen record per key of the store's table `state`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaemonAlive:
+    """When the daemon was last seen to live; a restart measures its outage by it."""
+
+    utc_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WantedAxes:
+    """Which axes a person had switched on."""
+
+    axes: Mapping[str, bool]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputFault:
+    """Why the output is not trusted, in the order in which it was found; empty while it is."""
+
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperationSpeed:
+    """Where the spindle speed of one operation stands."""
+
+    key: tuple[float, ...]
+    """Tool, programmed speed and feed, depths, kind and place of the operation."""
+    programmed_rpm: float
+    commanded_rpm: float
+    moved: bool
+    """The NC has yet to take it."""
+    utc_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpindleSpeeds:
+    """The operations of the last hour."""
+
+    operations: tuple[OperationSpeed, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpindleSpeedSwitch:
+    """Who has switched the tuning of the spindle speed off; empty while it is on."""
+
+    off_by: str

@@ -1,0 +1,137 @@
+"""What is kept for the next start: typed, with a version, and as the version before wrote it."""
+
+import json
+import math
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from control_rig import HandClock, machine
+
+from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.state_store.codec import DocumentError, from_json, to_json
+from daemon.state_store.documents import (
+    DaemonAlive,
+    OperationSpeed,
+    OutputFault,
+    SpindleSpeeds,
+    SpindleSpeedSwitch,
+    WantedAxes,
+)
+from daemon.state_store.store import FORMAT_VERSION, KEYS, StateStore
+from models.records import FloatArray, Instant
+
+ROOT = Path(__file__).resolve().parents[2]
+SPEED = {"key": [1.0, 9e3, 1.8e3, 2.0, 0.0, 1.0, -1.0], "programmed_rpm": 9e3, "commanded_rpm": 10175.1, "moved": True}
+DOCUMENTS = [
+    DaemonAlive(utc_s=1.5e9),
+    WantedAxes(axes={"x": False, "z": True}),
+    OutputFault(reasons=("first", "second")),
+    OutputFault(reasons=()),
+    SpindleSpeedSwitch(off_by="Ada (uid 7)"),
+    SpindleSpeeds(operations=(OperationSpeed(**SPEED | {"key": tuple(SPEED["key"]), "utc_s": 1.5e9}),)),
+]
+WRITTEN_BY_0_1_0 = [
+    ("alive_utc_s", 1760009660.0, DaemonAlive(utc_s=1760009660.0)),
+    ("wanted", {"x": False, "z": True}, DOCUMENTS[1]),
+    ("fault", None, None),
+    ("fault", "read-back differs: a; b", OutputFault(reasons=("read-back differs: a; b",))),
+    ("spindle_speed_off", "", SpindleSpeedSwitch(off_by="")),
+    ("spindle_speed_off", "bert", SpindleSpeedSwitch(off_by="bert")),
+    ("spindle_speed", [SPEED | {"utc_s": 1.5e9}], DOCUMENTS[5]),
+    ("spindle_speed", [], SpindleSpeeds(operations=())),
+]
+KINDS = {key: kind for kind, key in KEYS.items()}
+
+
+@pytest.fixture
+def history(tmp_path):
+    configuration = machine(tmp_path)
+    layout = MachineLayout.from_configuration(configuration)
+    return HistoryWriter(configuration.history.path, clock=HandClock(), machine=layout)
+
+
+@pytest.fixture
+def store(history):
+    return StateStore(history, HandClock())
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: type(document).__name__)
+def test_a_document_comes_back_as_it_was_put(history, store, document):
+    store.put(document)
+    kept = history.get_state(KEYS[type(document)])
+    assert kept["format_version"] == FORMAT_VERSION
+    assert store.get(type(document)) == document
+
+
+@pytest.mark.parametrize(("key", "written", "document"), WRITTEN_BY_0_1_0)
+def test_what_the_version_before_wrote_is_brought_to_the_form_of_now(history, store, key, written, document):
+    history.put_state(key, written)
+    assert store.get(KINDS[key]) == document
+
+
+def test_where_nothing_was_kept_there_is_nothing(store):
+    assert [store.get(kind) for kind in KEYS] == [None] * len(KEYS)
+
+
+@pytest.mark.parametrize("damaged", [{"format_version": 99}, {"format_version": 2, "reasons": 7}, 7, [None], {"a": 1}])
+def test_what_cannot_be_read_denies(history, store, damaged):
+    for key in KINDS:
+        history.put_state(key, damaged)
+    fault, switch = store.get(OutputFault), store.get(SpindleSpeedSwitch)
+    assert fault is not None and "cannot be read" in fault.reasons[0]
+    assert switch is not None and switch.off_by
+    if not isinstance(damaged, dict) or "a" not in damaged:
+        assert store.get(WantedAxes) is None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    time: Instant
+    degc: FloatArray
+    missing: float | None
+    by_number: "MappingProxyType[int, tuple[float, ...]]"
+    later: str = "a default"
+
+
+def test_records_with_arrays_gaps_and_instants_survive(store):
+    then = HandClock(900.0).now()
+    sample = Sample(time=then, degc=np.array([1.0, np.nan]), missing=None, by_number=MappingProxyType({3: (1.0, 2.0)}))
+    text = json.dumps(to_json(sample), allow_nan=False)
+    content = json.loads(text)
+    del content["later"]
+    other_boot = Instant(monotonic_s=50.0, utc_s=then.utc_s + 40.0, real_s=50.0)
+    taken = from_json(Sample, content, other_boot)
+    assert np.array_equal(taken.degc, sample.degc, equal_nan=True)
+    assert (dict(taken.by_number), taken.missing, taken.later) == ({3: (1.0, 2.0)}, None, "a default")
+    assert taken.time == Instant(monotonic_s=10.0, utc_s=then.utc_s, real_s=10.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(float, True), (int, 1.0), (bool, 1), (str, None), (tuple[float, ...], "12"), (DaemonAlive, {}), (FloatArray, 1)],
+)
+def test_a_value_of_another_type_is_refused(kind, value):
+    with pytest.raises(DocumentError):
+        from_json(kind, value, HandClock().now())
+    assert math.isnan(from_json(float, None, HandClock().now()))
+
+
+def test_nobody_goes_round_the_typed_documents():
+    found = subprocess.run(
+        ["grep", "-rlE", r"\b(put_state|get_state)\(", str(ROOT / "daemon")], capture_output=True, text=True, check=True
+    )
+    files = {str(Path(line).relative_to(ROOT)) for line in found.stdout.split() if line.endswith(".py")}
+    layer = {"daemon/history/writer.py", "daemon/history/reader.py", "daemon/state_store/store.py"}
+    assert files - layer <= {
+        "daemon/cnc/events.py",
+        "daemon/compensation/references.py",
+        "daemon/compensation/restart.py",
+    } | {
+        "daemon/compensation/tool.py",
+        "daemon/estimation/sensor_memory.py",
+    }
