@@ -13,14 +13,18 @@ import structlog
 from config.records.commissioning import CommissioningError, CommissioningRecord, load_commissioning
 from config.schema import Configuration
 from daemon.cnc.audited_write import AuditedWriter
-from daemon.cnc.limits import commissioned_factors, echo_slack_um
+from daemon.cnc.events import Journal
+from daemon.cnc.interlocks import Interlocks
+from daemon.cnc.limits import commissioned_factors, echo_slack_um, output_limits, positioning_macros
 from daemon.cnc.link import CncLink
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
+from daemon.compensation.parts import ControlParts
 from daemon.compensation.restart import load_resume_point
 from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
+from daemon.compensation.temperature_macro import TemperatureMacro
 from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import Message, ThermalTask
 from daemon.history.layout import MachineLayout
@@ -105,7 +109,14 @@ class Daemon:
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
         factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
-        self._block = MacroBlock(configuration.cnc.macros, axes, factors, slack_um, configuration.cnc.guard)
+        self._block = MacroBlock(
+            configuration.cnc.macros,
+            axes,
+            factors,
+            slack_um,
+            configuration.cnc.guard,
+            also_polled=positioning_macros(configuration),
+        )
         self._store = StateStore(self._history, clock)
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
@@ -115,25 +126,30 @@ class Daemon:
             self._planner = PlannerProcess(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[Message] = asyncio.Queue()
+        journal = Journal(self._history, self._store, self._resume.faults)
+        interlocks = Interlocks(configuration, clock, record, lambda: obstacle or self.thermal.inhibit())
+        self.spindle_speed = SpindleSpeedOutput(configuration, clock, journal, interlocks, self._planner)
+        temperature = TemperatureMacro(configuration, self._telemetry, journal, interlocks)
         self.control = ControlTask(
-            configuration,
-            clock,
-            self._link,
-            self._history,
-            self._telemetry,
-            commissioning=record,
-            model_id=model.model_id if model is not None else None,
-            model_obstacle=lambda: obstacle or self.thermal.inhibit(),
-            resume=self._resume,
-            ask_reference=inbox.put_nowait,
-            on_tick=self._on_tick,
-            speed=lambda journal, permission: SpindleSpeedOutput(
-                configuration, clock, journal, permission, self._planner
-            ),
-            on_sample=lambda sample: inbox.put_nowait(
-                SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
-            ),
-            on_change=self._publish_output,
+            ControlParts(
+                configuration=configuration,
+                clock=clock,
+                link=self._link,
+                history=self._history,
+                telemetry=self._telemetry,
+                journal=journal,
+                interlocks=interlocks,
+                limits=output_limits(configuration, factors),
+                resume=self._resume,
+                model_id=model.model_id if model is not None else None,
+                tell_thermal=inbox.put_nowait,
+                on_tick=self._on_tick,
+                on_sample=lambda sample: inbox.put_nowait(
+                    SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
+                ),
+                on_change=self._publish_output,
+                macro_clients=(temperature, self.spindle_speed),
+            )
         )
         self.thermal = ThermalTask(
             configuration,
@@ -156,13 +172,13 @@ class Daemon:
         self._links = Links(configuration, clock, parts, self._link)
         self._displacements = DisplacementLog(clock, self._on_displacement, self._report, self._publish_displacements)
         status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
-        actions = output_actions(self.control)
+        actions = output_actions(self.control, self._switch_spindle_speed)
         self._commands = CommandDesk(status, self.snapshots, actions, configuration.compensation.axes)
 
     def _first_snapshots(self) -> SnapshotBoard:
         """Return the board as it is before anything runs."""
         board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
-        board.spindle_speed = self.control.side.speed.snapshot()
+        board.spindle_speed = self.spindle_speed.snapshot()
         board.model = self._loaded.snapshot()
         return board
 
@@ -211,7 +227,7 @@ class Daemon:
             self._displacements.flush()
             self._report("daemon", "stopped")
             self._last_block.close()
-            self.control.side.close()
+            self.spindle_speed.close()
 
     def _work(self) -> Iterator[Coroutine[Any, Any, None]]:
         """Yield the work of every task but the control task."""
@@ -257,7 +273,12 @@ class Daemon:
 
     def _publish_output(self) -> None:
         self.snapshots.control = control_snapshot(self.control)
-        self.snapshots.spindle_speed = self.control.side.speed.snapshot()
+        self.snapshots.spindle_speed = self.spindle_speed.snapshot()
+
+    def _switch_spindle_speed(self, on: bool, person: str) -> str:
+        refusal = self.spindle_speed.turn(on=on, person=person)
+        self._publish_output()
+        return refusal
 
     def _publish_thermal(self) -> None:
         self.snapshots.thermal = thermal_snapshot(self.thermal)
@@ -270,7 +291,7 @@ class Daemon:
 
     def _on_displacement(self, sample: DisplacementSample) -> None:
         self._history.displacement(sample)
-        self.control.displacement(sample)
+        self.control.deliver(sample)
 
     def _report(self, kind: str, text: str) -> None:
         self._history.event(kind, text, "daemon")

@@ -1,8 +1,14 @@
-"""What the tasks say to each other, and what a person may ask of the output."""
+"""What the tasks say to each other, both ways through the other's inbox, and what a person may ask of the output."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
+from models.control.reference_records import (
+    ReferenceEnded,
+    ReferenceRequest,
+    ReferenceTakenUp,
+    SensorsSinceReference,
+)
 from models.control.state import OperatorRequest
 from models.records import Reference
 
@@ -21,17 +27,6 @@ class OutputActions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceRequest:
-    """Ask for a reference now, with what it is bound to."""
-
-    reference_id: str
-    source: str
-    program: int
-    work_offset: int
-    power_on_count: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRefused:
     """A reference that was asked for cannot be set."""
 
@@ -47,17 +42,20 @@ class ReferenceRebased:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceEnded:
-    """A reference is valid no longer."""
-
-    reference_id: str
-    for_good: bool = True
-    """False: it is still estimated how far the machine has gone since, because tool settings count from it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SpindleSpeed:
     """What a poll of the CNC said."""
 
     monotonic_s: float
     rpm: float
+
+
+__all__ = [
+    "OutputActions",
+    "ReferenceEnded",
+    "ReferenceRebased",
+    "ReferenceRefused",
+    "ReferenceRequest",
+    "ReferenceTakenUp",
+    "SensorsSinceReference",
+    "SpindleSpeed",
+]

@@ -82,6 +82,8 @@ class ControlSnapshot:
     bound_um: FloatArray
     slew_um_per_min: FloatArray
     reference: Reference | None
+    reference_ended: str
+    """Why there is none, as far as that is known."""
     reference_by_hand: str | None
     """What became of the latest reference by hand: '' in force, else why not; None while nobody knows."""
     tools_set: tuple[int, ...]

@@ -57,6 +57,7 @@ class Configuration(Section):
             )
             problems.append((("compensation", "output", "validity_s"), sentence))
         problems += self._speed_macros()
+        problems += self._positionings()
         if problems:
             raise KeyProblems(problems)
         return self
@@ -76,6 +77,21 @@ class Configuration(Section):
             elif number in macros.ours and number not in cnc.macros.allowed:
                 problems.append((at, f"#{number} lies outside `writable` ({', '.join(cnc.macros.writable)})"))
         return problems
+
+    def _positionings(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield what is wrong with how positionings are seen."""
+        reference, period_s = self.compensation.reference, self.cnc.poll_period_s
+        if reference.positioning_dwell_s is not None and reference.positioning_dwell_s <= period_s:
+            yield (
+                ("compensation", "reference", "positioning_dwell_s"),
+                f"must be longer than cnc.poll_period_s ({period_s:g} s), or a positioning passes between two polls",
+            )
+        macros = self.cnc.macros
+        if reference.positioning_counter in {*macros.block, *macros.allowed}:
+            yield (
+                ("compensation", "reference", "positioning_counter"),
+                f"#{reference.positioning_counter} is one of the daemon's own macros; only the NC program may write it",
+            )
 
     def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Days, KeyProblems, Name, Seconds, Section
+from config.schema.base import Days, KeyProblems, MacroNumber, Name, Seconds, Section
 
 SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
 
@@ -78,10 +78,23 @@ class ReferenceConfig(Section):
         default_factory=list,
         description="zero_first: passing one of these N numbers ends the reference and takes the offset out",
     )
-    max_gap_s: Seconds = Field(
-        5.0,
-        description="after a longer gap between two polls while the program ran, a positioning may have been missed: "
-        "the reference ends, unless the handshake's counter proves the contrary",
+    positioning_dwell_s: Seconds | None = Field(
+        None,
+        description="the program stands at each of `sequence_numbers` at least this long; a gap between two polls that "
+        "is as long or longer while the program ran may hide a positioning and ends the reference, unless the control "
+        "proves the contrary; longer than cnc.poll_period_s; none: two poll periods",
+        examples=[2.0],
+    )
+    positioning_counter: MacroNumber | None = Field(
+        None,
+        description="macro that the NC program raises before every positioning: unchanged over a gap between two polls "
+        "it proves that none was missed; none: there is no such macro",
+        examples=[560],
+    )
+    max_gap_s: Seconds | None = Field(
+        None,
+        description="no longer used, and refused from the next version on: `positioning_dwell_s` says what counts",
+        examples=[5.0],
     )
     probe_bound_um: float = Field(
         20.0, gt=0, le=500, description="a probe value that would correct the estimate by more is refused [um]"

@@ -76,10 +76,6 @@ class Journal:
         """Keep a document for the next start of the daemon."""
         self._store.put(document)
 
-    def keep_value(self, key: str, value: Any) -> None:
-        """Keep a JSON value for the next start of the daemon."""
-        self._history.put_state(key, value)
-
     def audited(self, macros: Sequence[int]) -> tuple[dict[int, tuple[float, ...]] | None, int | None]:
         """Return what these macros may hold by the audit, and the number of the newest write in it."""
         return self._history.last_written_macros(macros), self._history.last_write_id()

@@ -8,6 +8,7 @@ from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from daemon.cnc.macro_block import ECHO_SLACK_UM
 from models.control.axis_map import AxisSource, ToolTerm
+from models.control.reference_records import ReferenceRules
 from models.control.state import OutputLimits
 from models.units import um_from_mm
 
@@ -15,6 +16,12 @@ GUARD_PROGRAMS = 5
 """Guard, initialise, request, safe point begins, safe point ends."""
 ROUNDING = 0.51
 """Half an increment, and a little for the arithmetic."""
+DWELL_POLLS = 2.0
+"""Where nothing is said of it, the program stands at a positioning block for so many poll periods."""
+ANSWER_REAL_S = 5.0
+"""A reference that was asked for comes within this time, or not at all [s of the wall clock]."""
+PAUSE_REAL_S = 0.5
+"""On a clock that runs ahead a shorter gap between polls is this computer's, not the link's [s of the wall clock]."""
 
 
 class CommissionedFactors(dict[str, float]):
@@ -95,3 +102,28 @@ def guard_programs(configuration: Configuration) -> frozenset[int]:
     first = configuration.cnc.guard.program
     speed = configuration.spindle_speed
     return frozenset(range(first, first + GUARD_PROGRAMS)) | ({speed.program} if speed is not None else set())
+
+
+def reference_rules(configuration: Configuration, clock_speed: float) -> ReferenceRules:
+    """Return where the work is positioned, and which gap between two polls may hide that."""
+    reference = configuration.compensation.reference
+    dwell_s = reference.positioning_dwell_s or DWELL_POLLS * configuration.cnc.poll_period_s
+    if clock_speed != 1.0:  # only the simulated machine takes such a clock
+        dwell_s = max(dwell_s, PAUSE_REAL_S * clock_speed)
+    return ReferenceRules(
+        program=reference.program,
+        sequence_numbers=frozenset(reference.sequence_numbers),
+        zero_first=reference.policy == "zero_first",
+        retreat_sequence_numbers=frozenset(reference.retreat_sequence_numbers),
+        positioning_dwell_s=dwell_s,
+        positioning_counter=reference.positioning_counter,
+        answer_within_s=ANSWER_REAL_S * clock_speed,
+        max_outage_s=reference.max_outage_s,
+        guard_programs=guard_programs(configuration),
+    )
+
+
+def positioning_macros(configuration: Configuration) -> tuple[int, ...]:
+    """Return the macro that counts positionings, where there is one; it is polled."""
+    counter = configuration.compensation.reference.positioning_counter
+    return () if counter is None else (counter,)

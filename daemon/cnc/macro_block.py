@@ -1,7 +1,7 @@
 """The block of macro variables: encoding a command, decoding the echo, telling ours from foreign."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +57,7 @@ class MacroBlock:
         factors: Mapping[str, float],
         slack_um: float = ECHO_SLACK_UM,
         guard: GuardConfig | None = None,
+        also_polled: Iterable[int] = (),
     ) -> None:
         """`guard` says what an expired block does; without it an expired block keeps what is applied."""
         self.slack_um = slack_um
@@ -73,7 +74,7 @@ class MacroBlock:
             *(() if macros.check is None else (macros.check,)),
             macros.sequence_b,
         )
-        self.polled = macros.block
+        self.polled = tuple(dict.fromkeys((*macros.block, *also_polled)))
         self.read_back = (
             *self.ours,
             *(macros.echo_applied[axis] for axis in axes),

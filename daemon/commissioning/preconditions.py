@@ -10,11 +10,11 @@ from config.schema import Configuration
 from config.schema.cnc import CHECK_MISSING
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import INCREMENT_SLACK, UM_PER_MM, refuse_unsafe
-from daemon.compensation.references import phase_of
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.guard.speed_text import speed_text_number
 from drivers.guard.text import GuardTextError
+from models.control.program import phase_of
 from models.records import CncMode, CncSample, Phase
 
 ANSWER_S = 1.0

@@ -12,13 +12,13 @@ import numpy as np
 
 from config.schema import Configuration
 from daemon.cnc.audited_write import ForeignValueError
-from daemon.cnc.clock_watch import power_cycled
 from daemon.cnc.limits import output_limits
 from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
 from daemon.cnc.session import CncSession
 from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
 from daemon.commissioning.link import CommissioningLink
 from drivers.contract import LinkError
+from models.control.program import power_cycled
 from models.records import CncSample, CompensationCommand, FloatArray, OutputState, Trace, WriteOutcome
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ class BlockWriter:
     """Writes what is due and turns a refusal or a differing read-back into a FAULT; owned by the control task."""
 
     def __init__(
-        self, clock: Clock, telemetry: Telemetry, journal: Journal, echo_watch: EchoWatch, *, validity_s: float
+        self, clock: Clock, telemetry: Telemetry, journal: Journal, echo_watch: EchoWatch, validity_s: float
     ) -> None:
         self._clock = clock
         self._telemetry = telemetry

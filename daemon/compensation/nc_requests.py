@@ -1,16 +1,19 @@
 """Serves the requests of the NC program, and answers when what was asked for is done."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
+from daemon.cnc.events import Journal
 from daemon.cnc.session import CncSession
 from daemon.compensation.handshake import Handshake, NcRequest, RequestError, RequestKind
-from daemon.compensation.references import References
+from daemon.compensation.references import References, new_id
+from drivers.contract import FatalDriverError
 from models.control.state import OutputMemory
 from models.records import WriteOutcome
 
 HANDSHAKE_CAUSE = "handshake"
 """Cause of an answer in the audit."""
+UNANSWERED = "an answer to the NC program could not be written"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -25,6 +28,19 @@ class _Pending:
     refusal: str = ""
 
 
+class NcOutput(Protocol):
+    """What the NC program may ask of the output, beside a reference."""
+
+    def set_tool(self, axis: str) -> str:
+        """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
+
+    def change_tool(self, tool_number: int) -> None:
+        """Take another tool into the spindle."""
+
+    def take_probe(self, axis: str, deviation_um: float) -> str:
+        """Let a probe value correct the estimate, or return why not."""
+
+
 class RequestDesk:
     """One desk for one NC program; owned by the control task."""
 
@@ -32,17 +48,13 @@ class RequestDesk:
         self,
         handshake: Handshake,
         references: References,
-        say: Callable[[str, str], None],
-        set_tool: Callable[[str], str],
-        change_tool: Callable[[int], None],
-        probe: Callable[[str, float], str],
+        journal: Journal,
+        output: NcOutput,
     ) -> None:
         self._handshake = handshake
         self._references = references
-        self._say = say
-        self._set_tool = set_tool
-        self._change_tool = change_tool
-        self._probe = probe
+        self._journal = journal
+        self._output = output
         self._pending: _Pending | None = None
 
     async def look(self, session: CncSession) -> None:
@@ -64,7 +76,6 @@ class RequestDesk:
         if lost:
             self._references.end(f"{lost} request(s) of the NC program were missed")
         self._serve(request)
-        self._references.keep()
 
     def refused(self, reference_id: str, why: str) -> None:
         """Take the refusal of a reference that was asked for."""
@@ -76,26 +87,31 @@ class RequestDesk:
         if self._pending is not None and self._pending.reference_id is None and not self._pending.refusal:
             self._pending.refusal = why
 
-    async def answer(self, session: CncSession, memory: OutputMemory) -> str:
-        """Write the answer as soon as what was asked for is done, or refused; return what the read-back shows wrong.
+    async def answer(self, session: CncSession, memory: OutputMemory) -> None:
+        """Write the answer as soon as what was asked for is done, or refused; one that does not arrive is a FAULT.
 
         A lost link leaves the answer to the next session; the request stays until it is written.
         """
         pending = self._pending
         if pending is None:
-            return ""
+            return
         if not pending.refusal:
             if pending.reference_id is not None and memory.reference_id != pending.reference_id:
-                return ""
+                return
             if pending.settles and memory.settling:
-                return ""
+                return
         counter = pending.request.counter
         value = float(-counter if pending.refusal else counter)
-        receipt = await session.write_one(self._handshake.acknowledge, value, cause=HANDSHAKE_CAUSE)
+        try:
+            receipt = await session.write_one(self._handshake.acknowledge, value, cause=HANDSHAKE_CAUSE)
+        except FatalDriverError as error:
+            self._journal.raise_fault(f"{UNANSWERED}: {error}")
+            return
         self._pending = None
         if pending.refusal:
-            self._say("refused", f"{pending.request}: {pending.refusal}")
-        return "" if receipt.outcome is WriteOutcome.VERIFIED else receipt.detail
+            self._journal.say("refused", f"{pending.request}: {pending.refusal}")
+        if receipt.outcome is not WriteOutcome.VERIFIED:
+            self._journal.raise_fault(f"{UNANSWERED}: {receipt.detail}")
 
     def _begin(self, session: CncSession) -> None:
         assert session.sample is not None
@@ -107,7 +123,7 @@ class RequestDesk:
     def _refuse_unknown(self, why: str) -> None:
         counter = self._handshake.counter
         if counter is None:
-            self._say("notice", why)
+            self._journal.say("notice", why)
             return
         unknown = NcRequest(counter=counter, kind=RequestKind.WITHDRAWN, axis=None, value_mm=0.0)
         self._pending = _Pending(request=unknown, refusal=why)
@@ -118,14 +134,12 @@ class RequestDesk:
             return
         if self._handshake.withdrawn(sample.macros) and pending.request.kind is not RequestKind.WITHDRAWN:
             self._pending = None
-            self._say("notice", f"{pending.request}: the program no longer waits for the answer")
+            self._journal.say("notice", f"{pending.request}: the program no longer waits for the answer")
             if pending.reference_id is not None:
-                self._references.forget(pending.reference_id)
+                self._references.withdraw(pending.reference_id)
                 self._references.end("the NC program gave up waiting for its reference")
 
     def _serve(self, request: NcRequest) -> None:
-        sample = self._references.sample
-        assert sample is not None
         pending = self._pending = _Pending(request=request)
         match request.kind:
             case RequestKind.WITHDRAWN:
@@ -133,14 +147,15 @@ class RequestDesk:
                 self._references.end(f"{request} was withdrawn before it could be answered")
             case RequestKind.REFERENCE if request.axis is None:
                 self._references.handshake_positioned()
-                pending.reference_id = self._references.ask_for(str(request), sample, positioning=True, handshake=True)
+                pending.reference_id = new_id()
+                self._references.request(pending.reference_id, str(request), positioning=True, handshake=True)
                 pending.settles = True
             case RequestKind.REFERENCE:
                 pending.settles = True
-                pending.refusal = self._set_tool(request.axis or "")
+                pending.refusal = self._output.set_tool(request.axis or "")
             case RequestKind.PROBE if request.axis is None:
                 pending.refusal = "a probe value needs one axis, not 0 (all)"
             case RequestKind.PROBE:
-                pending.refusal = self._probe(request.axis or "", request.value_mm * 1e3)
+                pending.refusal = self._output.take_probe(request.axis or "", request.value_mm * 1e3)
             case RequestKind.TOOL_CHANGE:
-                self._change_tool(round(request.value_mm))
+                self._output.change_tool(round(request.value_mm))

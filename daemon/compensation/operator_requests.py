@@ -1,28 +1,83 @@
-"""What people have asked for and nobody has decided on yet."""
+"""What people have asked for and nobody has decided on yet, and when the output's turns fall due."""
 
 import asyncio
-import contextlib
+from functools import partial
 
+from daemon.cnc.events import Journal
+from daemon.cnc.interlocks import Interlocks, in_words
+from daemon.cnc.link import CncLink
+from daemon.compensation.inbox import Inbox
+from daemon.compensation.references import References, new_id
+from daemon.compensation.restart import StartupRecovery
 from models.control.state import NO_REQUEST, OperatorRequest
 
 
 class Requests:
-    """A queue of people's requests, and a way to wait until they are decided on; owned by the control task."""
+    """A queue of people's requests, and a way to wait until they are decided on.
 
-    def __init__(self) -> None:
+    Refuses what cannot be met at once. What it takes is carried out in the control task's stack.
+    """
+
+    def __init__(
+        self,
+        interlocks: Interlocks,
+        journal: Journal,
+        link: CncLink,
+        references: References,
+        startup: StartupRecovery,
+        inbox: Inbox,
+    ) -> None:
+        self._interlocks = interlocks
+        self._journal = journal
+        self._link = link
+        self._references = references
+        self._startup = startup
+        self._inbox = inbox
         self._waiting: list[tuple[OperatorRequest, str]] = []
         self._acted = asyncio.Event()
+        self._reference_by_hand = ""
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
 
-    def put(self, request: OperatorRequest, person: str) -> None:
-        """Queue a request."""
+    def put(self, request: OperatorRequest, person: str) -> str:
+        """Queue a request; return why it is refused, '' when it is taken."""
+        refusal = self._interlocks.objection(request, self._link.session, unknown=self._startup.unknown)
+        if refusal:
+            self.note_refusal(f"{in_words(request)}: {refusal}", person)
+            return refusal
         self._waiting.append((request, person))
+        self._inbox.wake()
+        return ""
 
-    def take(self) -> tuple[OperatorRequest, str]:
-        """Return the oldest request and who made it; an empty one and '' when there is none."""
-        return self._waiting.pop(0) if self._waiting else (NO_REQUEST, "")
+    def put_reference(self, person: str) -> str:
+        """Queue a reference by hand; return why it is refused, '' when it is taken."""
+        if self._link.session is None or self._references.sample is None:
+            return "no link to the CNC, so program, work offset and power-on count are unknown"
+        self._reference_by_hand = new_id()
+        ask = partial(self._references.request, self._reference_by_hand, f"hand: {person}", positioning=False)
+        self._inbox.put(ask)
+        return ""
+
+    def note_refusal(self, text: str, person: str) -> None:
+        """Have it recorded that something was refused to a person."""
+        self._inbox.put(partial(self._journal.event, "refused", text, person))
+
+    @property
+    def reference_by_hand(self) -> str | None:
+        """What became of the latest reference by hand: '' in force, else why not; None while nobody knows."""
+        identity, refusal = self._references.memory.outcome
+        return refusal if identity == self._reference_by_hand else None
+
+    def take(self) -> OperatorRequest:
+        """Return the oldest request, an empty one when there is none; an acknowledgement is carried out at once."""
+        request, person = self._waiting.pop(0) if self._waiting else (NO_REQUEST, "")
+        if person:
+            self._journal.event("request", in_words(request), person)
+        session = self._link.session
+        if request.acknowledge and self._journal.fault is not None and session is not None:
+            self._journal.acknowledge(*session.acknowledge())
+        return self._startup.heed(request)
 
     def decided(self) -> None:
         """Say that the output has decided on everything that was taken."""
@@ -50,11 +105,3 @@ class Cadence:
             return False
         self.next_s = max(self.next_s + self.period_s, now_s + self.period_s / 4)
         return True
-
-
-async def woken(event: asyncio.Event, within_s: float) -> None:
-    """Return when the event is set or the time is over [s of the wall clock]."""
-    if within_s > 0:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(within_s):
-                await event.wait()

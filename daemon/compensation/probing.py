@@ -1,33 +1,81 @@
 """Tool settings and probe values of the NC program, until they have taken effect."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daemon.cnc.events import Journal
+from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
+from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
 from models.control.baseline import probe_objection
 from models.control.compensation import why_not_ready
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
-from models.records import FloatArray, Instant, ProbeSample
+from models.records import FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
 LOST = "the link to the CNC was lost before it took effect; ask again"
 
 
-class MeasuredByNc:
-    """Holds what the next step is to take up; owned by the control task."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputNow:
+    """Where the output stands while a request of the NC program is served."""
 
-    def __init__(self, history: HistoryWriter, skill: SkillWatch) -> None:
+    memory: OutputMemory | None
+    estimate: ThermalErrorEstimate | None
+    inputs: OutputInputs
+    now: Instant
+
+
+class MeasuredByNc:
+    """Takes what the NC program says of tools and probes, and holds it for the next step; owned by the control task."""
+
+    def __init__(
+        self,
+        limits: OutputLimits,
+        history: HistoryWriter,
+        journal: Journal,
+        skill: SkillWatch,
+        references: References,
+        look: Callable[[], OutputNow],
+    ) -> None:
+        self._limits = limits
         self._history = history
+        self._journal = journal
         self._skill = skill
+        self._references = references
+        self._look = look
         self._probe: ProbeSample | None = None
+        self.tool = ToolInSpindle(references)
         self.tool_setting: tuple[bool, ...] | None = None
         self.probe_um: FloatArray | None = None
 
-    def probed(self, sample: ProbeSample, deviations_um: FloatArray) -> str:
-        """Take a probe value; a refused one reaches the history at once. Return why it is refused."""
+    def set_tool(self, axis: str) -> str:
+        """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
+        output, reference, tool = self._look(), self._references.current, self.tool
+        if output.memory is None or reference is None:
+            return "a tool setting counts from the work's reference, and there is none: position the work first"
+        if output.estimate is None or output.estimate.reference_id != reference.reference_id:
+            return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
+        self.tool_setting = tuple(name == axis for name in self._limits.axes)
+        tool.begin(tool.number, output.estimate)
+        self._journal.say("tool", f"T{tool.number} set on axis {axis}")
+        return ""
+
+    def change_tool(self, tool_number: int) -> None:
+        """Take the tool that the NC program names into the spindle."""
+        self.tool.begin(tool_number, self._look().estimate)
+        self._journal.say("tool", f"T{tool_number} in the spindle")
+
+    def take_probe(self, axis: str, deviation_um: float) -> str:
+        """Let a probe value correct the estimate, or return why not; it reaches the history either way."""
+        output = self._look()
+        sample, deviations = judged_probe(
+            output.memory, output.inputs, self._limits, axis=axis, deviation_um=deviation_um, now=output.now
+        )
         if sample.accepted:
-            self._probe, self.probe_um = sample, deviations_um
+            self._probe, self.probe_um = sample, deviations
         else:
             self._history.probe(sample)
         return sample.reason

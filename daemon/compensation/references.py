@@ -1,365 +1,198 @@
-"""The reference in force: when it is set, when it ends, and what a restart makes of it."""
+"""Owns the reference: hands it what happens, carries out what follows, and keeps it for a restart."""
 
 import uuid
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from config.schema.compensation import OutputConfig, ReferenceConfig
-from daemon.cnc.clock_watch import clocks_differ, power_cycled
+from config.schema import Configuration
+from daemon.cnc.events import Journal
+from daemon.cnc.limits import reference_rules
 from daemon.compensation.handshake import Handshake
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceEnded, ReferenceRequest
+from daemon.state_store.store import StateStore
 from drivers.clock import Clock
-from models.records import CncRun, CncSample, Instant, Phase, Reference
+from models.control import reference, reference_restart
+from models.control.program import phase_of
+from models.control.reference_records import (
+    Announcement,
+    Effect,
+    ReferenceDocument,
+    ReferenceEnded,
+    ReferenceMemory,
+    ReferenceRequest,
+    ReferenceTakenUp,
+    SensorsSinceReference,
+    ToolOrigin,
+)
+from models.control.state import OutputMemory
+from models.records import CncSample, FloatArray, Phase, Reference
 
-LONGEST_GAP_REAL_S = 0.5
-"""A gap between polls shorter than this is this computer's, not the link's [s of the wall clock]."""
-SEEN_PERIOD_REAL_S = 10.0
+KEPT_PERIOD_REAL_S = 10.0
 """The store is told this often what the CNC said [s of the wall clock]."""
-SWITCHED_OFF = "the CNC was switched off and on"
-IDLE = (CncRun.RESET, CncRun.STOP)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Asked:
-    """A reference that was asked for and has not come yet."""
-
-    positioning: bool
-    """The work was positioned; False: a person asked."""
-    handshake: bool
+ToThermal = ReferenceRequest | ReferenceEnded | ReferenceTakenUp
+"""What the thermal task is told."""
 
 
 class References:
-    """Follows the program from poll to poll; owned by the control task."""
+    """Carries out what `models.control.reference` decides; owned by the control task, changed in its stack alone."""
 
     def __init__(
         self,
-        reference: ReferenceConfig,
-        output: OutputConfig,
+        configuration: Configuration,
         clock: Clock,
         history: HistoryWriter,
-        ask: Callable[[ReferenceRequest | ReferenceEnded | Reference], None],
-        say: Callable[[str, str], None],
+        tell_thermal: Callable[[ToThermal], None],
+        journal: Journal,
         handshake: Handshake,
-        safe_flag: int | None,
-        guard_programs: Collection[int] = (),
     ) -> None:
-        self._config = reference
-        self._safe_sequence_numbers = frozenset(output.safe_sequence_numbers)
+        self._rules = reference_rules(configuration, clock.speed)
+        self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
+        self._safe_flag = configuration.cnc.macros.safe_flag
         self._clock = clock
         self._history = history
-        self._ask = ask
-        self._say = say
+        self._store = StateStore(history, clock)
+        self._tell_thermal = tell_thermal
+        self._journal = journal
         self._handshake = handshake
-        self._safe_flag = safe_flag
-        self._guard_programs = frozenset(guard_programs)
-        self._previous: CncSample | None = None
-        self._passed = False
-        self._retreating = False
-        self._asked: dict[str, _Asked] = {}
-        self._by_handshake = False
-        self._seen_before: dict[str, Any] | None = history.get_state("cnc_seen")
-        self._seen_real_s = float("-inf")
-        self.outcomes: dict[str, str] = {}
-        """What became of the references that were asked for: '' in force, else why not."""
-        self.current: Reference | None = None
-        self.kept: Reference | None = None
-        """The reference in force or, when it has ended, the one that tool settings still count from."""
+        self._kept: ReferenceDocument | None = None
+        self._kept_real_s = float("-inf")
+        self.left = self._store.get(ReferenceDocument)
+        """What the previous run left."""
+        self.memory = ReferenceMemory()
         self.phase = Phase.CUTTING
+
+    @property
+    def current(self) -> Reference | None:
+        """The reference in force."""
+        return self.memory.in_force
+
+    @property
+    def kept_id(self) -> str | None:
+        """The reference in force or, when it has ended, the one that tool settings still count from."""
+        return None if self.memory.record is None else self.memory.record.reference_id
 
     @property
     def zero_first(self) -> bool:
         """The offset is to be taken out before the next positioning."""
-        return self._config.policy == "zero_first" and self._retreating
+        return self._rules.zero_first and self.memory.retreating
 
     @property
     def sample(self) -> CncSample | None:
         """The latest poll, with the part program's block while a program of the guard runs."""
-        return self._previous
+        return self.memory.sample
 
-    def follow(self, polled: CncSample) -> None:
-        """Take one poll of the CNC: a positioning may have passed, or the reference have ended."""
-        previous, sample = self._previous, self._of_part_program(polled)
-        self._previous = sample
-        self.phase = phase_of(sample, self._safe_sequence_numbers, self._safe_flag)
-        self._remember(sample)
-        self._retreat_block(sample)
-        cycled = self.kept is not None and self._cycled(self.kept, previous, sample)
-        if self.current is not None and (ended := self._end(self.current, previous, sample)):
-            self.end(ended, for_good=cycled)
-        elif cycled:
-            self.end(SWITCHED_OFF, for_good=True)
-        if positioning_passed(previous, sample, self._config.program, self._config.sequence_numbers):
-            self._passed = True
-            self.ask_for(f"O{sample.program} N{sample.sequence_number}", sample, positioning=True)
+    def on_sample(self, polled: CncSample, asked_s: float) -> None:
+        """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
+        self._step(reference.on_sample(self.memory, polled, self._rules, asked_s=asked_s, new_id=new_id()))
+        assert self.sample is not None
+        self.phase = phase_of(self.sample, self._safe_sequence_numbers, self._safe_flag)
 
-    def ask_for(self, source: str, sample: CncSample, *, positioning: bool, handshake: bool = False) -> str:
-        """Ask the thermal task for a reference now; return its identity."""
-        identity = uuid.uuid4().hex[:12]
-        self._asked[identity] = _Asked(positioning=positioning, handshake=handshake)
-        self._ask(
-            ReferenceRequest(
-                reference_id=identity,
-                source=source,
-                program=sample.program,
-                work_offset=sample.work_offset,
-                power_on_count=sample.power_on_count,
-            )
-        )
-        return identity
+    def request(self, identity: str, source: str, *, positioning: bool, handshake: bool = False) -> None:
+        """Ask the thermal task for a reference now."""
+        self._step(reference.request(self.memory, identity, source, positioning=positioning, handshake=handshake))
 
     def handshake_positioned(self) -> None:
-        """The handshake reports a positioning: say so when polling has not seen it pass."""
-        if self._config.sequence_numbers and not self._passed:
-            self._say("notice", "the handshake reports a positioning whose sequence number passed between two polls")
-        self._passed = False
+        """The handshake reports a positioning."""
+        self._step(reference.positioned_by_handshake(self.memory, self._rules))
 
-    def adopt(self, reference: Reference, applied_um: float) -> str:
+    def adopt(self, found: Reference, applied_um: FloatArray) -> str:
         """Take a reference into force; return why it is refused, '' when it holds."""
-        asked = self._asked.pop(reference.reference_id, None)
-        if refusal := self._objection(reference, asked, applied_um):
-            self._refuse(reference.reference_id, asked, refusal)
-            return refusal
-        self._retreating = False
-        self.current = self.kept = reference
-        self._by_handshake = asked is not None and asked.handshake
-        self.outcomes = {reference.reference_id: ""}
-        self._history.reference(reference)
-        self.keep()
-        self._say("reference", f"set by {reference.source}")
-        return ""
+        still_um = float(np.nan_to_num(np.abs(applied_um)).max())
+        self._step(reference.adopt(self.memory, found, self._rules, still_applied_um=still_um))
+        _, refusal = self.memory.outcome
+        if not refusal:
+            self._history.reference(found)
+        return refusal
 
-    def refused(self, reference_id: str, why: str) -> None:
-        """The thermal task cannot set a reference that was asked for; work that was positioned has none then."""
-        self._refuse(reference_id, self._asked.pop(reference_id, None), why)
+    def refused(self, identity: str, why: str) -> None:
+        """The thermal task cannot set a reference that was asked for."""
+        self._step(reference.refuse(self.memory, identity, why))
 
-    def forget(self, reference_id: str) -> None:
+    def withdraw(self, identity: str) -> None:
         """Nobody waits for this reference any more."""
-        self._asked.pop(reference_id, None)
+        self.memory = reference.withdraw(self.memory, identity)
 
-    def rebase(self, reference: Reference) -> None:
-        """Keep the reference whose temperatures of returned sensors were set anew."""
-        if self.kept is None or reference.reference_id != self.kept.reference_id:
-            return
-        self.kept = reference
-        if self.current is not None:
-            self.current = reference
-        self.keep()
+    def end(self, why: str) -> None:
+        """End the reference in force, and what was asked for before."""
+        self._step(reference.end(self.memory, why))
+
+    def rebase(self, found: Reference) -> None:
+        """Take the temperatures of returned sensors, which were set anew."""
+        self.memory = reference.rebase(self.memory, found)
+
+    def on_sensors(self, sensors: SensorsSinceReference) -> None:
+        """Take what the thermal task knows of the sensors since the reference."""
+        self.memory = reference.with_sensors(self.memory, sensors)
+
+    def tool_begins(self, tool: ToolOrigin, estimate_reference_id: str | None) -> None:
+        """Let the expansion of the tool in the spindle count from now."""
+        self.memory = reference.tool_begins(self.memory, tool, estimate_reference_id)
+
+    def count_from(self, output: OutputMemory, axes: tuple[str, ...]) -> None:
+        """Take what the output counts from after a step."""
+        self.memory = reference.count_from(self.memory, output, axes)
 
     def away_s(self, sample: CncSample) -> float:
         """Return how long before this poll the previous run of the daemon last polled the CNC [s]; inf: never."""
-        seen = self._seen_before
-        return float("inf") if seen is None else float(sample.time.utc_s - seen["utc_s"])
+        return reference_restart.away_s(self.left, sample)
 
-    def take_up(self, reference: Reference) -> str:
-        """Return why a reference of the previous run no longer holds, '' when it is in force again."""
-        assert self._previous is not None
-        stored = self._history.get_state("reference") or {}
-        ended = end_of_reference(reference, self._previous) or self._away(self._previous, stored)
-        if ended:
-            self._history.put_state("reference", None)
-            return ended
-        self.current = self.kept = reference
-        self._by_handshake = bool(stored.get("by_handshake"))
-        return ""
-
-    def take_up_tools(self, reference: Reference) -> str:
-        """Return why tool settings of the previous run no longer count, '' when they do, valid reference or not."""
-        assert self._previous is not None
-        cycled = reference.power_on_count != self._previous.power_on_count
-        if why := SWITCHED_OFF if cycled else self._unseen(self._previous):
-            return why
-        self.kept = reference
-        self.keep()
-        return ""
+    def restart(
+        self, output: OutputMemory, axes: tuple[str, ...], model_id: str | None, *, resumable: bool
+    ) -> OutputMemory:
+        """Go on from what the previous run left, as far as it holds; return the output's memory with it."""
+        if self.left is None or not resumable:
+            if self.left is not None and self.current is None:
+                why = f"the daemon was away for longer than {self._rules.max_outage_s:g} s (reference.max_outage_s)"
+                self.memory = replace(self.memory, ended=why)
+            self.left = None
+            return output
+        self._step(
+            reference_restart.restart(
+                self.memory,
+                self.left,
+                self._rules,
+                axes=axes,
+                model_id=model_id,
+                request_counter=self._handshake.counter,
+            )
+        )
+        self.left = None
+        return reference_restart.resumed(output, self.memory)
 
     def keep(self) -> None:
-        """Hand the reference in force to the store, with what tells that the NC program went on without a break.
+        """Hand what a restart takes up again to the store, when it has changed, and what the CNC said now and then.
 
-        One that has ended is kept apart, for the tool settings.
+        Until the output has begun, what the previous run left is not written over.
         """
-        self._history.put_state("kept_reference", None if self.kept is None else reference_to_state(self.kept))
-        if self.current is None:
-            self._history.put_state("reference", None)
+        if self.left is not None and self.current is None:
             return
-        counts = {"request_counter": self._handshake.counter, "by_handshake": self._by_handshake}
-        self._history.put_state("reference", reference_to_state(self.current) | counts)
-
-    def end(self, why: str, *, for_good: bool = False) -> None:
-        """End the reference in force, and what was asked for before; `for_good`: the tool settings with it."""
-        self._asked.clear()
-        if self.current is not None:
-            self._say("notice", f"reference ended: {why}")
-        elif not (for_good and self.kept is not None):
-            return
-        if self.kept is not None:
-            self._ask(ReferenceEnded(reference_id=self.kept.reference_id, for_good=for_good))
-        self.current = None
-        self.kept = None if for_good else self.kept
-        self.keep()
-
-    def _objection(self, reference: Reference, asked: _Asked | None, applied_um: float) -> str:
-        what = f"reference of {reference.source} refused"
-        if asked is None:
-            return f"{what}: nobody waits for it any more"
-        if self._config.policy == "zero_first" and applied_um > 0.0:
-            return (
-                f"{what}: the policy is zero_first and {applied_um:.1f} um are still applied; let the program wait at "
-                "its retreat block until the offset is out"
-            )
-        if self._previous is not None and (ended := end_of_reference(reference, self._previous)):
-            return f"{what}: meanwhile {ended}"
-        return ""
-
-    def _refuse(self, reference_id: str, asked: _Asked | None, why: str) -> None:
-        self.outcomes = {reference_id: why}
-        self._ask(ReferenceEnded(reference_id=reference_id))
-        if asked is not None and asked.positioning:
-            self.end(f"the work was positioned again, and that set none ({why})")
-        if self.kept is not None:
-            self._ask(self.kept)
-
-    def _of_part_program(self, polled: CncSample) -> CncSample:
-        """Return a poll as the part program stands in it: the guard's own programs are no other program."""
-        if self._previous is None or polled.program not in self._guard_programs:
-            return polled
-        return replace(polled, program=self._previous.program, sequence_number=self._previous.sequence_number)
-
-    def _remember(self, sample: CncSample) -> None:
-        if sample.time.real_s - self._seen_real_s < SEEN_PERIOD_REAL_S:
-            return
-        self._seen_real_s = sample.time.real_s
-        seen = {"utc_s": sample.time.utc_s, "clock_s": sample.clock_s, "sequence_number": sample.sequence_number}
-        self._history.put_state("cnc_seen", seen | {"idle": sample.run in IDLE})
-
-    def _retreat_block(self, sample: CncSample) -> None:
-        """Under zero_first, the retreat block ends what there is and takes the offset out, reference or not."""
-        if self._config.policy != "zero_first" or sample.run is not CncRun.START:
-            return
-        of_program = self._config.program in (None, sample.program)
-        if of_program and sample.sequence_number in self._config.retreat_sequence_numbers and not self._retreating:
-            self._retreating = True
-            self.end(f"N{sample.sequence_number} takes the offset out before the next positioning")
-
-    def _end(self, reference: Reference, previous: CncSample | None, sample: CncSample) -> str:
-        if ended := end_of_reference(reference, sample):
-            return ended
-        if power_cycled(previous, sample):
-            return "the CNC's clock went back: it was switched off and on"
-        return self._missed(previous, sample)
-
-    @staticmethod
-    def _cycled(reference: Reference, previous: CncSample | None, sample: CncSample) -> bool:
-        return sample.power_on_count != reference.power_on_count or power_cycled(previous, sample)
-
-    def _missed(self, previous: CncSample | None, sample: CncSample) -> str:
-        """Return why a positioning may have been missed between two polls, '' when none can have been."""
-        if previous is None:
-            return ""
-        gap_s = sample.time.monotonic_s - previous.time.monotonic_s
-        if gap_s <= LONGEST_GAP_REAL_S * self._clock.speed:
-            return ""
-        return self._may_be_missed(gap_s, previous.run in IDLE, previous.sequence_number, sample, self._by_handshake)
-
-    def _may_be_missed(
-        self, gap_s: float, idle_before: bool, sequence_before: int, sample: CncSample, by_handshake: bool
-    ) -> str:
-        if gap_s <= self._config.max_gap_s or not self._config.sequence_numbers or by_handshake:
-            return ""
-        stood = idle_before and sample.run in IDLE and sample.sequence_number == sequence_before
-        if stood or (self._config.program is not None and sample.program != self._config.program):
-            return ""
-        return (
-            f"the CNC could not be polled for {gap_s:.0f} s while the program ran, so a positioning may have been "
-            "missed; pass the positioning again or set the reference by hand (`toolpoint reference`)"
+        document = reference_restart.document_of(self.memory, self._rules, self._handshake.counter)
+        now_s, kept = self._clock.now().real_s, self._kept
+        changed = (
+            kept is None
+            or kept.record is not document.record
+            or (kept.state, kept.ended, kept.request_counter)
+            != (document.state, document.ended, document.request_counter)
         )
+        if changed or now_s - self._kept_real_s >= KEPT_PERIOD_REAL_S:
+            self._kept, self._kept_real_s = document, now_s
+            self._store.put(document)
 
-    def _away(self, sample: CncSample, stored: dict[str, Any]) -> str:
-        """Return what may have happened while nobody polled the CNC that ends a stored reference."""
-        if unseen := self._unseen(sample):
-            return unseen
-        seen, away_s = self._seen_before, self.away_s(sample)
-        assert seen is not None
-        if stored.get("request_counter") != self._handshake.counter:
-            return "the NC program asked for something while the daemon was away"
-        by_handshake = bool(stored.get("by_handshake"))
-        return self._may_be_missed(away_s, seen["idle"], seen["sequence_number"], sample, by_handshake)
+    def _step(self, step: reference.Step) -> None:
+        self.memory, effects = step
+        for effect in effects:
+            self._carry_out(effect)
 
-    def _unseen(self, sample: CncSample) -> str:
-        """Return why nothing is known of the control while nobody polled it, '' when it has just gone on."""
-        seen, away_s = self._seen_before, self.away_s(sample)
-        if seen is None or away_s > self._config.max_outage_s:
-            return f"the CNC was not polled for longer than {self._config.max_outage_s:g} s (reference.max_outage_s)"
-        if clocks_differ(sample.clock_s - seen["clock_s"], away_s):
-            return (
-                "the CNC's clock and this computer's calendar went on differently while the daemon was away: the "
-                "control was switched off and on, or a clock was set"
-            )
-        return ""
+    def _carry_out(self, effect: Effect) -> None:
+        if isinstance(effect, Announcement):
+            self._journal.say(effect.kind, effect.text)
+        else:
+            self._tell_thermal(effect)
 
 
-def reference_to_state(reference: Reference) -> dict[str, Any]:
-    """Return a reference as JSON for the store."""
-    return {
-        "reference_id": reference.reference_id,
-        "utc_s": reference.time.utc_s,
-        "source": reference.source,
-        "degc": [None if np.isnan(value) else float(value) for value in reference.degc],
-        "program": reference.program,
-        "work_offset": reference.work_offset,
-        "power_on_count": reference.power_on_count,
-    }
-
-
-def reference_from_state(state: dict[str, Any], clock: Clock) -> Reference:
-    """Return a stored reference; its age is carried over by the calendar clock."""
-    now = clock.now()
-    age_s = now.utc_s - state["utc_s"]
-    return Reference(
-        reference_id=state["reference_id"],
-        time=Instant(monotonic_s=now.monotonic_s - age_s, utc_s=state["utc_s"], real_s=now.real_s - age_s),
-        source=state["source"],
-        degc=np.array([np.nan if value is None else value for value in state["degc"]]),
-        program=state["program"],
-        work_offset=state["work_offset"],
-        power_on_count=state["power_on_count"],
-    )
-
-
-def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int], safe_flag: int | None = None) -> Phase:
-    """Return what the machine is doing; everything that is not known to be harmless is cutting."""
-    if sample.run in (CncRun.RESET, CncRun.STOP):
-        return Phase.IDLE
-    flagged = safe_flag is not None and sample.macros.get(safe_flag) == 1.0
-    if sample.run is CncRun.START and (flagged or sample.sequence_number in safe_sequence_numbers):
-        return Phase.SAFE_POINT
-    return Phase.CUTTING
-
-
-def positioning_passed(
-    previous: CncSample | None, sample: CncSample, program: int | None, sequence_numbers: Collection[int]
-) -> bool:
-    """Whether the program has reached a positioning block since the previous sample."""
-    if sample.sequence_number not in sequence_numbers or sample.run is not CncRun.START:
-        return False
-    if program is not None and sample.program != program:
-        return False
-    if previous is None:
-        return False
-    if previous.run in (CncRun.RESET, CncRun.STOP):
-        return True
-    return (previous.program, previous.sequence_number) != (sample.program, sample.sequence_number)
-
-
-def end_of_reference(reference: Reference, sample: CncSample) -> str:
-    """Return why a reference no longer holds, '' while it does."""
-    if sample.power_on_count != reference.power_on_count:
-        return "the CNC was switched off and on"
-    if sample.work_offset != reference.work_offset:
-        return f"the work offset changed from {reference.work_offset} to {sample.work_offset}"
-    if sample.program != reference.program:
-        return f"the program changed from O{reference.program} to O{sample.program}"
-    return ""
+def new_id() -> str:
+    """Return the identity of a new reference."""
+    return uuid.uuid4().hex[:12]

@@ -1,12 +1,9 @@
 """What a previous run of the daemon left behind, and whether it may be taken up again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
-from types import MappingProxyType
-from typing import Any
 
-import numpy as np
 import structlog
 
 from config.schema import Configuration
@@ -14,15 +11,14 @@ from daemon.cnc.events import Journal
 from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
 from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.compensation.references import References, reference_from_state
-from daemon.compensation.tool import ToolInSpindle
+from daemon.compensation.references import References
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import DaemonAlive, OutputFault, WantedAxes
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.compensation import initial_memory
-from models.control.state import OperatorRequest, OutputMemory, ToolBaseline
-from models.records import CncSample, FloatArray, Instant, Receipt, Reference, Trace, WriteOutcome
+from models.control.state import OperatorRequest, OutputMemory
+from models.records import CncSample, FloatArray, Instant, Receipt, Trace, WriteOutcome
 
 log = structlog.get_logger(__name__)
 
@@ -32,16 +28,11 @@ class ResumePoint:
     """What the previous run of the daemon left, as far as it may be taken up again."""
 
     wanted: tuple[bool, ...]
-    reference: Reference | None
     known_macros: dict[int, tuple[float, ...]] | None
     resumable: bool = True
     """The outage was short enough to go on as before."""
     faults: tuple[str, ...] = ()
     """The reasons of the latched FAULT that nobody has acknowledged."""
-    rest: dict[str, Any] | None = None
-    """Where the output stood when the reference was set, from `rest_to_state`."""
-    kept_reference: Reference | None = None
-    """What the tool settings count from; the reference, or one that had ended."""
 
 
 def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
@@ -54,26 +45,6 @@ def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: boo
     return tuple(bool(abs(um) > ECHO_SLACK_UM) for um in applied_um)
 
 
-def rest_to_state(memory: OutputMemory, axes: Sequence[str]) -> dict[str, Any]:
-    """Return as JSON for the store what the request is counted from."""
-    return {
-        "reference_id": memory.reference_id,
-        "model_id": memory.model_id,
-        "error_reference_id": memory.error_reference_id,
-        "baseline_um": dict(zip(axes, memory.baseline_um.tolist(), strict=True)),
-        "offset_um": dict(zip(axes, memory.offset_um.tolist(), strict=True)),
-        "weight": memory.weight,
-        "tools": {
-            str(number): {
-                "baseline_um": [None if np.isnan(um) else um for um in tool.baseline_um.tolist()],
-                "error_um": tool.error_um.tolist(),
-                "offset_um": tool.offset_um.tolist(),
-            }
-            for number, tool in memory.tools.items()
-        },
-    }
-
-
 def record_changes(
     journal: Journal, axes: Sequence[str], before: OutputMemory, after: OutputMemory, alarm: str
 ) -> None:
@@ -82,85 +53,12 @@ def record_changes(
         journal.say("state", f"{before.state.value} -> {after.state.value}: {after.reason}")
     if after.wanted != before.wanted or after.state is not before.state:
         journal.keep(WantedAxes(axes=dict(zip(axes, after.wanted, strict=True))))
-    counts_anew = (
-        after.baseline_um is not before.baseline_um
-        or after.offset_um is not before.offset_um
-        or after.tools is not before.tools
-        or after.weight != before.weight
-    )
     if before.tools and not after.tools:
         numbers = ", ".join(f"T{number}" for number in sorted(before.tools))
         journal.notice(f"the tool settings of {numbers} have ended; set these tools again")
-    if (after.reference_id is not None or after.tools) and counts_anew:
-        journal.keep_value("rest", rest_to_state(after, axes))
     if alarm and alarm.partition(":")[0] != journal.alarm.partition(":")[0]:
         journal.say("alarm", alarm)
     journal.alarm = alarm
-
-
-def with_rest(
-    memory: OutputMemory,
-    rest: dict[str, Any] | None,
-    axes: Sequence[str],
-    reference: Reference,
-    model_id: str | None,
-) -> OutputMemory:
-    """Return the memory with the stored baseline of a reference that is taken up again.
-
-    Without it the request would count from what is applied now, which already holds the compensation.
-
-    Raises
-    ------
-    ValueError
-        When no baseline is stored for this reference, or for other axes, or for another model.
-
-    """
-    if rest is None or rest["reference_id"] != reference.reference_id or set(rest["baseline_um"]) != set(axes):
-        raise ValueError(f"the reference of {reference.source} is not taken up again: its baseline was not stored")
-    if rest["model_id"] not in (None, model_id):
-        raise ValueError(
-            f"the reference of {reference.source} is not taken up again: it belongs to model {rest['model_id']}, "
-            f"the model is now {model_id}"
-        )
-    return replace(
-        memory,
-        reference_id=rest["reference_id"],
-        model_id=rest["model_id"],
-        error_reference_id=rest["reference_id"],
-        baseline_um=np.array([rest["baseline_um"][axis] for axis in axes]),
-        offset_um=np.array([rest["offset_um"][axis] for axis in axes]),
-        weight=rest.get("weight", memory.weight),
-        tools=_tools(rest, axes),
-    )
-
-
-def with_tools(
-    memory: OutputMemory,
-    rest: dict[str, Any] | None,
-    axes: Sequence[str],
-    kept: Reference,
-    model_id: str | None,
-) -> OutputMemory:
-    """Return the memory with the tool settings of the previous run, which count on from a reference that has ended.
-
-    Without settings that belong to this reference, these axes and this model it is returned as it is.
-    """
-    if rest is None or rest.get("error_reference_id") != kept.reference_id or rest["model_id"] != model_id:
-        return memory
-    offset_um = np.array([rest["offset_um"].get(axis, 0.0) for axis in axes])
-    tools, basis = _tools(rest, axes), kept.reference_id
-    return replace(memory, tools=tools, error_reference_id=basis, model_id=model_id, offset_um=offset_um)
-
-
-def _tools(rest: dict[str, Any], axes: Sequence[str]) -> MappingProxyType[int, ToolBaseline]:
-    same = list(rest["baseline_um"]) == list(axes)
-    kept = rest.get("tools", {}).items() if same else ()
-    return MappingProxyType({int(number): _tool_rest(tool) for number, tool in kept})
-
-
-def _tool_rest(kept: dict[str, list[float | None]]) -> ToolBaseline:
-    numbers = {name: [np.nan if um is None else um for um in values] for name, values in kept.items()}
-    return ToolBaseline(**{name: np.array(values) for name, values in numbers.items()})
 
 
 def load_resume_point(
@@ -172,11 +70,8 @@ def load_resume_point(
     wanted, fault, alive = store.get(WantedAxes), store.get(OutputFault), store.get(DaemonAlive)
     outage_s = clock.now().utc_s - alive.utc_s if alive is not None else float("inf")
     resumable = 0 <= outage_s <= configuration.compensation.reference.max_outage_s
-    stored = history.get_state("reference")
-    reference = reference_from_state(stored, clock) if stored and resumable else None
-    kept_stored = history.get_state("kept_reference")
-    if stored and not resumable:
-        log.warning("reference.too_old", outage_s=outage_s)
+    if alive is not None and not resumable:
+        log.warning("resume.too_old", outage_s=outage_s)
     known, lost = last_block.newer_of(history.last_written_macros(), history.last_write_id())
     if lost:
         log.warning("audit.gap", macros=lost)
@@ -185,10 +80,7 @@ def load_resume_point(
         wanted=tuple(wanted is not None and wanted.axes.get(axis, False) for axis in axes),
         resumable=resumable,
         faults=() if fault is None else fault.reasons,
-        reference=reference,
         known_macros=known,
-        rest=history.get_state("rest"),
-        kept_reference=reference_from_state(kept_stored, clock) if kept_stored and resumable else None,
     )
 
 
@@ -202,19 +94,14 @@ class StartupRecovery:
         self,
         resume: ResumePoint,
         references: References,
-        tool: ToolInSpindle,
         journal: Journal,
-        ask: Callable[[Reference], None],
         axes: Sequence[str],
-        *,
         model_id: str | None,
         max_outage_s: float,
     ) -> None:
         self._resume = resume
         self._references = references
-        self._tool = tool
         self._journal = journal
-        self._ask = ask
         self._axes = tuple(axes)
         self._model_id = model_id
         self._max_outage_s = max_outage_s
@@ -237,10 +124,8 @@ class StartupRecovery:
         if not (self._resume.resumable and in_time):
             self._waiting = frozenset(compress(self._axes, wanted))
         self._journal.say("start", f"{memory.state.value}: {memory.reason}")
-        reference = self._resume.reference
-        if reference is not None:
-            memory = self._with_reference(memory, reference)
-        return memory if memory.reference_id is not None else self._with_tools(memory)
+        resumable = self._resume.resumable
+        return self._references.restart(memory, self._axes, self._model_id, resumable=resumable)
 
     def heed(self, request: OperatorRequest) -> OperatorRequest:
         """Take what a person says of the axes that wait; who speaks for one lets the others go on waiting.
@@ -264,36 +149,6 @@ class StartupRecovery:
         return (
             f"the daemon was away too long to go on by itself: `toolpoint enable {axes}` or `toolpoint disable {axes}`"
         )
-
-    def _with_tools(self, memory: OutputMemory) -> OutputMemory:
-        """Go on with the tool settings of the previous run although no reference is valid."""
-        kept = self._resume.kept_reference
-        if kept is None:
-            return memory
-        found = with_tools(memory, self._resume.rest, self._axes, kept, self._model_id)
-        if not found.tools:
-            return memory
-        numbers = ", ".join(f"T{number}" for number in sorted(found.tools))
-        if ended := self._references.take_up_tools(kept):
-            self._journal.notice(f"the tool settings of {numbers} have ended: {ended}; set these tools again")
-            return memory
-        self._ask(kept)
-        self._journal.say("tool", f"the settings of {numbers} are taken up again")
-        return found
-
-    def _with_reference(self, memory: OutputMemory, reference: Reference) -> OutputMemory:
-        if ended := self._references.take_up(reference):
-            self._journal.notice(f"the reference of {reference.source} is not taken up again: {ended}")
-            return memory
-        try:
-            memory = with_rest(memory, self._resume.rest, self._axes, reference, self._model_id)
-        except ValueError as error:
-            self._references.end(str(error))
-            return memory
-        self._tool.take_up(reference.reference_id)
-        self._ask(reference)
-        self._journal.say("reference", f"taken up again: {reference.source}")
-        return memory
 
 
 SAME = 1e-6

@@ -1,5 +1,6 @@
 """What status shows of the control task, and what a person may ask of it."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,8 @@ def control_snapshot(control: "ControlTask") -> ControlSnapshot:
         bound_um=limits.absolute_bound_um,
         slew_um_per_min=limits.slew_um_per_min,
         reference=control.reference,
-        reference_by_hand=control.reference_by_hand,
+        reference_ended=control.reference_ended,
+        reference_by_hand=control.requests.reference_by_hand,
         tools_set=tuple(sorted(memory.tools)) if memory is not None else (),
         cnc=_cnc(control.session),
         writes=WriteCounts(**control.writer.counts),
@@ -61,22 +63,12 @@ def _cnc(session: CncSession | None) -> CncSnapshot | None:
     )
 
 
-def output_actions(control: "ControlTask") -> OutputActions:
+def output_actions(control: "ControlTask", switch_spindle_speed: Callable[[bool, str], str]) -> OutputActions:
     """Return what a person may ask of the output."""
-
-    def switch_spindle_speed(on: bool, person: str) -> str:
-        refusal = control.side.speed.turn(on=on, person=person)
-        control.on_change()
-        return refusal
-
-    def record_refusal(text: str, person: str) -> None:
-        control.journal.event("refused", text, person)
-        control.on_change()
-
     return OutputActions(
         request=control.request,
         request_reference=control.request_reference,
         switch_spindle_speed=switch_spindle_speed,
-        record_refusal=record_refusal,
+        record_refusal=control.requests.note_refusal,
         carried_out=control.requests.carried_out,
     )

@@ -6,17 +6,14 @@ outcome in the audit. Owned by the control task, which alone talks to the CNC.
 """
 
 import math
-from collections.abc import Callable
 
 from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
-from daemon.compensation.references import References
-from daemon.spindle_speed.task import SpindleSpeedOutput
 from daemon.telemetry.metrics import Telemetry
 from drivers.contract import FatalDriverError
-from models.records import MachineTemperatures, Trace, WriteOutcome
+from models.records import CncSample, MachineTemperatures, Phase, Trace, WriteOutcome
 
 TEMPERATURE_CAUSE = "temperature"
 """Cause of these writes in the audit."""
@@ -46,7 +43,7 @@ class TemperatureMacro:
         """A value waits to be written."""
         return self._due is not None
 
-    def take(self, temperatures: MachineTemperatures) -> None:
+    def on_temperatures(self, temperatures: MachineTemperatures) -> None:
         """Take a cycle; a missing value leaves the macro as it is, and the same value is not written again."""
         if self._config is None or temperatures.line != self._line:
             return
@@ -55,7 +52,7 @@ class TemperatureMacro:
         if math.isfinite(degc) and degc != self._shown_degc:
             self._due = (degc, temperatures.trace)
 
-    async def show(self, session: CncSession | None) -> None:
+    async def serve(self, session: CncSession | None, _phase: Phase, _sample: CncSample | None) -> None:
         """Write what waits; returns at once when nothing does, or when nothing may be written."""
         if self._due is None or self._config is None:
             return
@@ -72,43 +69,3 @@ class TemperatureMacro:
             return
         self._shown_degc = degc
         self._telemetry.temperature_shown(receipt.trace)
-
-
-SpeedFactory = Callable[[Journal, Interlocks], SpindleSpeedOutput]
-"""Builds what serves the spindle speed."""
-
-
-class AuxiliaryMacros:
-    """Serves both in turn; owned by the control task, which alone talks to the CNC."""
-
-    def __init__(
-        self,
-        configuration: Configuration,
-        telemetry: Telemetry,
-        journal: Journal,
-        permission: Interlocks,
-        references: References,
-        speed: SpeedFactory,
-    ) -> None:
-        self._temperature = TemperatureMacro(configuration, telemetry, journal, permission)
-        self.speed = speed(journal, permission)
-        self._references = references
-
-    @property
-    def due(self) -> bool:
-        """A value waits to be written."""
-        return self._temperature.due
-
-    def take(self, temperatures: MachineTemperatures) -> None:
-        """Take a cycle of the sensors."""
-        self._temperature.take(temperatures)
-        self.speed.take(temperatures)
-
-    async def show(self, session: CncSession | None) -> None:
-        """Write what is due; returns soon when nothing is."""
-        await self._temperature.show(session)
-        await self.speed.follow(session, self._references.phase, self._references.sample)
-
-    def close(self) -> None:
-        """Release what is open."""
-        self.speed.close()

@@ -1,4 +1,4 @@
-"""What is known of the sensors since the reference; the store keeps it, so that a restart forgets none of it."""
+"""What is known of the sensors since the reference; it is kept with the reference, so a restart forgets none of it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,15 +9,12 @@ import numpy.typing as npt
 import structlog
 
 from daemon.estimation.model_in_use import ModelInUse
-from daemon.history.writer import HistoryWriter
+from models.control.reference_records import LabelOrigin, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
 from models.thermal.mean_increment import MeanIncrement, first_mean_increment, renewed_mean_increment
 
 log = structlog.get_logger(__name__)
-
-KEY = "since_reference"
-"""Under this key the store keeps it; it belongs to the reference whose identity it holds."""
 
 Places = npt.NDArray[np.intp]
 
@@ -25,14 +22,13 @@ Places = npt.NDArray[np.intp]
 class SinceReference:
     """Who is away, who is excluded, and what every label's mean counts from; owned by the thermal task."""
 
-    def __init__(self, history: HistoryWriter, sensor_ids: Sequence[int], labels: Mapping[str, Places]) -> None:
-        self._history = history
+    def __init__(self, sensor_ids: Sequence[int], labels: Mapping[str, Places]) -> None:
         self._sensor_ids = tuple(sensor_ids)
         self._labels = labels
         self._reference_id = ""
-        self._kept: dict[str, Any] | None = None
+        self._told: SensorsSinceReference | None = None
         self._means: dict[str, MeanIncrement] = {}
-        self._states: dict[str, tuple[tuple[npt.NDArray[Any], ...], dict[str, Any]]] = {}
+        self._origins: dict[str, tuple[tuple[npt.NDArray[Any], ...], LabelOrigin]] = {}
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         """Which sensors have been imputed until now, in the machine's order."""
         self.excluded: dict[int, str] = {}
@@ -43,27 +39,26 @@ class SinceReference:
     def begin(self, reference: Reference) -> None:
         """Count from a new reference: nobody has been away since, and nobody is excluded."""
         self._reference_id = reference.reference_id
-        self._kept = None
+        self._told = None
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
-    def take_up(self, reference: Reference) -> None:
-        """Go on from a reference of before, with what was kept of it; reads the store."""
+    def take_up(self, reference: Reference, kept: SensorsSinceReference | None) -> None:
+        """Go on from a reference of before, with what was kept of it."""
         self.begin(reference)
-        kept = self._history.get_state(KEY)
-        if kept is None or kept["reference_id"] != reference.reference_id:
+        if kept is None or kept.reference_id != reference.reference_id:
             return
-        self._kept = kept
-        self.absent = np.isin(self._sensor_ids, kept["absent"])
-        self.excluded = {int(sensor_id): sign for sensor_id, sign in kept["excluded"].items()}
-        self.of_model = kept.get("of_model")
+        self._told = kept
+        self.absent = np.isin(self._sensor_ids, kept.absent)
+        self.excluded = dict(kept.excluded)
+        self.of_model = None if kept.of_model is None else dict(kept.of_model)
         for label, places in self._labels.items():
-            found = kept["labels"].get(label)
-            if found is not None and found["sensor_ids"] == self._ids(places):
-                self._means[label] = _mean_from_state(found)
-        log.info("sensors.restored", absent=len(kept["absent"]), excluded=sorted(self.excluded))
+            found = kept.labels.get(label)
+            if found is not None and found.sensor_ids == self._ids(places):
+                self._means[label] = _mean_from(found)
+        log.info("sensors.restored", absent=len(kept.absent), excluded=sorted(self.excluded))
 
     def label_increments(self, degc: FloatArray) -> dict[str, float]:
         """Renew the mean increment of each label since the reference [degC]; labels without a sensor are left out."""
@@ -73,8 +68,8 @@ class SinceReference:
         means_k = {label: mean.mean_k for label, mean in self._means.items()}
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
-    def keep(self, degc: FloatArray, online: ModelInUse) -> None:
-        """Remember who was away in an estimate, and who is excluded; hand it to the store when it has changed.
+    def update(self, degc: FloatArray, online: ModelInUse) -> None:
+        """Remember who was away in an estimate, and who is excluded.
 
         A sensor that the model does not know counts as away until a model sets it anew.
         """
@@ -84,48 +79,49 @@ class SinceReference:
         of_others = {i: sign for i, sign in self.excluded.items() if i not in online.model.sensor_ids}
         self.excluded = of_others | online.excluded
         self.of_model = online.kept
-        state = self._to_state()
-        if state != self._kept:
-            self._kept = state
-            self._history.put_state(KEY, state)
 
-    def _ids(self, places: Places) -> list[int]:
-        return [self._sensor_ids[place] for place in places]
+    def changed(self) -> SensorsSinceReference | None:
+        """Return what is to be kept for a restart when it has changed since it was told, else None."""
+        sensors = SensorsSinceReference(
+            reference_id=self._reference_id,
+            absent=self._ids(np.flatnonzero(self.absent)),
+            excluded={sensor_id: self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
+            of_model=self.of_model,
+            labels={label: self._label_origin(label, mean) for label, mean in self._means.items()},
+        )
+        if sensors == self._told:
+            return None
+        self._told = sensors
+        return sensors
 
-    def _to_state(self) -> dict[str, Any]:
-        return {
-            "reference_id": self._reference_id,
-            "absent": self._ids(np.flatnonzero(self.absent)),
-            "excluded": {str(sensor_id): self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
-            "of_model": self.of_model,
-            "labels": {label: self._label_state(label, mean) for label, mean in self._means.items()},
-        }
+    def _ids(self, places: Places) -> tuple[int, ...]:
+        return tuple(self._sensor_ids[place] for place in places)
 
-    def _label_state(self, label: str, mean: MeanIncrement) -> dict[str, Any]:
+    def _label_origin(self, label: str, mean: MeanIncrement) -> LabelOrigin:
         """Return what a label's mean counts from; nothing of it changes while nobody comes or goes."""
         counts_from = (mean.reference_degc, mean.counted, mean.offset_k)
-        known = self._states.get(label)
+        known = self._origins.get(label)
         if known is not None and all(now is then for now, then in zip(counts_from, known[0], strict=True)):
             return known[1]
-        state = {
-            "sensor_ids": self._ids(self._labels[label]),
-            "reference_degc": plain(mean.reference_degc),
-            "counted": mean.counted.tolist(),
-            "offset_k": plain(mean.offset_k),
-        }
-        self._states[label] = (counts_from, state)
-        return state
+        origin = LabelOrigin(
+            sensor_ids=self._ids(self._labels[label]),
+            reference_degc=tuple(plain(mean.reference_degc)),
+            counted=tuple(mean.counted.tolist()),
+            offset_k=tuple(plain(mean.offset_k)),
+        )
+        self._origins[label] = (counts_from, origin)
+        return origin
 
 
 def _numbers(values: Sequence[float | None]) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
-def _mean_from_state(state: Mapping[str, Any]) -> MeanIncrement:
+def _mean_from(origin: LabelOrigin) -> MeanIncrement:
     """Return a mean as it was kept; where those that counted are now is told by their next temperatures."""
-    counted, offset_k = np.array(state["counted"], dtype=np.bool_), _numbers(state["offset_k"])
+    counted, offset_k = np.array(origin.counted, dtype=np.bool_), _numbers(origin.offset_k)
     return MeanIncrement(
-        reference_degc=_numbers(state["reference_degc"]),
+        reference_degc=_numbers(origin.reference_degc),
         counted=counted,
         offset_k=offset_k,
         increment_k=np.full(len(counted), np.nan) if counted.any() else offset_k,

@@ -17,7 +17,15 @@ from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import Past
 from daemon.estimation.sensor_memory import SinceReference
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest, SpindleSpeed
+from daemon.messages import (
+    ReferenceEnded,
+    ReferenceRebased,
+    ReferenceRefused,
+    ReferenceRequest,
+    ReferenceTakenUp,
+    SensorsSinceReference,
+    SpindleSpeed,
+)
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
@@ -31,9 +39,11 @@ from models.records import (
 from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
-Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | Reference | ThermalModel
+Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | ReferenceTakenUp | ThermalModel
 """What the thermal task takes."""
-Delivery = ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | MachineTemperatures
+Delivery = (
+    ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | SensorsSinceReference | MachineTemperatures
+)
 """What it gives."""
 
 
@@ -74,7 +84,7 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = -np.inf
         self._online = self._in_use(model)
-        self._since = SinceReference(history, self._sensor_ids, self._labels)
+        self._since = SinceReference(self._sensor_ids, self._labels)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._taken_up_s = -np.inf
 
@@ -100,6 +110,9 @@ class ThermalTask:
             except Exception:
                 # A defect here must not stop the output: without estimates it holds, and says so.
                 log.exception("thermal.defect")
+                if isinstance(item, ReferenceRequest):
+                    why = f"reference of {item.source} refused: its temperatures could not be taken, see the log"
+                    self._deliver(ReferenceRefused(reference_id=item.reference_id, why=why))
             self._on_change()
 
     async def recall(self) -> None:
@@ -119,15 +132,16 @@ class ThermalTask:
                 self._reference = None
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
-        elif isinstance(item, Reference):
+        elif isinstance(item, ReferenceTakenUp):
             await self._take_up(item)
         else:
             await self.use_model(item)
 
-    async def _take_up(self, reference: Reference) -> None:
-        """Go on from a reference of before; what the store knows of it is read while everybody else goes on."""
+    async def _take_up(self, message: ReferenceTakenUp) -> None:
+        """Go on from a reference of before; what the model needs of the store is read while everybody else goes on."""
+        reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
-        await asyncio.to_thread(self._since.take_up, reference)
+        self._since.take_up(reference, message.sensors)
         if self._online is not None:
             known = (self._since.excluded, self._since.of_model)
             await asyncio.to_thread(self._online.set_reference, reference, self._taken_up_s, *known)
@@ -164,6 +178,7 @@ class ThermalTask:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
+            self._deliver_sensors()
         if self._temperature_is_shown:
             self._deliver(temperatures)
         await asyncio.sleep(0)
@@ -196,7 +211,7 @@ class ThermalTask:
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
         since_labels = self._since.label_increments(degc)
-        self._since.keep(degc, online)
+        self._since.update(degc, online)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=outcome.thermal_error_um,
@@ -212,6 +227,11 @@ class ThermalTask:
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
         )
+
+    def _deliver_sensors(self) -> None:
+        """Tell the control task, which keeps it with the reference, when anything has changed."""
+        if (changed := self._since.changed()) is not None:
+            self._deliver(changed)
 
     def _waits_for_sensors(self, online: ModelInUse, reference: Reference, now_s: float) -> bool:
         """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
@@ -260,3 +280,4 @@ class ThermalTask:
             first = replace(first, trace=replace(first.trace, cleansed=None))
             self.latest_estimate = first
             self._deliver(first)
+            self._deliver_sensors()

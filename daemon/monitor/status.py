@@ -46,6 +46,7 @@ class StatusBoard:
             "output": self._output(control, now.monotonic_s),
             "axes": self._axes(control),
             "reference": _reference(control, now.monotonic_s),
+            "reference_ended": control.reference_ended,
             "tools_set": list(control.tools_set),
             "model": _model(board.model) or {},
             "estimate": self._estimate(thermal),

@@ -69,7 +69,7 @@ def _header(picture: Mapping[str, Any]) -> Panel:
     )
     reference = picture["reference"]
     if reference is None:
-        line.append("\nno reference: waiting for work positioning", style="dim")
+        line.append(f"\nno reference: {picture.get('reference_ended') or 'waiting for work positioning'}", style="dim")
     else:
         line.append(f"\nreference {reference['source']}, {reference['age_s'] / 60:.1f} min ago", style="dim")
     if tools := picture.get("tools_set"):

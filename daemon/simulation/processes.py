@@ -33,6 +33,8 @@ REQUEST_REAL_S = 2.0
 """A request of the NC program waits at least this long for its answer [s of the wall clock]."""
 LOOK_AHEAD = 1.5
 """The guard believes blocks this much longer than they are written for, polls included."""
+POSITIONING_S = 15.0
+"""The simulated part programs stand at work positioning for longer than this [s]."""
 STOP_PATIENCE_S = 15.0
 
 
@@ -68,6 +70,8 @@ def write_simulation_configuration(
     base["cnc"]["stale_after_s"] = max(3.0, speed)
     base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
     base["compensation"]["allow_writable_model_directory"] = True
+    reference = base["compensation"].setdefault("reference", {})
+    reference["positioning_dwell_s"] = max(POSITIONING_S, 2.0 * base["cnc"].get("poll_period_s", 0.5))
     output = base["compensation"].setdefault("output", {})
     slowest_poll_s = base["cnc"].get("poll_period_s", 0.5)
     output["validity_s"] = min(max(30.0, speed), 100.0)

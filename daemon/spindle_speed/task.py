@@ -53,12 +53,17 @@ class SpindleSpeedOutput:
         if tuning is not None:
             self._follower = _Follower(configuration, tuning, clock, journal, permission, self.worker)
 
-    def take(self, temperatures: MachineTemperatures) -> None:
+    @property
+    def due(self) -> bool:
+        """A value waits to be written; never before it is time to read again."""
+        return False
+
+    def on_temperatures(self, temperatures: MachineTemperatures) -> None:
         """Take a cycle of the sensors."""
         time = temperatures.trace.cleansed or temperatures.trace.last_byte
         self.worker.take(time.monotonic_s, temperatures.degc)
 
-    async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
         """Read the operation when it is time, decide, and write what is due.
 
         `sample` is the latest poll, with the part program's block while a program of the guard runs.

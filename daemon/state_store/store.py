@@ -16,6 +16,7 @@ from daemon.state_store.documents import (
 )
 from daemon.state_store.from_0_1_0 import from_0_1_0
 from drivers.clock import Clock
+from models.control.reference_records import ReferenceDocument
 
 log = structlog.get_logger(__name__)
 
@@ -25,6 +26,7 @@ KEYS: dict[type, str] = {
     DaemonAlive: "alive_utc_s",
     WantedAxes: "wanted",
     OutputFault: "fault",
+    ReferenceDocument: "reference",
     SpindleSpeeds: "spindle_speed",
     SpindleSpeedSwitch: "spindle_speed_off",
 }

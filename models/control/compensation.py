@@ -171,7 +171,8 @@ def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     if not np.all(np.isfinite(inputs.applied_um)):
         return "the CNC's echo is vacant"
     if inputs.reference_id is None:
-        return "no valid reference: the NC program has not passed its positioning, or it was invalidated"
+        ended = inputs.reference_ended or "the NC program has not passed its positioning"
+        return f"no valid reference: {ended}"
     if inputs.estimate_age_s > limits.stale_after_s:
         age = "there is no estimate" if np.isinf(inputs.estimate_age_s) else f"{inputs.estimate_age_s:.0f} s old"
         return f"temperatures are stale ({age})"

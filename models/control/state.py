@@ -78,6 +78,8 @@ class OutputInputs:
     """Why confidence is low when no sensor is missing: states that are not filled yet."""
     reference_id: str | None
     """The valid reference; None when there is none."""
+    reference_ended: str = ""
+    """Why there is none, '' where that is not known."""
     estimate_reference_id: str | None
     """The reference that the estimate is relative to."""
     kept_reference_id: str | None = None

@@ -6,7 +6,8 @@ import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.compensation.operator_requests import Cadence, woken
+from daemon.compensation.inbox import Inbox
+from daemon.compensation.operator_requests import Cadence
 
 
 def test_it_is_due_every_period():
@@ -22,15 +23,16 @@ def test_what_was_late_is_not_made_up_for():
     assert cadence.due(17.6)
 
 
-async def test_waiting_ends_with_the_event_or_with_the_time():
-    event = asyncio.Event()
-    await woken(event, 0.001)
-    await woken(event, -1.0)
-    assert not event.is_set()
-    asyncio.get_running_loop().call_soon(event.set)
+async def test_waiting_ends_with_a_message_or_with_the_time():
+    inbox, taken = Inbox(), []
+    await inbox.woken(0.001)
+    await inbox.woken(-1.0)
+    assert not inbox
+    asyncio.get_running_loop().call_soon(inbox.put, lambda: taken.append(1))
     async with asyncio.timeout(30.0):
-        await woken(event, 1e6)
-    assert event.is_set()
+        await inbox.woken(1e6)
+    inbox.take()()
+    assert taken == [1] and not inbox
 
 
 @pytest.mark.parametrize(("new_reference", "expected"), [(False, ["act", "poll"]), (True, ["poll", "act"])])

@@ -75,8 +75,9 @@ async def test_another_model_does_not_take_the_old_reference_up(bench):
     async with running(bench.rig()) as rig:
         await rig.active(handshake=True)
         await rig.follow(0.0, -10.0, 30)
-        rest = rig.history.get_state("rest")
-        rig.history.put_state("rest", rest | {"model_id": "another"})
+        stored = rig.history.get_state("reference")
+        stored["record"]["baseline"]["model_id"] = "another"
+        rig.history.put_state("reference", stored)
         rig.alive()
     async with running(bench.rig()) as again:
         await again.follow(0.0, -10.0, 5)
@@ -115,7 +116,7 @@ async def test_a_guard_that_refuses_twice_raises_the_alarm_and_once_does_not(ben
 
 async def test_a_guard_that_never_runs_raises_the_alarm(bench):
     async with running(bench.rig()) as rig:
-        await rig.active()
+        await rig.active(handshake=True)
         for _ in range(20):
             await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
         assert rig.control.guard_silent_s > 90.0

@@ -8,8 +8,9 @@ from control_rig import (
 )
 
 from daemon.history import HistoryReader
+from daemon.messages import ReferenceTakenUp
 from models.control.state import OperatorRequest
-from models.records import Reference, WriteOutcome
+from models.records import WriteOutcome
 
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 
@@ -42,7 +43,7 @@ async def test_a_restart_resumes_from_the_echo_with_the_same_reference(bench):
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.state == "HOLD"
-        assert isinstance(rig.asked[0], Reference)
+        assert isinstance(rig.asked[0], ReferenceTakenUp)
         assert rig.control.reference.reference_id == left.reference_id
         for _ in range(30):
             await rig.turn(rig.estimate(0.0, -10.0))
@@ -54,9 +55,9 @@ async def test_a_restart_resumes_from_the_echo_with_the_same_reference(bench):
 
 async def test_a_restart_keeps_the_baseline_of_the_second_reference(bench):
     async with running(bench.rig()) as rig:
-        await rig.active()
+        await rig.active(handshake=True)
         await rig.follow(0.0, -10.0, 40)
-        rig.set_reference("r2")
+        rig.set_reference("r2", handshake=True)
         await rig.follow(0.0, -3.0, 20)
         rig.alive()
     async with running(bench.rig()) as rig:
@@ -89,7 +90,8 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
 async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
     await leave(bench)
     async with running(bench.rig()) as rig:
-        rig.history.put_state("rest", None)
+        stored = rig.history.get_state("reference")
+        rig.history.put_state("reference", stored | {"record": stored["record"] | {"baseline": None}})
     async with running(bench.rig()) as rig:
         await rig.turn()
         await rig.follow(0.0, -20.0, 3)

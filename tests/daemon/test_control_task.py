@@ -20,7 +20,7 @@ from control_rig import (
 )
 from memory_cnc import MemoryNc
 
-from daemon.messages import ReferenceRequest
+from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
 from drivers.clock import SystemClock
 from models.control.state import OperatorRequest
 from models.records import CncRun
@@ -201,7 +201,7 @@ async def test_the_reference_ends_and_the_output_holds(rig, bench, change, words
     assert any(words in notice for notice in rig.control.journal.notices)
     assert rig.state == "HOLD"
     assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
-    assert rig.history.get_state("reference") is None
+    assert rig.history.get_state("reference")["state"] in ("ended", "none")
     rig.set_reference("r2")
     await rig.follow(0.0, 0.0, 10)
     assert rig.state == "ACTIVE"
@@ -222,6 +222,8 @@ async def test_a_positioning_block_asks_for_a_reference_once(rig, bench):
 async def test_a_reference_by_hand_names_the_person_and_needs_a_link(rig, bench):
     await rig.turn()
     assert rig.control.request_reference("Ada (uid 7)") == ""
+    assert rig.asked == [], "asked for in the control task's own stack"
+    await rig.hear()
     assert "Ada" in rig.asked[0].source
     bench.nc.reachable = False
     await rig.turn()
@@ -245,6 +247,7 @@ async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
         try:
             await until(lambda: rig.control.memory is not None)
             rig.set_reference()
+            await until(lambda: rig.control.reference is not None)
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
             rig.control.deliver(rig.estimate(0.0, 0.0))
             await until(lambda: rig.state == "ACTIVE")
@@ -262,6 +265,57 @@ async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
             await asyncio.gather(task, return_exceptions=True)
 
 
+async def test_what_is_delivered_waits_for_the_control_task_and_changes_nothing_in_the_stack_of_who_delivers(rig):
+    await rig.turn()
+    rig.set_reference()
+    notices = list(rig.control.journal.notices)
+    rig.control.deliver(ReferenceRefused(reference_id="another", why="made up"))
+    assert rig.control.reference is None and rig.control.journal.notices == notices
+    await rig.hear()
+    assert rig.control.reference is not None and rig.control.journal.notices[-1] == "made up"
+
+
+async def test_a_defect_while_a_message_is_taken_is_a_fault_and_the_next_message_is_taken(rig, monkeypatch):
+    await rig.active()
+    await rig.follow(0.0, -5.0, 15)
+
+    def broken(_reference):
+        raise ValueError("nobody expected this")
+
+    monkeypatch.setattr(rig.control._references, "rebase", broken)
+    rig.control.deliver(ReferenceRebased(reference=rig.control.reference))
+    rig.control.deliver(rig.estimate(0.0, -6.0))
+    assert rig.control.journal.fault is None, "it is met in the control task's own stack"
+    await rig.hear()
+    await rig.hear()
+    assert rig.control.journal.fault == "unexpected ValueError in the output task: nobody expected this"
+    assert rig.control._estimate.thermal_error_um[1] == -6.0
+    await rig.turn()
+    assert rig.state == "FAULT"
+
+
+async def test_a_defect_at_the_tick_is_a_fault_and_the_loop_goes_on(tmp_path):
+    configuration, clock = machine(tmp_path), SystemClock()
+    the_rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    async with running(the_rig) as rig:
+        ticks = []
+
+        def broken():
+            ticks.append(None)
+            raise ZeroDivisionError("nobody expected this")
+
+        rig.on_tick = broken
+        task = asyncio.create_task(rig.control.run())
+        try:
+            await until(lambda: rig.state == "FAULT" or task.done())
+            await until(lambda: len(ticks) > 1 or task.done())
+            assert not task.done() and "ZeroDivisionError" in rig.control.journal.fault
+            assert len(rig.control.journal.faults) == 1, "one reason, however often"
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_an_estimate_is_written_without_waiting_for_the_next_tick(tmp_path):
     """The tick is a minute here: only the estimate itself can cause the write."""
     configuration = machine(tmp_path, tick_s=60.0, validity_s=100.0)
@@ -272,6 +326,7 @@ async def test_an_estimate_is_written_without_waiting_for_the_next_tick(tmp_path
         try:
             await until(lambda: rig.control.memory is not None)
             rig.set_reference()
+            await until(lambda: rig.control.reference is not None)
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
             for _ in range(3):
                 rig.control.deliver(rig.estimate(0.0, -5.0))
@@ -295,12 +350,14 @@ async def test_a_reference_begins_where_the_guard_went_since_the_last_poll(tmp_p
         try:
             await until(lambda: rig.control.memory is not None)
             rig.set_reference()
+            await until(lambda: rig.control.reference is not None)
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
             while rig.state != "ACTIVE" or nc.macros.get(Z) < 0.0002:
                 await wrote_after(rig, rig.estimate(0.0, -5.0))
             nc.safe_point()
             assert rig.applied["z"] >= 0.2
             rig.set_reference("r2")
+            await until(lambda: rig.control.reference.reference_id == "r2")
             await wrote_after(rig, rig.estimate(0.0, 0.0))
             assert rig.control.memory.reference_id == "r2"
             assert nc.macros.get(Z) * 1000 == pytest.approx(rig.applied["z"], abs=1e-6)

@@ -237,14 +237,15 @@ async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_
         await rig.turn(rig.estimate(0.0, -8.0))
         assert rig.state == "RETREAT" and rig.control.reference is None
         rig.set_reference("early")
+        await rig.hear()
         assert rig.control.reference is None
         assert any("zero_first" in notice for notice in rig.control.journal.notices)
         for _ in range(40):
             await rig.turn()
         assert rig.state == "OFF" and np.allclose(list(rig.applied.values()), 0.0)
         bench.nc.sequence_number = 100
-        rig.set_reference("late")
         await rig.turn()
+        rig.set_reference(last_asked(rig).reference_id)
         await rig.follow(0.0, -3.0, 20)
         assert rig.state == "ACTIVE"
         assert rig.applied["z"] == pytest.approx(3.0, abs=0.11)

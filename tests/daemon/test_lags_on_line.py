@@ -11,7 +11,7 @@ from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
 from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceRequest, SpindleSpeed
+from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
 from daemon.telemetry.metrics import Telemetry
 from models.control.state import OperatorRequest
 from models.quality import Quality, Reason
@@ -89,9 +89,16 @@ class Shop:
         self.clock = HandClock()
         self.degc, self.rpm, _ = day(seed=7, by_load=by_load)
         self.minute = 0.0
+        self.delivered = []
         self.begin()
 
+    def taken_up(self, reference):
+        """What the control task says of a reference after a restart."""
+        return ReferenceTakenUp(reference=reference, sensors=self.sensors)
+
     def begin(self):
+        kept = [item for item in self.delivered if isinstance(item, SensorsSinceReference)]
+        self.sensors = kept[-1] if kept else None
         layout = MachineLayout.from_configuration(self.configuration)
         self.history = HistoryWriter(self.configuration.history.path, clock=self.clock, machine=layout)
         self.history.start()
@@ -195,7 +202,7 @@ async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
     shop.begin()
     await shop.prepare()
     assert shop.task.inhibit() == "", "the history is long enough"
-    await shop.task._take(reference)
+    await shop.task._take(shop.taken_up(reference))
     await shop.run(1)
     assert shop.latest.thermal_error_um == pytest.approx(before, abs=0.3)
     assert shop.latest.confidence > 0.9
@@ -223,7 +230,7 @@ async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_
 
     shop.begin()
     await shop.prepare()
-    await shop.task._take(reference)
+    await shop.task._take(shop.taken_up(reference))
     await shop.run(1)
     assert shop.latest.imputed == (1,)
     assert shop.latest.confidence == pytest.approx(confidence, abs=0.05)
@@ -256,7 +263,7 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
 
     shop.begin()
     await shop.prepare()
-    await shop.task._take(reference)
+    await shop.task._take(shop.taken_up(reference))
     await shop.run(1)
     assert shop.latest.imputed == () and shop.latest.confidence == pytest.approx(before.confidence, abs=0.05)
     assert shop.latest.thermal_error_um == pytest.approx(before.thermal_error_um, abs=0.5)
@@ -279,7 +286,7 @@ async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path,
         return past(*span)
 
     shop.task._online._history = noted
-    await shop.task._take(reference)
+    await shop.task._take(shop.taken_up(reference))
     assert readers and threading.get_ident() not in readers
     await shop.end()
 

@@ -46,14 +46,14 @@ async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(liste
     listener.setblocking(False)
     configuration, clock = machine(tmp_path), HandClock()
     rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
-    rig.control._on_tick = lambda: manager.watchdog("x")
+    rig.on_tick = lambda: manager.watchdog("x")
     loop = asyncio.get_running_loop()
     async with running(rig), asyncio.timeout(30):
         task = asyncio.create_task(rig.control.run())
         try:
             for _ in range(3):
                 clock.monotonic_s += 1.1
-                rig.control._wake.set()
+                rig.control._inbox.wake()
                 assert (await loop.sock_recv(listener, 1000)).startswith(b"WATCHDOG=1")
         finally:
             task.cancel()

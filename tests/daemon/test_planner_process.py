@@ -266,7 +266,7 @@ async def test_a_lost_planner_freezes_the_speed_and_a_new_one_goes_on(tmp_path: 
                 await asyncio.sleep(0)
             bench.degc += 10.0
             await bench.rig.turn(after_s=1.0, safe=False)
-            await bench.rig.control._guarded(bench.rig.control.side.show(bench.rig.link.session))
+            await bench.rig.serve()
             assert bench.picture()["state"] == "HOLD"
             assert "is started again, and the speed is frozen" in bench.picture()["alarm"]
             assert bench.picture()["target_rpm"] is None

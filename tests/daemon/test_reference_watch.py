@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daemon.cnc.clock_watch import power_cycled
-from daemon.compensation.references import end_of_reference, phase_of, positioning_passed
+from models.control.program import phase_of, positioning_passed, power_cycled
+from models.control.reference import end_of_reference
 from models.records import CncMode, CncRun, CncSample, Instant, Phase, Reference
 
 NOW = Instant(monotonic_s=0.0, utc_s=0.0, real_s=0.0)

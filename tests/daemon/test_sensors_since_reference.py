@@ -41,7 +41,7 @@ async def test_a_sensor_that_returns_after_a_restart_moves_nothing_either(task):
     again = task.restarted(model())
     try:
         again.clock.monotonic_s += 300.0
-        await again.task._take(reference)
+        await again.task._take(task.taken_up(reference))
         await again.minutes(3, spindle=[30.0, 22.0, 22.0], column=22.0)
         assert_unmoved(again, before)
         await again.minutes(2, spindle=[30.5, 22.0, 22.0], column=22.0)
@@ -85,7 +85,7 @@ async def test_after_a_restart_a_line_that_speaks_later_than_the_others_has_not_
     assert before.thermal_error_um == pytest.approx([3.0])
     again = task.restarted(model())
     try:
-        await again.task._take(reference)
+        await again.task._take(task.taken_up(reference))
         await again.cycle("spindle", 20.0)
         assert again.estimates == []
         await again.minutes(2, spindle=20.0, column=23.0)
@@ -100,7 +100,7 @@ async def test_after_a_restart_a_line_that_stays_silent_is_imputed_once_it_would
     await task.minutes(1)
     again = task.restarted(model())
     try:
-        await again.task._take(task.references[-1])
+        await again.task._take(task.taken_up(task.references[-1]))
         await again.minutes(1, column=None)
         assert again.estimates == []
         await again.minutes(0.5, column=None)
@@ -115,7 +115,7 @@ async def test_what_is_known_since_another_reference_is_not_taken_over(task):
     other = replace(task.references[0], reference_id="r0")
     again = task.restarted(model())
     try:
-        await again.task._take(other)
+        await again.task._take(task.taken_up(other))
         await again.minutes(2, spindle=22.0, column=22.0)
         assert again.estimates[-1].thermal_error_um == pytest.approx([6.0])
     finally:
@@ -149,7 +149,7 @@ async def test_the_label_of_a_tool_does_not_jump_when_a_sensor_leaves_or_returns
     kept = task.task._reference
     again = task.restarted(small)
     try:
-        await again.task._take(kept)
+        await again.task._take(task.taken_up(kept))
         await again.minutes(4, spindle=22.0, column=[22.0, 10.0])
         assert {round(estimate.label_increment_degc["A"], 9) for estimate in again.estimates} == {3.0}
         await again.minutes(2, spindle=22.0, column=[22.0, 11.0])

@@ -61,7 +61,7 @@ async def follow_true_error(rig, true_um, estimated_um, turns):
     for k in range(turns):
         share = min(k / 20.0, 1.0)
         await rig.turn(rig.estimate(0.0, share * estimated_um))
-        rig.control.displacement(row(rig, share * true_um))
+        rig.control.deliver(row(rig, share * true_um))
 
 
 async def test_an_estimate_of_the_wrong_sign_is_followed_no_longer(rig):
@@ -84,6 +84,6 @@ async def test_a_new_reference_begins_anew(rig):
     assert rig.state == "HOLD"
     rig.set_reference("r2")
     await rig.follow(0.0, 0.0, 3)
-    rig.control.displacement(row(rig, -12.0))
+    rig.control.deliver(row(rig, -12.0))
     await rig.follow(0.0, 0.0, 3)
     assert rig.state == "ACTIVE"

@@ -64,7 +64,7 @@ async def test_a_call_is_not_joined_with_the_tool_of_an_older_poll(bench: SpeedR
     bench.nc.tool_number = 2
     bench.call(D=3.0)
     bench.clock.monotonic_s += 1.0
-    await bench.rig.control._guarded(bench.rig.control.side.show(bench.rig.link.session))
+    await bench.rig.serve()
     assert bench.picture()["operation"] == "T1 S9000 F1800 D2"
     await bench.pass_by(2.0, SAFE)
     assert bench.picture()["operation"] == "T2 S9000 F1800 D3"
@@ -211,7 +211,7 @@ async def test_in_fault_nothing_is_decided_and_afterwards_nothing_leaps(bench: S
 
 
 async def test_where_nothing_may_be_written_it_says_so_and_decides_nothing(bench: SpeedRig) -> None:
-    bench.rig.control._permission._commissioning = None
+    bench.rig.interlocks._commissioning = None
     assert (await bench.operation())[:2] == PROGRAMMED
     await bench.pass_by(60.0, SAFE)
     picture = bench.picture()

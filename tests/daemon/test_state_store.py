@@ -23,6 +23,7 @@ from daemon.state_store.documents import (
     WantedAxes,
 )
 from daemon.state_store.store import FORMAT_VERSION, KEYS, StateStore
+from models.control.reference_records import CncSeen, ReferenceDocument, ReferenceState, ToolOrigin
 from models.records import FloatArray, Instant
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +46,51 @@ WRITTEN_BY_0_1_0 = [
     ("spindle_speed", [SPEED | {"utc_s": 1.5e9}], DOCUMENTS[5]),
     ("spindle_speed", [], SpindleSpeeds(operations=())),
 ]
+REFERENCE = {
+    "reference_id": "000000000002",
+    "utc_s": 1760008650.0,
+    "source": "request 1 of the NC program (reference)",
+    "degc": [24.36, None, 22.66],
+    "program": 1000,
+    "work_offset": 54,
+    "power_on_count": 7,
+}
+REST = {
+    "reference_id": "000000000002",
+    "model_id": "increments-5cd2443d",
+    "error_reference_id": "000000000002",
+    "baseline_um": {"x": 0.0, "y": 1.2, "z": -5.194},
+    "offset_um": {"x": 0.0, "y": 0.0, "z": -3.938},
+    "weight": 0.788,
+    "tools": {
+        "2": {"baseline_um": [None, None, -9.212], "error_um": [0.0, 0.0, 0.167], "offset_um": [0.0, 0.0, -3.938]}
+    },
+}
+SINCE = {
+    "reference_id": "000000000002",
+    "absent": [12],
+    "excluded": {"11": "drift"},
+    "of_model": {"model_id": "lagged-small", "reference_degc": {"2": [21.2, 21.6]}, "rest_after_min": 4.2},
+    "labels": {
+        "Room": {
+            "sensor_ids": [11, 12],
+            "reference_degc": [21.8, 21.3],
+            "counted": [False, True],
+            "offset_k": [0.005, None],
+        }
+    },
+}
+TOOL = {"number": 1, "begin_degc": {"A": 0.097, "Room": 0.023}, "reference_id": "000000000002"}
+SEEN = {"utc_s": 1760009670.0, "clock_s": 9770.0, "sequence_number": 200, "idle": False}
+OF_REFERENCE = {
+    "reference": REFERENCE | {"request_counter": 5, "by_handshake": True},
+    "kept_reference": REFERENCE,
+    "rest": REST,
+    "since_reference": SINCE,
+    "tool": TOOL,
+    "cnc_seen": SEEN,
+}
+"""What 0.1.0 kept of one reference, under six keys."""
 KINDS = {key: kind for kind, key in KEYS.items()}
 
 
@@ -127,11 +173,57 @@ def test_nobody_goes_round_the_typed_documents():
     )
     files = {str(Path(line).relative_to(ROOT)) for line in found.stdout.split() if line.endswith(".py")}
     layer = {"daemon/history/writer.py", "daemon/history/reader.py", "daemon/state_store/store.py"}
-    assert files - layer <= {
-        "daemon/cnc/events.py",
-        "daemon/compensation/references.py",
-        "daemon/compensation/restart.py",
-    } | {
-        "daemon/compensation/tool.py",
-        "daemon/estimation/sensor_memory.py",
-    }
+    assert files == layer
+
+
+def reference_of_0_1_0(history, store, **changes):
+    for key, value in (OF_REFERENCE | changes).items():
+        history.put_state(key, value)
+    return store.get(ReferenceDocument)
+
+
+def test_six_keys_of_the_version_before_become_one_document(history, store):
+    document = reference_of_0_1_0(history, store)
+    record = document.record
+    assert (document.state, document.request_counter) == (ReferenceState.VALID, 5)
+    assert document.seen == CncSeen(utc_s=1760009670.0, clock_s=9770.0, sequence_number=200, idle=False)
+    assert (record.reference_id, record.by_handshake, record.reference.program) == ("000000000002", True, 1000)
+    assert record.reference.time.utc_s == 1760008650.0
+    assert record.reference.time.monotonic_s == pytest.approx(1760008650.0 - HandClock().now().utc_s + 1000.0)
+    assert np.array_equal(record.reference.degc, [24.36, np.nan, 22.66], equal_nan=True)
+    baseline = record.baseline
+    assert (baseline.axes, baseline.model_id, baseline.weight) == (("x", "y", "z"), "increments-5cd2443d", 0.788)
+    assert baseline.baseline_um.tolist() == [0.0, 1.2, -5.194] and baseline.offset_um.tolist() == [0.0, 0.0, -3.938]
+    assert np.array_equal(baseline.tools[2].baseline_um, [np.nan, np.nan, -9.212], equal_nan=True)
+    assert record.tool == ToolOrigin(number=1, begin_degc={"A": 0.097, "Room": 0.023})
+    assert record.sensors.absent == (12,) and record.sensors.excluded == {11: "drift"}
+    assert record.sensors.of_model == SINCE["of_model"]
+    assert record.sensors.labels["Room"].offset_k == (0.005, None)
+    store.put(document)
+    again = store.get(ReferenceDocument)
+    assert again.record.sensors == record.sensors and again.seen == document.seen
+
+
+def test_parts_of_another_reference_are_left_out(history, store):
+    other = {"reference_id": "another"}
+    record = reference_of_0_1_0(
+        history, store, rest=REST | other, since_reference=SINCE | other, tool=TOOL | other
+    ).record
+    assert (record.baseline, record.sensors, record.tool) == (None, None, None)
+
+
+def test_a_reference_that_had_ended_is_kept_for_the_tools(history, store):
+    document = reference_of_0_1_0(history, store, reference=None, rest=REST | {"reference_id": None})
+    assert document.state is ReferenceState.ENDED and not document.record.by_handshake
+    assert list(document.record.baseline.tools) == [2]
+
+
+def test_an_old_rest_without_weight_and_tools_counts_whole(history, store):
+    rest = {key: value for key, value in REST.items() if key not in ("weight", "tools")}
+    baseline = reference_of_0_1_0(history, store, rest=rest).record.baseline
+    assert math.isnan(baseline.weight) and not baseline.tools
+
+
+def test_where_only_the_control_was_seen_there_is_no_reference(history, store):
+    document = reference_of_0_1_0(history, store, **dict.fromkeys(set(OF_REFERENCE) - {"cnc_seen"}))
+    assert (document.state, document.record, document.seen is None) == (ReferenceState.NONE, None, False)

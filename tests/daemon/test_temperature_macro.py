@@ -47,7 +47,7 @@ def temperatures(rig, degc, *, line="column"):
 
 async def cycle(rig, degc, **changes):
     rig.control.deliver(temperatures(rig, degc, **changes))
-    await rig.control._guarded(rig.control.side.show(rig.link.session))
+    await rig.serve()
 
 
 def written(rig):
@@ -117,4 +117,4 @@ async def test_without_the_key_nothing_is_written(tmp_path):
     async with running(rig):
         await rig.turn()
         await cycle(rig, 21.5)
-        assert written(rig) == [] and not rig.control.side.due
+        assert written(rig) == [] and not rig.temperature.due

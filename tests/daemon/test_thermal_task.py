@@ -70,7 +70,7 @@ async def test_a_reference_taken_up_again_gives_estimates(task):
     reference = task.references[0]
     task.delivered.clear()
     task.task._reference = None
-    await task.task._take(reference)
+    await task.task._take(task.taken_up(reference))
     await task.minutes(1)
     assert {estimate.reference_id for estimate in task.estimates} == {"r1"}
 

@@ -4,8 +4,7 @@ import pytest
 from control_rig import running
 from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
 
-from daemon.messages import ReferenceEnded
-from models.records import Reference
+from daemon.messages import ReferenceEnded, ReferenceTakenUp
 
 
 @pytest.fixture
@@ -55,7 +54,7 @@ async def test_a_power_cycle_ends_them_and_says_which(bench):
         bench.nc.power_cycle()
         await rig.turn()
         await rig.turn()
-        assert not rig.control.memory.tools and rig.control._references.kept is None
+        assert not rig.control.memory.tools and rig.control._references.kept_id is None
         assert any("settings of T2 have ended" in notice for notice in rig.control.journal.notices)
         assert rig.asked[-1] == ReferenceEnded(reference_id="r1", for_good=True)
 
@@ -84,7 +83,9 @@ async def test_a_restart_takes_them_up_again_valid_reference_or_not(bench, ended
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.control.reference is None
-        assert [type(item) for item in rig.asked] == [Reference], "what the settings count from is estimated again"
+        assert [type(item) for item in rig.asked] == [ReferenceTakenUp], (
+            "what the settings count from is estimated again"
+        )
         await rig.follow(0.0, -13.0, 3, reference_id="r1")
         rig.set_reference("r2")
         await rig.follow(0.0, 0.0, 10)

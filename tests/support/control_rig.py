@@ -17,18 +17,21 @@ from config.schema.compensation import AxisConfig, CompensationConfig, OutputCon
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
 from daemon.cnc.audited_write import AuditedWriter
-from daemon.cnc.limits import commissioned_factors
+from daemon.cnc.events import Journal
+from daemon.cnc.interlocks import Interlocks
+from daemon.cnc.limits import commissioned_factors, output_limits, positioning_macros
 from daemon.cnc.link import CncLink
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.compensation.references import _Asked
+from daemon.compensation.parts import ControlParts
+from daemon.compensation.references import ToThermal
 from daemon.compensation.restart import ResumePoint, load_resume_point
 from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
+from daemon.compensation.temperature_macro import TemperatureMacro
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceEnded, ReferenceRequest
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.status import StatusBoard
 from daemon.snapshots import SnapshotBoard, ThermalSnapshot
@@ -41,6 +44,7 @@ from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.nc.safe_point import GUARD_VERSION
+from models.control.reference import request
 from models.control.state import OperatorRequest
 from models.records import Instant, Reference, ThermalErrorEstimate, Trace
 
@@ -110,7 +114,7 @@ def machine(directory: Path, **changes: Any) -> Configuration:
                 name: AxisConfig(estimate=channel, absolute_bound_um=30.0, slew_um_per_min=60.0, step_um=10.0)
                 for name, channel in (("x", None), ("y", "Y1"), ("z", "Z1"))
             },
-            reference=ReferenceConfig(sequence_numbers=[100]),
+            reference=ReferenceConfig(sequence_numbers=[100], positioning_dwell_s=2.0),
             output=OutputConfig(**({"safe_sequence_numbers": [900], "hold_limit_s": 600.0} | changes)),
         ),
         history=HistoryConfig(path=directory / "history.sqlite"),
@@ -153,49 +157,67 @@ class Rig:
         self.history = HistoryWriter(
             configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
         )
-        self.asked: list[ReferenceRequest | ReferenceEnded | Reference] = []
+        self.asked: list[ToThermal] = []
         self.ticks = 0
         axes = tuple(configuration.compensation.axes)
         self.block = MacroBlock(
-            configuration.cnc.macros, axes, commissioned_factors(record, axes), guard=configuration.cnc.guard
+            configuration.cnc.macros,
+            axes,
+            commissioned_factors(record, axes),
+            guard=configuration.cnc.guard,
+            also_polled=positioning_macros(configuration),
         )
         self.last_block = WriteAheadRecord.beside(configuration.history.path)
         loaded = load_resume_point(configuration, self.history, clock, self.last_block)
         self.resume = resume if resume is not None else loaded
         self.link = CncLink(nc.open, self._open_session)
+        journal = Journal(self.history, StateStore(self.history, clock), self.resume.faults)
+        self.interlocks = Interlocks(configuration, clock, record, lambda: model_obstacle)
+        self.speed = SpindleSpeedOutput(configuration, clock, journal, self.interlocks, planner)
+        self.temperature = TemperatureMacro(configuration, self.telemetry, journal, self.interlocks)
         self.control = ControlTask(
-            configuration,
-            clock,
-            self.link,
-            self.history,
-            self.telemetry,
-            commissioning=record,
-            model_id=model_id,
-            model_obstacle=lambda: model_obstacle,
-            resume=self.resume,
-            ask_reference=self.asked.append,
-            on_tick=self._tick,
-            speed=lambda journal, permission: SpindleSpeedOutput(configuration, clock, journal, permission, planner),
-            on_change=self._publish,
+            ControlParts(
+                configuration=configuration,
+                clock=clock,
+                link=self.link,
+                history=self.history,
+                telemetry=self.telemetry,
+                journal=journal,
+                interlocks=self.interlocks,
+                limits=output_limits(configuration, commissioned_factors(record, axes)),
+                resume=self.resume,
+                model_id=model_id,
+                tell_thermal=self.asked.append,
+                on_tick=lambda: self.on_tick(),  # noqa: PLW0108 - tests put another in its place
+                on_sample=lambda _sample: None,
+                on_change=self._publish,
+                macro_clients=(self.temperature, self.speed),
+            )
         )
         self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=NO_TEMPERATURES)
         self._publish()
 
     def _publish(self) -> None:
         self.snapshots.control = control_snapshot(self.control)
-        self.snapshots.spindle_speed = self.control.side.speed.snapshot()
+        self.snapshots.spindle_speed = self.speed.snapshot()
 
     def desk(self) -> CommandDesk:
         """The commands of a person, without the picture of the status."""
         status = StatusBoard(self.configuration, self.clock, self.snapshots, self.telemetry.picture)
         axes = self.configuration.compensation.axes
-        return CommandDesk(status, self.snapshots, output_actions(self.control), axes)
+        return CommandDesk(status, self.snapshots, output_actions(self.control, self._switch), axes)
 
     def alive(self) -> None:
         """Tell the store that the daemon lives, as its tick does."""
         StateStore(self.history, self.clock).put(DaemonAlive(utc_s=self.clock.now().utc_s))
 
-    def _tick(self) -> None:
+    def _switch(self, on: bool, person: str) -> str:
+        refusal = self.speed.turn(on=on, person=person)
+        self._publish()
+        return refusal
+
+    def on_tick(self) -> None:
+        """What the composition root does at every tick."""
         self.ticks += 1
 
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
@@ -217,11 +239,21 @@ class Rig:
         self.clock.monotonic_s += after_s  # type: ignore[attr-defined]
         if estimate is not None:
             self.control.deliver(estimate)
+        await self.hear()
         fresh, self.control._fresh = self.control._fresh, None
         await self.control._guarded(self.control._poll())
         await self.control._guarded(self.control._act(fresh))
         if safe:
             self.nc.safe_point()
+
+    async def hear(self) -> None:
+        """Let the control task take what waits for it."""
+        await self.control._guarded(self.control._take_messages())
+
+    async def serve(self) -> None:
+        """Let the macros beside the block be written."""
+        await self.hear()
+        await self.control._guarded(self.control._serve_clients())
 
     def estimate(self, y_um: float, z_um: float, **changes: Any) -> ThermalErrorEstimate:
         """An estimate from now, relative to the present reference."""
@@ -246,9 +278,10 @@ class Rig:
     def set_reference(self, reference_id: str = "r1", *, positioning: bool = True, handshake: bool = False) -> None:
         """Answer as the thermal task does, to a question of the control task or to one made up here."""
         nc = self.nc
-        asked = self.control._references._asked
-        if reference_id not in asked:
-            asked[reference_id] = _Asked(positioning=positioning, handshake=handshake)
+        references = self.control._references
+        if reference_id not in {asked.reference_id for asked in references.memory.requests}:
+            step = request(references.memory, reference_id, "a test", positioning=positioning, handshake=handshake)
+            references.memory, _ = step
         self.control.deliver(
             Reference(
                 reference_id=reference_id,

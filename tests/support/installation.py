@@ -12,13 +12,13 @@ from small_model import model
 from config.loader import load_configuration
 from daemon.backup.making import make_backup
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.compensation.references import reference_to_state
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.releasing import release
 from daemon.state_store.documents import DaemonAlive, WantedAxes
 from daemon.state_store.store import StateStore
 from drivers.clock import SystemClock
+from models.control.reference_records import ReferenceDocument, ReferenceRecord, ReferenceState
 from models.records import Reference
 
 REFERENCE = Reference(
@@ -66,7 +66,8 @@ class Installation:
         writer.start()
         store = StateStore(writer, SystemClock())
         store.put(WantedAxes(axes={"y": True, "z": True}))
-        writer.put_state("reference", reference_to_state(REFERENCE))
+        record = ReferenceRecord(reference=REFERENCE)
+        store.put(ReferenceDocument(state=ReferenceState.VALID, record=record))
         store.put(DaemonAlive(utc_s=time.time()))
         writer.event("note", "before the back-up", "anna")
         writer.close()

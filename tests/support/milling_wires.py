@@ -111,7 +111,7 @@ class MillingWires:
 
     def picture(self) -> dict[str, Any]:
         assert self.daemon is not None
-        snapshot = self.daemon.control.side.speed.snapshot()
+        snapshot = self.daemon.spindle_speed.snapshot()
         assert snapshot is not None
         return asdict(snapshot)
 

@@ -63,7 +63,7 @@ class SpeedRig:
 
     @property
     def speed(self) -> SpindleSpeedOutput:
-        return self.rig.control.side.speed
+        return self.rig.speed
 
     async def pass_by(self, seconds: float, sequence_number: int, *, temperatures: bool = True) -> None:
         """Let time pass in a block of the part program, second by second; a lost link comes back where it can."""
@@ -72,7 +72,7 @@ class SpeedRig:
             if temperatures and round(self.clock.monotonic_s) % CYCLE_S == 0:
                 self.rig.control.deliver(self.cycle())
             await self.rig.turn(after_s=1.0, safe=False)
-            await self.rig.control._guarded(self.rig.control.side.show(self.rig.link.session))
+            await self.rig.serve()
             await self.speed.worker.settled()
             if self.nc.reachable:
                 await self.rig.connected()

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from control_rig import SENSOR_IDS, HandClock, machine
 
-from daemon.estimation.task import ThermalTask
+from daemon.estimation.task import Delivery, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
+from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference
 from daemon.telemetry.metrics import Telemetry
 from models.quality import Quality, Reason
 from models.records import Reference, TemperatureCycle, ThermalErrorEstimate, Trace
@@ -55,7 +55,8 @@ class Task:
             clock=self.clock,
             machine=MachineLayout.from_configuration(self.configuration),
         )
-        self.delivered: list[ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused] = []
+        self.delivered: list[Delivery] = []
+        self.sensors: SensorsSinceReference | None = None
         self.numbers = dict.fromkeys(CHAINS, 0)
         self.task = ThermalTask(
             self.configuration,
@@ -64,8 +65,17 @@ class Task:
             Telemetry(),
             the_model,
             asyncio.Queue(),
-            self.delivered.append,
+            self._deliver,
         )
+
+    def _deliver(self, item: Delivery) -> None:
+        self.delivered.append(item)
+        if isinstance(item, SensorsSinceReference):
+            self.sensors = item
+
+    def taken_up(self, reference: Reference) -> ReferenceTakenUp:
+        """What the control task says of a reference after a restart."""
+        return ReferenceTakenUp(reference=reference, sensors=self.sensors)
 
     def restarted(self, the_model: ThermalModel | None) -> "Task":
         """End this daemon; return the next one on the same store."""

@@ -35,7 +35,8 @@ def loop_machine(directory: Path, policy: str) -> Configuration:
         name: axis.model_copy(update={"slew_um_per_min": SLEW_UM_PER_MIN})
         for name, axis in whole.compensation.axes.items()
     }
-    changes = {"policy": policy, "max_gap_s": 25.0, "retreat_sequence_numbers": [50] if policy == "zero_first" else []}
+    retreat = [50] if policy == "zero_first" else []
+    changes = {"policy": policy, "positioning_dwell_s": 25.0, "retreat_sequence_numbers": retreat}
     reference = whole.compensation.reference.model_copy(update=changes)
     compensation = whole.compensation.model_copy(update={"axes": axes, "reference": reference})
     return whole.model_copy(update={"compensation": compensation})
@@ -154,6 +155,7 @@ class WholeLoop(Bench):
             await self._speak(line, slice(first, first + len(chain)))
             first += len(chain)
         control = self.rig.control
+        await self.rig.hear()
         fresh, control._fresh = control._fresh, None
         await control._guarded(control._poll())
         await control._guarded(control._act(fresh))

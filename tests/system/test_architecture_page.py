@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from daemon import messages, snapshots
-from daemon.compensation.task import ControlTask
+from daemon.compensation.parts import ControlParts
 from daemon.estimation.task import Message
 from models import records
 from models.records import TemperatureCycle
@@ -78,8 +78,7 @@ def test_what_goes_back_to_the_thermal_task_are_four_frozen_messages() -> None:
     assert {each.__name__ for each in upwards} == told
     for message in upwards:
         assert is_dataclass(message) and message.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    callbacks = ControlTask.__init__.__annotations__
-    assert str(callbacks.get("ask_reference", "None")).endswith("None]"), "an answer is not waited for"
+    assert str(ControlParts.__annotations__["tell_thermal"]).endswith("None]"), "an answer is not waited for"
 
 
 def test_records_messages_and_snapshots_are_frozen() -> None:

@@ -125,8 +125,14 @@ def installed(tmp_path: Path) -> Installed:
 # --- configuration ---------------------------------------------------------------------------
 
 
+UNUSED_DEFAULT_S = 5.0
+"""0.1.0 had this for `reference.max_gap_s`, which is used no longer [s]."""
+
+
 def with_present_names(content: dict[str, Any]) -> dict[str, Any]:
-    """Return an old configuration's content under the names that its keys have now."""
+    """Return an old configuration's content under the names that its keys have now; the default of one is gone."""
+    if content["compensation"]["reference"]["max_gap_s"] == UNUSED_DEFAULT_S:
+        del content["compensation"]["reference"]["max_gap_s"]
     for old, new in RENAMED.items():
         *sections, key = old.split(".")
         part: Any = content
@@ -344,8 +350,11 @@ async def test_a_restart_goes_on_where_the_old_version_was_killed(restarted: Res
 async def test_every_state_that_was_kept_is_read(restarted: Restarted, asked: set[str]) -> None:
     await restarted.moment()
     assert asked >= set(expected("store/expected.json")["state"])
-    kept = plain(restarted.rig.resume.kept_reference)
-    agree(kept, expected("store/resumed.json")["resume_point"]["kept_reference"], "kept_reference")
+    record = restarted.rig.control._references.memory.record
+    assert record is not None and record.tool is not None and record.sensors is not None
+    agree(plain(record.reference), expected("store/resumed.json")["resume_point"]["kept_reference"], "kept_reference")
+    assert record.sensors.absent == (11,) and set(record.sensors.labels) == {"A", "Room"}
+    assert set(record.tool.begin_degc) == {"A", "Room"}
 
 
 async def test_what_the_old_version_applied_is_taken_back(restarted: Restarted) -> None:
@@ -372,7 +381,7 @@ async def test_a_latched_fault_and_a_switch_survive(tmp_path: Path) -> None:
     async with running(rig):
         await rig.turn()
         assert rig.state == "FAULT" and rig.control.journal.fault == wanted["state"]["fault"]
-        snapshot = rig.control.side.speed.snapshot()
+        snapshot = rig.speed.snapshot()
         assert snapshot is not None and snapshot.switched_on is False
 
 
@@ -473,7 +482,7 @@ def test_the_backup_restores(tmp_path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         states = {key: json.loads(text) for key, text in connection.execute("SELECT key, json FROM state")}
         outcomes = [list(row) for row in connection.execute("SELECT outcome, count(*) FROM writes GROUP BY outcome")]
-    assert states["fault"] == wanted["state"]["fault"] and not {"wanted", "reference"} & set(states)
+    assert states["fault"]["reasons"] == [wanted["state"]["fault"]] and not {"wanted", "reference"} & set(states)
     assert outcomes == wanted["writes_by_outcome"]
     for place in wanted["placed"]:
         assert Path(moved(place, installed.folder)).exists()

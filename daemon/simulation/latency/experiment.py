@@ -70,7 +70,6 @@ def latency_machine(base: dict[str, Any], experiment: Experiment, folder: Path) 
     speed, cleansing = experiment.speed, base["temperatures"].setdefault("cleansing", {})
     base["machine"] = "simulated CFRP machine tool, one sensor on packs"
     base["cnc"]["poll_period_s"] = max(0.5, POLL_REAL_S[experiment.mode] * speed)
-    base["compensation"]["reference"]["max_gap_s"] = max(5.0, speed)
     sensor = moved_sensor(base)
     if experiment.mode == "temperature":
         base["cnc"]["temperature_macro"] = {

@@ -1,0 +1,76 @@
+"""From what the control task knows to what one step of the output may depend on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.control.axis_map import AxisSource, nose_errors_um, tool_terms_um
+from models.control.reference import tool_begin_degc
+from models.control.reference_records import ReferenceMemory
+from models.control.state import OperatorRequest, OutputInputs
+from models.records import FloatArray, Phase, ThermalErrorEstimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputView:
+    """What the control task knows when it decides."""
+
+    now_s: float
+    phase: Phase
+    link: bool
+    """The CNC answers, its echo is known, and it may be written to."""
+    applied_um: FloatArray
+    written_um: FloatArray | None
+    sources: tuple[AxisSource, ...]
+    estimate: ThermalErrorEstimate | None
+    reference: ReferenceMemory
+    zero_first: bool
+    fault: str | None
+    refusals: tuple[str, ...]
+    request: OperatorRequest
+    tool_number: int
+    tool_setting: tuple[bool, ...] | None
+    probe_um: FloatArray | None
+
+
+def output_inputs(view: OutputView) -> OutputInputs:
+    """Return everything that the next step of the output may depend on."""
+    estimate, record = view.estimate, view.reference.record
+    reference = view.reference.in_force
+    return OutputInputs(
+        now_s=view.now_s,
+        phase=view.phase,
+        link=view.link,
+        applied_um=view.applied_um,
+        written_um=view.written_um,
+        thermal_error_um=nose_errors_um(view.sources, estimate)
+        if estimate is not None
+        else np.full(len(view.sources), np.nan),
+        tool_term_um=tool_term_um(view.sources, estimate, view.reference, view.tool_number)
+        if estimate is not None
+        else None,
+        estimate_age_s=view.now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
+        confidence=estimate.confidence if estimate is not None else 0.0,
+        doubt=estimate.doubt if estimate is not None else "",
+        in_domain=estimate.in_domain if estimate is not None else False,
+        reference_id=reference.reference_id if reference is not None else None,
+        reference_ended=view.reference.ended,
+        estimate_reference_id=estimate.reference_id if estimate is not None else None,
+        kept_reference_id=record.reference_id if record is not None else None,
+        model_id=estimate.model_id if estimate is not None else None,
+        output_fault=view.fault,
+        refusals=view.refusals,
+        request=view.request,
+        zero_first=view.zero_first,
+        tool_number=view.tool_number,
+        tool_setting=view.tool_setting,
+        probe_um=view.probe_um,
+    )
+
+
+def tool_term_um(
+    sources: tuple[AxisSource, ...], estimate: ThermalErrorEstimate, reference: ReferenceMemory, tool_number: int
+) -> FloatArray:
+    """Return the tool's expansion per axis [um]; since the reference when the tool was in the spindle then."""
+    begin = tool_begin_degc(reference, tool_number, estimate.reference_id)
+    return tool_terms_um(sources, estimate.label_increment_degc, begin)

@@ -1,0 +1,68 @@
+"""What the control task is made of, as the composition root hands it in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from config.schema import Configuration
+from daemon.cnc.events import Journal
+from daemon.cnc.interlocks import Interlocks
+from daemon.cnc.link import CncLink
+from daemon.cnc.session import CncSession
+from daemon.compensation.references import ToThermal
+from daemon.compensation.restart import ResumePoint
+from daemon.history.writer import HistoryWriter
+from daemon.telemetry.metrics import Telemetry
+from drivers.clock import Clock
+from models.control.state import OutputLimits
+from models.records import CncSample, MachineTemperatures, Phase
+
+
+class MacroClient(Protocol):
+    """Writes macros of its own beside the block, in the control task's stack."""
+
+    @property
+    def due(self) -> bool:
+        """A value waits to be written."""
+
+    def on_temperatures(self, temperatures: MachineTemperatures) -> None:
+        """Take a cycle of the sensors."""
+
+    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+        """Write what is due; return soon when nothing is.
+
+        `sample` is the latest poll, with the part program's block while a program of the guard runs.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlParts:
+    """Everything that the control task uses and does not own alone."""
+
+    configuration: Configuration
+    clock: Clock
+    link: CncLink
+    history: HistoryWriter
+    telemetry: Telemetry
+    journal: Journal
+    interlocks: Interlocks
+    limits: OutputLimits
+    resume: ResumePoint
+    model_id: str | None
+    """The model at the start."""
+    tell_thermal: Callable[[ToThermal], None]
+    on_tick: Callable[[], None]
+    on_sample: Callable[[CncSample], None]
+    on_change: Callable[[], None]
+    """Called when there is something new to show."""
+    macro_clients: tuple[MacroClient, ...] = ()
+
+    @property
+    def validity_s(self) -> float:
+        """How far valid_until lies ahead of the CNC's clock [s]."""
+        return self.configuration.compensation.output.validity_s
+
+    @property
+    def max_outage_s(self) -> float:
+        """After a longer outage nothing is taken up again [s]."""
+        return self.configuration.compensation.reference.max_outage_s

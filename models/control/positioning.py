@@ -1,0 +1,37 @@
+"""Whether a positioning of the work may have passed between two polls of the CNC that nobody saw."""
+
+from models.control.program import IDLE
+from models.control.reference_records import CncSeen, ReferenceRules
+from models.records import CncSample
+
+
+def seen_of(sample: CncSample, rules: ReferenceRules) -> CncSeen:
+    counter = rules.positioning_counter
+    return CncSeen(
+        utc_s=sample.time.utc_s,
+        clock_s=sample.clock_s,
+        sequence_number=sample.sequence_number,
+        idle=sample.run in IDLE,
+        positioning_count=None if counter is None else sample.macros.get(counter),
+    )
+
+
+def may_be_missed(before: CncSeen, now: CncSeen, gap_s: float, rules: ReferenceRules, *, by_handshake: bool) -> str:
+    """Return why a positioning may have passed in a gap, '' when that is excluded.
+
+    It is where the program cannot have left the positioning block again, where the handshake or the counter of
+    positionings tells of every one, and where the program stood at the same block before and after.
+    """
+    if not rules.sequence_numbers or by_handshake or gap_s < rules.positioning_dwell_s:
+        return ""
+    counts = before.positioning_count, now.positioning_count
+    if None not in counts:
+        proved = counts[0] == counts[1]
+    else:
+        proved = before.idle and now.idle and before.sequence_number == now.sequence_number
+    if proved:
+        return ""
+    return (
+        f"the CNC could not be polled for {gap_s:.1f} s while the program ran, so a positioning may have been missed; "
+        "pass the positioning again or set the reference by hand (`toolpoint reference`)"
+    )

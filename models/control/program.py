@@ -1,0 +1,69 @@
+"""What polls of the CNC tell: where the part program is, and whether the control was switched off meanwhile."""
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from models.records import CncRun, CncSample, Phase
+
+IDLE = (CncRun.RESET, CncRun.STOP)
+"""Run states in which no program runs."""
+CLOCK_STEP_S = 1.0
+"""The CNC's clock going back by more than this means that it was switched off [s]."""
+CLOCK_GAP_REAL_S = 2.0
+"""After a silence as long as this the CNC's clock is held against ours [s of the wall clock]."""
+CLOCK_DRIFT = 0.02
+"""Share of the elapsed time by which two clocks may differ."""
+
+
+def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int], safe_flag: int | None = None) -> Phase:
+    """Return what the machine is doing; everything that is not known to be harmless is cutting."""
+    if sample.run in IDLE:
+        return Phase.IDLE
+    flagged = safe_flag is not None and sample.macros.get(safe_flag) == 1.0
+    if sample.run is CncRun.START and (flagged or sample.sequence_number in safe_sequence_numbers):
+        return Phase.SAFE_POINT
+    return Phase.CUTTING
+
+
+def in_part_program(previous: CncSample | None, polled: CncSample, guard_programs: Collection[int]) -> CncSample:
+    """Return a poll as the part program stands in it: the guard's own programs are no other program."""
+    if previous is None or polled.program not in guard_programs:
+        return polled
+    return replace(polled, program=previous.program, sequence_number=previous.sequence_number)
+
+
+def positioning_passed(
+    previous: CncSample | None, sample: CncSample, program: int | None, sequence_numbers: Collection[int]
+) -> bool:
+    """Whether the program has reached a positioning block since the previous sample."""
+    if sample.sequence_number not in sequence_numbers or sample.run is not CncRun.START:
+        return False
+    if program is not None and sample.program != program:
+        return False
+    if previous is None:
+        return False
+    if previous.run in IDLE:
+        return True
+    return (previous.program, previous.sequence_number) != (sample.program, sample.sequence_number)
+
+
+def power_cycled(previous: CncSample | None, sample: CncSample) -> bool:
+    """Whether the control was switched off between two samples."""
+    if previous is None:
+        return False
+    if sample.power_on_count != previous.power_on_count or sample.clock_s < previous.clock_s - CLOCK_STEP_S:
+        return True
+    if sample.time.real_s - previous.time.real_s < CLOCK_GAP_REAL_S:
+        return False
+    elapsed_s = sample.time.monotonic_s - previous.time.monotonic_s
+    return clock_restarted(sample.clock_s - previous.clock_s, elapsed_s)
+
+
+def clock_restarted(advance_s: float, elapsed_s: float) -> bool:
+    """Whether the CNC's clock went on by less than the time that has passed here."""
+    return advance_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
+
+
+def clocks_differ(advance_s: float, elapsed_s: float) -> bool:
+    """Whether the CNC's clock went on by less or by more than the time that has passed here."""
+    return abs(advance_s - elapsed_s) > max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * abs(elapsed_s))

@@ -1,0 +1,340 @@
+"""The life of the reference, as pure functions on events: asked for, in force, ended, kept for the tool settings.
+
+Every function takes what is remembered and what has happened, and returns what is remembered from then on and what
+follows from it: messages to the estimation, and what people are told. `TRANSITIONS` is the whole state machine: for
+each state the conditions that leave it, the first that holds wins.
+
+A reference never moves the output: what is applied when it comes into force becomes the baseline, which
+`models.control.baseline` takes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import StrEnum
+from types import MappingProxyType
+
+from models.control.positioning import may_be_missed, seen_of
+from models.control.program import in_part_program, positioning_passed, power_cycled
+from models.control.reference_records import (
+    Announcement,
+    Effect,
+    OutputBaseline,
+    ReferenceEnded,
+    ReferenceMemory,
+    ReferenceRecord,
+    ReferenceRequest,
+    ReferenceRules,
+    ReferenceState,
+    ReferenceTakenUp,
+    RequestedReference,
+    SensorsSinceReference,
+    ToolOrigin,
+)
+from models.control.state import OutputMemory
+from models.records import CncRun, CncSample, Reference
+
+SWITCHED_OFF = "the CNC was switched off and on"
+CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
+
+Step = tuple[ReferenceMemory, tuple[Effect, ...]]
+"""What is remembered after an event, and what follows from it."""
+
+
+class Condition(StrEnum):
+    """What may leave a state."""
+
+    IN_FORCE = "a reference came that holds"
+    ASKED_FOR = "one is asked for"
+    HOLDS_NO_LONGER = "the one in force holds no longer"
+    NOTHING_COUNTS = "nothing may count from the one that has ended"
+    KEPT = "nobody asks, and tool settings count from one that has ended"
+    NOBODY_ASKS = "nobody asks for one any more"
+
+
+TRANSITIONS: dict[ReferenceState, tuple[tuple[Condition, ReferenceState], ...]] = {
+    ReferenceState.NONE: (
+        (Condition.IN_FORCE, ReferenceState.VALID),
+        (Condition.ASKED_FOR, ReferenceState.REQUESTED),
+        (Condition.KEPT, ReferenceState.ENDED),
+    ),
+    ReferenceState.REQUESTED: (
+        (Condition.IN_FORCE, ReferenceState.VALID),
+        (Condition.KEPT, ReferenceState.ENDED),
+        (Condition.NOBODY_ASKS, ReferenceState.NONE),
+    ),
+    ReferenceState.VALID: (
+        (Condition.NOTHING_COUNTS, ReferenceState.NONE),
+        (Condition.HOLDS_NO_LONGER, ReferenceState.ENDED),
+    ),
+    ReferenceState.ENDED: (
+        (Condition.IN_FORCE, ReferenceState.VALID),
+        (Condition.NOTHING_COUNTS, ReferenceState.NONE),
+        (Condition.ASKED_FOR, ReferenceState.REQUESTED),
+    ),
+}
+"""State -> (condition, next state), the first condition that holds wins."""
+
+
+def on_sample(
+    memory: ReferenceMemory, polled: CncSample, rules: ReferenceRules, *, asked_s: float, new_id: str
+) -> Step:
+    """Take one poll of the CNC: a positioning may have passed, or the reference have ended.
+
+    Parameters
+    ----------
+    memory
+        From the previous event.
+    polled
+        The poll.
+    rules
+        Where the work is positioned.
+    asked_s
+        Monotonic time at which the control was asked for it [s]; what it shows is no older.
+    new_id
+        Identity of the reference that is asked for, if one is.
+
+    Returns
+    -------
+    Step
+        Memory and effects.
+
+    """
+    previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs)
+    missed = "" if previous is None else _missed(memory, previous, sample, rules)
+    memory, effects = _retreated(replace(memory, sample=sample, asked_s=asked_s), sample, rules)
+    record, restarted = memory.record, power_cycled(previous, sample)
+    cycled = record is not None and (restarted or record.reference.power_on_count != sample.power_on_count)
+    ended = missed
+    if memory.in_force is not None:
+        ended = end_of_reference(memory.in_force, sample) or (CLOCK_WENT_BACK if restarted else "") or missed
+    ended = ended or _unanswered(memory, sample, rules)
+    if ended or cycled:
+        memory, more = end(memory, ended or SWITCHED_OFF, for_good=cycled)
+        effects += more
+    if positioning_passed(previous, sample, rules.program, rules.sequence_numbers):
+        source = f"O{sample.program} N{sample.sequence_number}"
+        memory, more = request(replace(memory, positioning_seen=True), new_id, source, positioning=True)
+        effects += more
+    return memory, effects
+
+
+def request(
+    memory: ReferenceMemory, reference_id: str, source: str, *, positioning: bool, handshake: bool = False
+) -> Step:
+    """Ask for a reference now."""
+    assert memory.sample is not None
+    asked = RequestedReference(
+        reference_id=reference_id,
+        positioning=positioning,
+        handshake=handshake,
+        asked_s=memory.sample.time.monotonic_s,
+    )
+    question = ReferenceRequest(
+        reference_id=reference_id,
+        source=source,
+        program=memory.sample.program,
+        work_offset=memory.sample.work_offset,
+        power_on_count=memory.sample.power_on_count,
+    )
+    return moved(replace(memory, requests=(*memory.requests, asked))), (question,)
+
+
+def adopt(memory: ReferenceMemory, reference: Reference, rules: ReferenceRules, *, still_applied_um: float) -> Step:
+    """Take a reference that has come into force, or refuse it; nobody waits any more for what was asked before it."""
+    asked = _request_for(memory, reference.reference_id)
+    why = _refusal(memory, reference, asked, rules, still_applied_um)
+    if why:
+        return refuse(memory, reference.reference_id, why)
+    record = ReferenceRecord(reference=reference, by_handshake=asked is not None and asked.handshake)
+    memory = replace(
+        memory,
+        requests=memory.requests[memory.requests.index(asked) + 1 :] if asked is not None else (),
+        record=record,
+        ended="",
+        outcome=(reference.reference_id, ""),
+        retreating=False,
+    )
+    return moved(memory, in_force=True), (Announcement(kind="reference", text=f"set by {reference.source}"),)
+
+
+def refuse(memory: ReferenceMemory, reference_id: str, why: str) -> Step:
+    """Take the refusal of a reference that was asked for; work that was positioned has none then."""
+    asked = _request_for(memory, reference_id)
+    effects: tuple[Effect, ...] = (ReferenceEnded(reference_id=reference_id),)
+    memory = replace(withdraw(memory, reference_id), outcome=(reference_id, why))
+    if asked is not None and asked.positioning:
+        memory, more = end(memory, f"the work was positioned again, and that set none ({why})")
+        effects += more
+    if memory.record is not None:
+        effects += (ReferenceTakenUp(reference=memory.record.reference, sensors=memory.record.sensors),)
+    return memory, effects
+
+
+def withdraw(memory: ReferenceMemory, reference_id: str) -> ReferenceMemory:
+    """Return the memory when nobody waits for this reference any more."""
+    left = tuple(asked for asked in memory.requests if asked.reference_id != reference_id)
+    return moved(replace(memory, requests=left))
+
+
+def end(memory: ReferenceMemory, why: str, *, for_good: bool = False) -> Step:
+    """End the reference in force, and what was asked for before."""
+    record, in_force = memory.record, memory.in_force is not None
+    ended = why if in_force or memory.requests else memory.ended
+    memory = replace(memory, requests=(), ended=ended)
+    if record is None or not (in_force or for_good):
+        return moved(memory), ()
+    effects: tuple[Effect, ...] = (ReferenceEnded(reference_id=record.reference_id, for_good=for_good),)
+    if in_force:
+        effects = (Announcement(kind="notice", text=f"reference ended: {why}"), *effects)
+    memory = replace(memory, record=None if for_good else record)
+    return moved(memory, holds_no_longer=True), effects
+
+
+def rebase(memory: ReferenceMemory, reference: Reference) -> ReferenceMemory:
+    """Take the temperatures of returned sensors, which were set anew; a reference never comes back by that."""
+    if memory.record is None or memory.record.reference_id != reference.reference_id:
+        return memory
+    return replace(memory, record=replace(memory.record, reference=reference))
+
+
+def positioned_by_handshake(memory: ReferenceMemory, rules: ReferenceRules) -> Step:
+    """Take the handshake's word for a positioning; tell when polling has not seen its sequence number pass."""
+    text = "the handshake reports a positioning whose sequence number passed between two polls"
+    unseen = bool(rules.sequence_numbers) and not memory.positioning_seen
+    return replace(memory, positioning_seen=False), (Announcement(kind="notice", text=text),) if unseen else ()
+
+
+def end_of_reference(reference: Reference, sample: CncSample) -> str:
+    """Return why a reference no longer holds by what it is bound to, '' while it does."""
+    if sample.power_on_count != reference.power_on_count:
+        return SWITCHED_OFF
+    if sample.work_offset != reference.work_offset:
+        return f"the work offset changed from {reference.work_offset} to {sample.work_offset}"
+    if sample.program != reference.program:
+        return f"the program changed from O{reference.program} to O{sample.program}"
+    return ""
+
+
+def moved(memory: ReferenceMemory, *, in_force: bool = False, holds_no_longer: bool = False) -> ReferenceMemory:
+    """Return the memory in the state that its table says."""
+    kept, asked = memory.record is not None, bool(memory.requests)
+    holds = {
+        Condition.IN_FORCE: in_force,
+        Condition.ASKED_FOR: asked,
+        Condition.HOLDS_NO_LONGER: holds_no_longer,
+        Condition.NOTHING_COUNTS: not kept,
+        Condition.KEPT: kept and not asked,
+        Condition.NOBODY_ASKS: not asked,
+    }
+    for condition, target in TRANSITIONS[memory.state]:
+        if holds[condition]:
+            return replace(memory, state=target)
+    return memory
+
+
+# --- what counts from the reference ------------------------------------------------------
+
+
+def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, ...]) -> ReferenceMemory:
+    """Take what the output counts from, where it counts from this reference."""
+    record = memory.record
+    if record is None or output.error_reference_id != record.reference_id:
+        return memory
+    known = record.baseline
+    if (
+        known is not None
+        and known.baseline_um is output.baseline_um
+        and known.offset_um is output.offset_um
+        and known.tools is output.tools
+        and (known.weight, known.model_id) == (output.weight, output.model_id)
+    ):
+        return memory
+    baseline = OutputBaseline(
+        axes=axes,
+        model_id=output.model_id,
+        baseline_um=output.baseline_um,
+        offset_um=output.offset_um,
+        weight=output.weight,
+        tools=output.tools,
+    )
+    return replace(memory, record=replace(record, baseline=baseline))
+
+
+def tool_begins(memory: ReferenceMemory, tool: ToolOrigin, estimate_reference_id: str | None) -> ReferenceMemory:
+    """Let the expansion of the tool in the spindle count from now."""
+    if memory.record is None:
+        return memory
+    ours = estimate_reference_id == memory.record.reference_id
+    return replace(memory, record=replace(memory.record, tool=tool if ours else None))
+
+
+def tool_begin_degc(
+    memory: ReferenceMemory, tool_number: int, estimate_reference_id: str | None
+) -> Mapping[str, float]:
+    """Return the increments of the labels since which a tool's expansion counts [K]; empty: since the reference."""
+    record = memory.record
+    if record is None or record.tool is None or estimate_reference_id != record.reference_id:
+        return MappingProxyType({})
+    return record.tool.begin_degc if record.tool.number == tool_number else MappingProxyType({})
+
+
+def with_sensors(memory: ReferenceMemory, sensors: SensorsSinceReference) -> ReferenceMemory:
+    """Take what the estimation knows of the sensors since the reference."""
+    if memory.record is None or memory.record.reference_id != sensors.reference_id:
+        return memory
+    return replace(memory, record=replace(memory.record, sensors=sensors))
+
+
+# --- the parts of it ---------------------------------------------------------------------
+
+
+def _request_for(memory: ReferenceMemory, reference_id: str) -> RequestedReference | None:
+    return next((asked for asked in memory.requests if asked.reference_id == reference_id), None)
+
+
+def _refusal(
+    memory: ReferenceMemory,
+    reference: Reference,
+    asked: RequestedReference | None,
+    rules: ReferenceRules,
+    still_applied_um: float,
+) -> str:
+    what = f"reference of {reference.source} refused"
+    if asked is None:
+        return f"{what}: nobody waits for it any more"
+    if rules.zero_first and still_applied_um > 0.0:
+        return (
+            f"{what}: the policy is zero_first and {still_applied_um:.1f} um are still applied; let the program wait "
+            "at its retreat block until the offset is out"
+        )
+    if memory.sample is not None and (ended := end_of_reference(reference, memory.sample)):
+        return f"{what}: meanwhile {ended}"
+    return ""
+
+
+def _retreated(memory: ReferenceMemory, sample: CncSample, rules: ReferenceRules) -> Step:
+    """Under zero_first, the retreat block ends what there is and takes the offset out, reference or not."""
+    if not rules.zero_first or sample.run is not CncRun.START or memory.retreating:
+        return memory, ()
+    if rules.program not in (None, sample.program) or sample.sequence_number not in rules.retreat_sequence_numbers:
+        return memory, ()
+    why = f"N{sample.sequence_number} takes the offset out before the next positioning"
+    return end(replace(memory, retreating=True), why)
+
+
+def _unanswered(memory: ReferenceMemory, sample: CncSample, rules: ReferenceRules) -> str:
+    """Return why work that was positioned has no reference although nobody refused one, '' while one may come."""
+    latest_s = sample.time.monotonic_s - rules.answer_within_s
+    if any(asked.positioning and asked.asked_s < latest_s for asked in memory.requests):
+        return f"the work was positioned again, and no reference has come within {rules.answer_within_s:g} s"
+    return ""
+
+
+def _missed(memory: ReferenceMemory, previous: CncSample, sample: CncSample, rules: ReferenceRules) -> str:
+    """Return why a positioning may have been missed between two polls, '' when none can have been."""
+    gap_s = sample.time.monotonic_s - memory.asked_s
+    if memory.in_force is not None and memory.record is not None:
+        by_handshake = memory.record.by_handshake
+    else:
+        by_handshake = all(asked.handshake for asked in memory.requests)
+    return may_be_missed(seen_of(previous, rules), seen_of(sample, rules), gap_s, rules, by_handshake=by_handshake)

@@ -1,0 +1,495 @@
+"""The life of a reference: its table, its rules on single events, and that nothing is ever missed."""
+
+import json
+from dataclasses import replace
+from itertools import count
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from daemon.state_store.codec import from_json, to_json
+from models.control import reference
+from models.control.compensation import initial_memory
+from models.control.reference_records import (
+    Announcement,
+    OutputBaseline,
+    ReferenceDocument,
+    ReferenceEnded,
+    ReferenceMemory,
+    ReferenceRequest,
+    ReferenceRules,
+    ReferenceState,
+    ReferenceTakenUp,
+)
+from models.control.reference_restart import document_of, restart, resumed
+from models.control.state import ToolBaseline
+from models.records import CncMode, CncRun, CncSample, Instant, Reference
+
+NONE, REQUESTED, VALID, ENDED = ReferenceState
+DWELL_S, OTHER_S, POLL_S, STEP_S = 2.0, 1.0, 0.5, 0.25
+RULES = ReferenceRules(sequence_numbers=frozenset({100}), positioning_dwell_s=DWELL_S, positioning_counter=560)
+ZERO_FIRST = replace(RULES, zero_first=True, retreat_sequence_numbers=frozenset({50}))
+AXES, MODEL = ("y", "z"), "m"
+
+
+def at(monotonic_s):
+    return Instant(monotonic_s=monotonic_s, utc_s=1.7e9 + monotonic_s, real_s=monotonic_s)
+
+
+def sample(time_s=10.0, **changes):
+    content = {
+        "time": at(time_s),
+        "mode": CncMode.MEMORY,
+        "run": CncRun.START,
+        "alarm": False,
+        "program": 1000,
+        "sequence_number": 200,
+        "spindle_speed_rpm": 0.0,
+        "motor_temperature_degc": 20.0,
+        "clock_s": 500.0 + time_s,
+        "power_on_count": 3,
+        "work_offset": 54,
+        "tool_number": 1,
+    }
+    return CncSample(**(content | changes))
+
+
+def answered(question):
+    return Reference(
+        reference_id=question.reference_id,
+        time=at(0.0),
+        source=question.source,
+        degc=np.array([20.0, np.nan]),
+        program=question.program,
+        work_offset=question.work_offset,
+        power_on_count=question.power_on_count,
+    )
+
+
+def polled(memory, polled_sample, rules=RULES):
+    return reference.on_sample(memory, polled_sample, rules, asked_s=polled_sample.time.monotonic_s, new_id="next")
+
+
+def asked_for(memory, identity="r1", **how):
+    memory, (question,) = reference.request(memory, identity, "O1000 N100", **({"positioning": True} | how))
+    return memory, question
+
+
+def in_force(identity="r1", rules=RULES, **how):
+    memory, question = asked_for(polled(ReferenceMemory(), sample())[0], identity, **how)
+    return reference.adopt(memory, answered(question), rules, still_applied_um=0.0)[0]
+
+
+def said(effects):
+    return [effect.text for effect in effects if isinstance(effect, Announcement)]
+
+
+def test_every_state_is_entered_and_left():
+    targets = {target for leaving in reference.TRANSITIONS.values() for _, target in leaving}
+    assert set(reference.TRANSITIONS) == set(ReferenceState) == targets
+    assert {state: [target for _, target in leaving] for state, leaving in reference.TRANSITIONS.items()} == {
+        NONE: [VALID, REQUESTED, ENDED],
+        REQUESTED: [VALID, ENDED, NONE],
+        VALID: [NONE, ENDED],
+        ENDED: [VALID, NONE, REQUESTED],
+    }
+
+
+def test_asked_for_in_force_ended_and_kept():
+    memory, _ = polled(ReferenceMemory(), sample())
+    assert memory.state is NONE
+    memory, question = asked_for(memory)
+    assert memory.state is REQUESTED and (question.program, question.work_offset, question.power_on_count) == (
+        (1000, 54, 3)
+    )
+    memory, effects = reference.adopt(memory, answered(question), RULES, still_applied_um=7.0)
+    assert (memory.state, memory.outcome, said(effects)) == (VALID, ("r1", ""), ["set by O1000 N100"])
+    memory, effects = reference.end(memory, "made up")
+    assert (memory.state, memory.in_force, memory.ended) == (ENDED, None, "made up")
+    assert ReferenceEnded(reference_id="r1", for_good=False) in effects and memory.record is not None
+    memory, _ = asked_for(memory, "r2")
+    assert memory.state is REQUESTED
+    assert reference.withdraw(memory, "r2").state is ENDED
+    memory, effects = reference.end(memory, "for good", for_good=True)
+    assert (memory.state, memory.record) == (NONE, None)
+    assert effects == (ReferenceEnded(reference_id="r1", for_good=True),)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "state"),
+    [
+        ({"program": 2000}, "the program changed from O1000 to O2000", ENDED),
+        ({"work_offset": 55}, "the work offset changed from 54 to 55", ENDED),
+        ({"power_on_count": 4}, "switched off and on", NONE),
+        ({"clock_s": 5.0}, "clock went back", NONE),
+    ],
+)
+def test_what_a_reference_is_bound_to_ends_it(change, words, state):
+    memory, effects = polled(in_force(), sample(10.5, **change))
+    assert memory.state is state and words in memory.ended and words in said(effects)[0]
+
+
+def test_a_refused_positioning_leaves_the_work_without_a_reference_and_a_refused_hand_does_not():
+    for positioning, state in ((True, ENDED), (False, VALID)):
+        memory, _ = asked_for(in_force(), "r2", positioning=positioning)
+        memory, effects = reference.refuse(memory, "r2", "no temperatures")
+        assert memory.state is state and memory.outcome == ("r2", "no temperatures")
+        assert effects[-1] == ReferenceTakenUp(reference=memory.record.reference), "the estimate goes on from it"
+
+
+def test_a_reference_that_nobody_waits_for_or_that_holds_no_longer_is_refused():
+    memory, question = asked_for(polled(ReferenceMemory(), sample())[0])
+    late, _ = reference.adopt(reference.withdraw(memory, "r1"), answered(question), RULES, still_applied_um=0.0)
+    assert late.state is NONE and "nobody waits" in late.outcome[1]
+    moved, _ = polled(memory, sample(10.5, work_offset=55))
+    moved, _ = reference.adopt(moved, answered(question), RULES, still_applied_um=0.0)
+    assert moved.in_force is None and "meanwhile the work offset" in moved.outcome[1]
+
+
+def test_an_answer_to_what_was_asked_before_the_reference_in_force_comes_too_late():
+    memory, hand = asked_for(polled(ReferenceMemory(), sample())[0], "hand", positioning=False)
+    memory, question = asked_for(memory, "r2")
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    memory, _ = reference.adopt(memory, answered(hand), RULES, still_applied_um=0.0)
+    assert memory.in_force.reference_id == "r2" and "nobody waits" in memory.outcome[1]
+
+
+def test_work_that_was_positioned_is_not_followed_with_the_old_reference_when_no_answer_comes():
+    memory, question = asked_for(in_force(), "r2")
+    for step in range(1, 11):
+        memory, _ = polled(memory, sample(10.0 + POLL_S * step))
+        assert memory.state is VALID
+    memory, effects = polled(memory, sample(15.5))
+    assert memory.state is ENDED and "no reference has come within 5 s" in said(effects)[0]
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    assert memory.in_force is None, "too late is never"
+
+
+def test_zero_first_takes_the_offset_out_before_and_refuses_while_any_is_applied():
+    memory, _ = polled(in_force(rules=ZERO_FIRST), sample(10.5, sequence_number=50), ZERO_FIRST)
+    assert memory.retreating and memory.in_force is None
+    memory, question = asked_for(memory, "r2")
+    early, _ = reference.adopt(memory, answered(question), ZERO_FIRST, still_applied_um=0.5)
+    assert early.in_force is None and "zero_first" in early.outcome[1] and early.retreating
+    taken, _ = reference.adopt(memory, answered(question), ZERO_FIRST, still_applied_um=0.0)
+    assert taken.state is VALID and not taken.retreating
+
+
+def test_a_returned_sensor_never_brings_an_ended_reference_back():
+    memory, _ = reference.end(in_force(), "made up")
+    again = reference.rebase(memory, replace(memory.record.reference, degc=np.array([20.0, 21.0])))
+    assert again.state is ENDED and again.record.reference.degc[1] == 21.0
+    assert reference.rebase(again, replace(again.record.reference, reference_id="other")) is again
+
+
+# --- gaps --------------------------------------------------------------------------------
+
+
+def gap(seconds, before=None, after=None, rules=RULES, **how):
+    memory = in_force(rules=rules, **how)
+    memory, _ = polled(memory, sample(10.5, **(before or {})), rules)
+    memory, effects = polled(memory, sample(10.5 + seconds, **(after or {})), rules)
+    return memory.state, said(effects)
+
+
+STANDS = {"run": CncRun.STOP}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "before", "after", "how", "state"),
+    [
+        (1.9, {}, {}, {}, VALID),
+        (2.0, {}, {}, {}, ENDED),
+        (3.0, {}, {"sequence_number": 300}, {}, ENDED),
+        (3.0, {}, {"program": 1000}, {"rules": replace(RULES, program=7)}, ENDED),
+        (60.0, {}, {}, {"handshake": True}, VALID),
+        (60.0, {}, {}, {"rules": replace(RULES, sequence_numbers=frozenset())}, VALID),
+        (60.0, STANDS, STANDS, {}, VALID),
+        (60.0, STANDS, STANDS | {"sequence_number": 300}, {}, ENDED),
+        (60.0, {}, STANDS, {}, ENDED),
+        (60.0, STANDS, {}, {}, ENDED),
+        (60.0, {"macros": {560: 4.0}}, {"macros": {560: 4.0}}, {}, VALID),
+        (60.0, {"macros": {560: 4.0}}, {"macros": {560: 5.0}}, {}, ENDED),
+        (60.0, STANDS | {"macros": {560: 4.0}}, STANDS | {"macros": {560: 5.0}}, {}, ENDED),
+        (60.0, {"macros": {560: 4.0}}, {"macros": {560: None}}, {}, ENDED),
+    ],
+)
+def test_a_gap_that_may_hide_a_positioning_ends_the_reference_unless_the_control_proves_the_contrary(
+    seconds, before, after, how, state
+):
+    found, texts = gap(seconds, before, after, **how)
+    assert found is state
+    assert (state is VALID) != any("a positioning may have been missed" in text for text in texts)
+
+
+def test_what_was_asked_for_before_a_gap_does_not_come_into_force_after_it():
+    memory, question = asked_for(polled(ReferenceMemory(), sample())[0], positioning=False)
+    memory, _ = polled(memory, sample(14.0))
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    assert memory.in_force is None and "may have been missed" in memory.ended
+
+
+# --- what counts from it, and a restart --------------------------------------------------
+
+
+def counted(memory, tools=()):
+    output = replace(
+        initial_memory(now_s=0.0, applied_um=np.array([1.0, -2.0]), wanted=(True, True)),
+        reference_id="r1",
+        error_reference_id="r1",
+        model_id=MODEL,
+        offset_um=np.array([0.5, 0.0]),
+        weight=0.75,
+        tools={
+            number: ToolBaseline(
+                baseline_um=np.array([np.nan, 3.0]), error_um=np.zeros(2), offset_um=np.array([0.0, 0.5])
+            )
+            for number in tools
+        },
+    )
+    return reference.count_from(memory, output, AXES), output
+
+
+def test_the_baseline_belongs_to_the_reference_that_the_output_counts_from():
+    memory, output = counted(in_force())
+    assert memory.record.baseline.baseline_um.tolist() == [1.0, -2.0]
+    assert reference.count_from(memory, output, AXES) is memory, "nothing has changed"
+    assert reference.count_from(in_force("r2"), output, AXES).record.baseline is None, "the output has not taken it yet"
+
+
+def left_by(memory, now_s, counter=4):
+    """Through the store and another boot's monotonic clock."""
+    text = json.dumps(to_json(document_of(memory, RULES, counter)), allow_nan=False)
+    return from_json(ReferenceDocument, json.loads(text), at(now_s))
+
+
+def begun(left, first, *, counter=4, model_id=MODEL, axes=AXES):
+    memory, _ = polled(ReferenceMemory(), first)
+    memory, effects = restart(memory, left, RULES, axes=axes, model_id=model_id, request_counter=counter)
+    output = initial_memory(now_s=0.0, applied_um=np.array([4.0, 5.0]), wanted=(True, True))
+    return memory, effects, resumed(output, memory)
+
+
+def test_a_restart_takes_the_reference_up_with_all_that_counts_from_it():
+    memory, before = counted(in_force(handshake=True), tools=(2,))
+    memory, effects, output = begun(left_by(memory, 40.0), sample(40.0))
+    assert memory.state is VALID and np.array_equal(memory.record.reference.degc, [20.0, np.nan], equal_nan=True)
+    assert isinstance(effects[0], ReferenceTakenUp) and said(effects) == ["taken up again: O1000 N100"]
+    assert (output.reference_id, output.error_reference_id, output.model_id) == ("r1", "r1", MODEL)
+    assert (output.baseline_um.tolist(), output.offset_um.tolist(), output.weight) == ([1.0, -2.0], [0.5, 0.0], 0.75)
+    assert np.array_equal(output.tools[2].baseline_um, before.tools[2].baseline_um, equal_nan=True)
+    assert output.command_um.tolist() == [4.0, 5.0], "the command still begins at the echo"
+
+
+@pytest.mark.parametrize(
+    ("first", "how", "words", "tools_stay"),
+    [
+        (sample(40.0, work_offset=55), {}, "the work offset changed", True),
+        (sample(40.0), {"counter": 5}, "asked for something while the daemon was away", True),
+        (sample(40.0, power_on_count=4), {}, "switched off and on", False),
+        (sample(40.0, clock_s=515.0), {}, "went on differently", False),
+        (sample(4000.0), {}, "not polled for longer than 600 s", False),
+        (sample(40.0), {"model_id": "another"}, "it belongs to model m, the model is now another", False),
+        (sample(40.0), {"axes": ("y", "x")}, "its baseline was not stored", False),
+    ],
+)
+def test_what_does_not_hold_any_more_is_not_taken_up_and_says_why(first, how, words, tools_stay):
+    memory, _ = counted(in_force(handshake=True), tools=(2,))
+    memory, effects, output = begun(left_by(memory, first.time.monotonic_s), first, **how)
+    assert memory.in_force is None and words in said(effects)[0] and words in memory.ended
+    assert (memory.state, bool(output.tools)) == ((ENDED, True) if tools_stay else (NONE, False))
+    assert output.reference_id is None and output.baseline_um.tolist() == [4.0, 5.0]
+
+
+def test_a_restart_before_the_answer_to_a_positioning_does_not_take_the_reference_before_up():
+    memory, _ = counted(in_force(handshake=True), tools=(2,))
+    memory, _ = asked_for(memory, "r2")
+    memory, _, output = begun(left_by(memory, 40.0), sample(40.0))
+    assert memory.state is ENDED and "positioned again" in memory.ended and list(output.tools) == [2]
+
+
+def test_without_the_handshake_a_restart_while_the_program_ran_takes_nothing_up():
+    memory, _ = counted(in_force())
+    memory, effects, _ = begun(left_by(memory, 40.0), sample(40.0))
+    assert memory.in_force is None and "may have been missed" in said(effects)[0]
+
+
+def test_a_reference_that_was_set_since_the_start_stays():
+    memory, _ = counted(in_force())
+    after, effects = restart(
+        in_force("new"), left_by(memory, 11.0), RULES, axes=AXES, model_id=MODEL, request_counter=4
+    )
+    assert after.in_force.reference_id == "new" and effects == ()
+
+
+# --- whatever happens --------------------------------------------------------------------
+
+
+class Workshop(RuleBasedStateMachine):
+    """A control whose program positions work again and again, and a daemon that polls it when it can.
+
+    Known is what the daemon cannot know: how often the work was positioned. Nothing may count from a positioning
+    that is not the latest. What standing idle proves is taken at its word: a program that was started unseen does
+    not stop unseen at the block where it was started.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.memory, self.ids = ReferenceMemory(), (f"r{n}" for n in count())
+        self.now_s, self.until_s, self.block, self.run = 10.0, 11.0, 200, CncRun.START
+        self.program, self.work_offset, self.power_on = 1000, 54, 1
+        self.positioned = self.counter = self.seen_counter = 0
+        self.open = {}
+        """Identity -> question of the daemon that nobody has answered."""
+        self.zero_of = {}
+        """Identity -> how often the work had been positioned when the reference was asked for."""
+        self.linked, self.polled, self.started_at = True, False, None
+
+    @initialize(handshake=st.booleans(), counted=st.booleans())
+    def programme(self, handshake, counted):
+        self.handshake = handshake
+        self.rules = RULES if counted else replace(RULES, positioning_counter=None)
+        self.poll(0.0)
+
+    def _take(self, step):
+        self.memory, effects = step
+        for effect in effects:
+            if isinstance(effect, ReferenceRequest):
+                self.open[effect.reference_id], self.zero_of[effect.reference_id] = effect, self.positioned
+        return effects
+
+    def _pass(self, seconds):
+        """Let the program run on; it stands at N100 for the dwell, and elsewhere for a while."""
+        end_s = self.now_s + seconds
+        while self.now_s < end_s:
+            self.now_s = min(self.now_s + STEP_S, end_s)
+            if self.run is CncRun.START and self.now_s >= self.until_s:
+                self.block = {100: 200, 200: 300, 300: 100}[self.block]
+                if self.block == 100:
+                    self.positioned += 1
+                    self.counter += self.handshake
+                self.until_s = self.now_s + (DWELL_S if self.block == 100 else OTHER_S)
+
+    @rule(delay=st.sampled_from([0.0, 0.1, 0.4]))
+    @precondition(lambda self: self.linked)
+    def poll(self, delay):
+        asked_s = self.now_s
+        self._pass(delay)
+        found = sample(
+            self.now_s,
+            run=self.run,
+            sequence_number=self.block,
+            program=self.program,
+            work_offset=self.work_offset,
+            power_on_count=self.power_on,
+            macros={560: float(self.positioned)},
+        )
+        self._take(reference.on_sample(self.memory, found, self.rules, asked_s=asked_s, new_id=next(self.ids)))
+        risen, self.seen_counter = self.counter - self.seen_counter, self.counter
+        if risen > 1:
+            self._take(reference.end(self.memory, "requests were missed"))
+        if risen:
+            self._take(reference.positioned_by_handshake(self.memory, self.rules))
+            how = {"positioning": True, "handshake": True}
+            self._take(reference.request(self.memory, next(self.ids), "handshake", **how))
+        self.polled, self.started_at = True, None
+
+    @rule(polls=st.integers(1, 8))
+    @precondition(lambda self: self.linked)
+    def go_on(self, polls):
+        for _ in range(polls):
+            self._pass(POLL_S)
+            self.poll(0.0)
+
+    @rule(seconds=st.sampled_from([0.5, 1.5, 3.0, 10.0, 60.0]))
+    def stall(self, seconds):
+        self._pass(seconds)
+        self.polled = False
+
+    @rule()
+    def link(self):
+        self.linked = not self.linked
+
+    @rule()
+    def start_or_stop(self):
+        if self.run is not CncRun.START:
+            self.run, self.started_at, self.until_s = CncRun.START, self.block, self.now_s + OTHER_S
+            if self.block == 100:
+                self.until_s = self.now_s + DWELL_S
+        elif self.started_at is None or self.block != self.started_at:
+            self.run = CncRun.STOP
+
+    @rule(program=st.sampled_from([1000, 2000]), work_offset=st.sampled_from([54, 55]))
+    def select(self, program, work_offset):
+        self.program, self.work_offset, self.polled = program, work_offset, False
+
+    @rule()
+    def power_cycle(self):
+        self.power_on, self.polled = self.power_on + 1, False
+
+    @rule(data=st.data(), refused=st.booleans())
+    @precondition(lambda self: self.open)
+    def answer(self, data, refused):
+        question = self.open.pop(data.draw(st.sampled_from(sorted(self.open))))
+        if refused:
+            self._take(reference.refuse(self.memory, question.reference_id, "made up"))
+        else:
+            self._take(reference.adopt(self.memory, answered(question), self.rules, still_applied_um=9.0))
+
+    @rule()
+    def by_hand(self):
+        if self.polled and not self.handshake:
+            self._take(reference.request(self.memory, next(self.ids), "hand", positioning=False))
+
+    @rule(seconds=st.sampled_from([0.0, 1.0, 5.0, 700.0]))
+    def restart(self, seconds):
+        memory = self.memory
+        if memory.record is not None and memory.record.baseline is None:
+            nothing = np.zeros(2)
+            baseline = OutputBaseline(axes=AXES, model_id=MODEL, baseline_um=nothing, offset_um=nothing, weight=1.0)
+            memory = replace(memory, record=replace(memory.record, baseline=baseline))
+        counter, was_known = self.seen_counter, memory.sample is not None
+        document = document_of(memory, self.rules, counter)
+        self._pass(seconds)
+        self.open, self.memory, self.polled = {}, ReferenceMemory(), False
+        self.seen_counter = self.counter
+        if not self.linked or not was_known:
+            return
+        self.poll(0.0)
+        how = {"axes": AXES, "model_id": MODEL, "request_counter": self.counter}
+        left = from_json(ReferenceDocument, json.loads(json.dumps(to_json(document))), at(self.now_s))
+        self._take(restart(self.memory, left, self.rules, **how))
+
+    @invariant()
+    def a_reference_in_force_is_of_the_latest_positioning(self):
+        found = self.memory.in_force
+        awaited = [asked for asked in self.memory.requests if asked.positioning]
+        if found is None or awaited or not self.polled:
+            return
+        assert self.zero_of[found.reference_id] == self.positioned
+        assert (found.program, found.work_offset, found.power_on_count) == (
+            (self.program, self.work_offset, self.power_on)
+        )
+
+    @invariant()
+    def state_and_content_agree(self):
+        memory = self.memory
+        assert (memory.in_force is not None) is (memory.state is VALID)
+        assert memory.state is not NONE or (memory.record is None and not memory.requests)
+        assert memory.state is not REQUESTED or memory.requests
+        assert memory.state is not ENDED or (memory.record is not None and not memory.requests)
+        assert memory.state is not VALID or not memory.ended
+
+
+def test_whatever_happens_nothing_is_in_force_but_the_reference_of_the_latest_positioning():
+    run_state_machine_as_test(Workshop, settings=settings(max_examples=100, stateful_step_count=40, deadline=None))
