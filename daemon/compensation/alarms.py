@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from config.schema.compensation import OutputConfig
 from daemon.cnc.macro_block import Echo
+from models.control.inhibit import Inhibit
 from models.control.state import OutputMemory
 from models.records import CncRun, CncSample, OutputState
 
@@ -42,16 +43,21 @@ def alarm_of(
     now_s: float,
     guard: GuardWatch,
     config: OutputConfig,
-    obstacle: str,
+    inhibit: Inhibit | None,
 ) -> str:
     """Return the alarm that the output's state calls for, '' when there is none."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
-    return "; ".join(_alarms(memory, echo, now_s, guard, config, obstacle))
+    return "; ".join(_alarms(memory, echo, now_s, guard, config, inhibit))
 
 
 def _alarms(
-    memory: OutputMemory, echo: Echo | None, now_s: float, guard: GuardWatch, config: OutputConfig, obstacle: str
+    memory: OutputMemory,
+    echo: Echo | None,
+    now_s: float,
+    guard: GuardWatch,
+    config: OutputConfig,
+    inhibit: Inhibit | None,
 ) -> Iterator[str]:
     """Yield what is wrong at the guard, and what has been held for too long."""
     if memory.state in ASKS_THE_GUARD and guard.refusals >= REFUSALS and echo is not None:
@@ -62,7 +68,7 @@ def _alarms(
             "is written reaches the tool: check that the program calls it at its safe points"
         )
     if memory.state is OutputState.HOLD and now_s - memory.since_s > config.alarm_after_s:
-        yield f"held for longer than {config.alarm_after_s:g} s: {obstacle or memory.reason}"
+        yield f"held for longer than {config.alarm_after_s:g} s: {inhibit or memory.reason}"
 
 
 GUARD_CONTENT = (None, 0, 1)

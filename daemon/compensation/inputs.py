@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.control.axis_map import AxisSource, nose_errors_um, tool_terms_um
+from models.control.inhibit import Inhibit
 from models.control.reference import tool_begin_degc
 from models.control.reference_records import ReferenceMemory
 from models.control.state import OperatorRequest, OutputInputs
@@ -26,7 +27,7 @@ class OutputView:
     reference: ReferenceMemory
     zero_first: bool
     fault: str | None
-    refusals: tuple[str, ...]
+    inhibits: tuple[Inhibit, ...]
     request: OperatorRequest
     tool_number: int
     tool_setting: tuple[bool, ...] | None
@@ -59,7 +60,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         kept_reference_id=record.reference_id if record is not None else None,
         model_id=estimate.model_id if estimate is not None else None,
         output_fault=view.fault,
-        refusals=view.refusals,
+        inhibits=view.inhibits,
         request=view.request,
         zero_first=view.zero_first,
         tool_number=view.tool_number,

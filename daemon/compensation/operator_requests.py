@@ -42,10 +42,11 @@ class Requests:
 
     def put(self, request: OperatorRequest, person: str) -> str:
         """Queue a request; return why it is refused, '' when it is taken."""
-        refusal = self._interlocks.objection(request, self._link.session, unknown=self._startup.unknown)
-        if refusal:
-            self.note_refusal(f"{in_words(request)}: {refusal}", person)
-            return refusal
+        session, not_begun = self._link.session, self._startup.not_begun
+        inhibit = self._interlocks.request_inhibit(request, session, not_begun=not_begun)
+        if inhibit is not None:
+            self.note_refusal(f"{in_words(request)}: {inhibit}", person)
+            return str(inhibit)
         self._waiting.append((request, person))
         self._inbox.wake()
         return ""

@@ -10,8 +10,8 @@ from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
-from models.control.baseline import probe_objection
-from models.control.compensation import why_not_ready
+from models.control.baseline import probe_inhibit
+from models.control.compensation import first_inhibit
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
@@ -108,8 +108,8 @@ def judged_probe(
     deviations[index] = deviation_um
     refusal = "the CNC has not been reached yet"
     if memory is not None:
-        obstacle = why_not_ready(memory, inputs, limits)
-        refusal = probe_objection(memory, inputs, limits, obstacle, deviations)
+        inhibit = first_inhibit(memory, inputs, limits)
+        refusal = str(probe_inhibit(memory, inputs, limits, inhibit, deviations) or "")
     sample = ProbeSample(
         time=now,
         axis=axis,

@@ -17,6 +17,7 @@ from daemon.state_store.documents import DaemonAlive, OutputFault, WantedAxes
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.compensation import initial_memory
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest, OutputMemory
 from models.records import CncSample, FloatArray, Instant, Receipt, Trace, WriteOutcome
 
@@ -106,7 +107,7 @@ class StartupRecovery:
         self._model_id = model_id
         self._max_outage_s = max_outage_s
         self._waiting: frozenset[str] = frozenset()
-        self.unknown = NOT_REACHED
+        self.not_begun = NOT_REACHED
         """Why nothing has begun, '' when it has."""
 
     def begin(self, session: CncSession, now_s: float) -> OutputMemory | None:
@@ -118,9 +119,9 @@ class StartupRecovery:
         try:
             memory = initial_memory(now_s=now_s, applied_um=applied_um, wanted=wanted)
         except ValueError as error:
-            self.unknown = self._journal.alarm = f"{error}: run the guard's initialising program, then acknowledge"
+            self.not_begun = self._journal.alarm = f"{error}: run the guard's initialising program, then acknowledge"
             return None
-        self.unknown = ""
+        self.not_begun = ""
         if not (self._resume.resumable and in_time):
             self._waiting = frozenset(compress(self._axes, wanted))
         self._journal.say("start", f"{memory.state.value}: {memory.reason}")
@@ -141,13 +142,15 @@ class StartupRecovery:
         self._waiting -= request.enable | request.disable
         return request
 
-    def obstacle(self) -> str:
-        """Return for which axes a person must speak first, '' when for none."""
+    def inhibit(self) -> Inhibit | None:
+        """Return for which axes a person must speak first, None when for none."""
         if not self._waiting:
-            return ""
+            return None
         axes = " ".join(sorted(self._waiting))
-        return (
-            f"the daemon was away too long to go on by itself: `toolpoint enable {axes}` or `toolpoint disable {axes}`"
+        return Inhibit(
+            code=InhibitCode.OUTAGE,
+            text="the daemon was away too long to go on by itself",
+            remedy=f"`toolpoint enable {axes}` or `toolpoint disable {axes}`",
         )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from config.schema import Configuration
 from models.control.axis_map import AxisSource, nose_errors_um
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OutputMemory
 from models.records import DisplacementSample, FloatArray, ProbeSample, ThermalErrorEstimate
 from models.thermal.skill import SkillRecord, does_harm, rms_um, with_measurement
@@ -27,15 +28,16 @@ class SkillWatch:
         self._least_error_um = configuration.compensation.output.harm_above_um
         self._counted: tuple[str | None, str | None] = (None, None)
         self._records: dict[str, SkillRecord] = {}
-        self._obstacle: str | None = ""
-        """The latest verdict; None when a measurement has come since."""
+        self._inhibit: Inhibit | None = None
+        self._judged = True
+        """Whether that is the verdict on the latest measurement."""
         self._zero: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def count_from(self, reference_id: str | None, model_id: str | None) -> None:
         """Begin anew with every reference and every model."""
         if (reference_id, model_id) != self._counted:
             self._counted = (reference_id, model_id)
-            self._records, self._zero, self._obstacle = {}, None, ""
+            self._records, self._zero, self._inhibit, self._judged = {}, None, None, True
 
     def displacement(
         self, sample: DisplacementSample, estimate: ThermalErrorEstimate | None, applied_um: FloatArray
@@ -61,24 +63,25 @@ class SkillWatch:
         since_baseline_um = sample.applied_um - float(memory.baseline_um[self._axes.index(sample.axis)])
         self._take(sample.axis, sample.deviation_um - since_baseline_um, sample.thermal_error_um)
 
-    def obstacle(self) -> str:
-        """Return why the model must not be followed any more, '' while it does no harm."""
-        if self._obstacle is None:
-            self._obstacle = self._judged()
-        return self._obstacle
+    def inhibit(self) -> Inhibit | None:
+        """Return why the model must not be followed any more, None while it does no harm."""
+        if not self._judged:
+            self._inhibit, self._judged = self._verdict(), True
+        return self._inhibit
 
-    def _judged(self) -> str:
+    def _verdict(self) -> Inhibit | None:
         for axis, record in self._records.items():
             if does_harm(record, self._least_error_um):
                 left_um, without_um = rms_um(record.left_um), rms_um(record.measured_um)
-                return (
-                    f"axis {axis}: {len(record.left_um)} measurements since the reference show {left_um:.1f} um left "
-                    f"by the estimate where {without_um:.1f} um would be without it; position the work again, or "
-                    "release another model"
+                return Inhibit(
+                    code=InhibitCode.HARM,
+                    text=f"axis {axis}: {len(record.left_um)} measurements since the reference show {left_um:.1f} um "
+                    f"left by the estimate where {without_um:.1f} um would be without it",
+                    remedy="position the work again, or release another model",
                 )
-        return ""
+        return None
 
     def _take(self, axis: str, measured_um: float, estimated_um: float) -> None:
         record = self._records.get(axis, SkillRecord())
         self._records[axis] = with_measurement(record, float(measured_um), float(estimated_um))
-        self._obstacle = None
+        self._judged = False

@@ -27,7 +27,8 @@ from daemon.compensation.restart import StartupRecovery, record_changes, resolve
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.messages import ReferenceRebased, ReferenceRefused, SensorsSinceReference
 from drivers.contract import DriverError, LinkError
-from models.control.compensation import step, why_not_ready
+from models.control.compensation import first_inhibit, step
+from models.control.inhibit import Inhibit
 from models.control.state import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
     CompensationCommand,
@@ -96,7 +97,7 @@ class ControlTask:
     @property
     def not_begun(self) -> str:
         """Why nothing has begun, or the FAULT of the previous run."""
-        return f"FAULT: {self.journal.fault}" if self.journal.fault else self._startup.unknown
+        return f"FAULT: {self.journal.fault}" if self.journal.fault else self._startup.not_begun
 
     @property
     def guard_silent_s(self) -> float:
@@ -253,10 +254,10 @@ class ControlTask:
         self.requests.decided()
 
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
-        obstacle = why_not_ready(after, inputs, self.limits)
+        inhibit = first_inhibit(after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
         output = self._parts.configuration.compensation.output
-        alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self._guard_watch, config=output, obstacle=obstacle)
+        alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self._guard_watch, config=output, inhibit=inhibit)
         record_changes(self.journal, self.limits.axes, before, after, alarm)
 
     def _now(self) -> OutputNow:
@@ -271,7 +272,7 @@ class ControlTask:
             OutputView(
                 now_s=self._clock.now().monotonic_s,
                 phase=self.phase,
-                link=session is not None and answers and not interlocks.prohibition(session.cnc),
+                link=session is not None and answers and interlocks.write_inhibit(session.cnc) is None,
                 applied_um=self.applied_um(),
                 written_um=session.written_um if session is not None else None,
                 sources=self._sources,
@@ -279,7 +280,7 @@ class ControlTask:
                 reference=self._references.memory,
                 zero_first=self._references.zero_first,
                 fault=self.journal.fault,
-                refusals=self._refusals(request.enable),
+                inhibits=self._inhibits(request.enable),
                 request=request,
                 tool_number=self._measured.tool.number,
                 tool_setting=self._measured.tool_setting,
@@ -287,7 +288,8 @@ class ControlTask:
             )
         )
 
-    def _refusals(self, asked: frozenset[str]) -> tuple[str, ...]:
+    def _inhibits(self, asked: frozenset[str]) -> tuple[Inhibit, ...]:
         wanted = compress(self.limits.axes, self.memory.wanted if self.memory is not None else ())
-        refusals = self._parts.interlocks.refusals(self.session, asked.union(wanted))
-        return tuple(why for why in (*refusals, self._startup.obstacle(), self.skill.obstacle()) if why)
+        own = self._startup.inhibit(), self.skill.inhibit()
+        inhibits = self._parts.interlocks.inhibits(self.session, asked.union(wanted))
+        return (*inhibits, *(inhibit for inhibit in own if inhibit is not None))

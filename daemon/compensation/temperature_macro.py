@@ -23,12 +23,12 @@ class TemperatureMacro:
     """Follows one sensor."""
 
     def __init__(
-        self, configuration: Configuration, telemetry: Telemetry, journal: Journal, permission: Interlocks
+        self, configuration: Configuration, telemetry: Telemetry, journal: Journal, interlocks: Interlocks
     ) -> None:
         self._config = configuration.cnc.temperature_macro
         self._telemetry = telemetry
         self._journal = journal
-        self._permission = permission
+        self._interlocks = interlocks
         self._line = ""
         self._index = 0
         self._due: tuple[float, Trace] | None = None
@@ -57,7 +57,7 @@ class TemperatureMacro:
         if self._due is None or self._config is None:
             return
         (degc, trace), self._due, self._shown_degc = self._due, None, None
-        if session is None or self._journal.fault is not None or self._permission.prohibition(session.cnc):
+        if session is None or self._journal.fault is not None or self._interlocks.write_inhibit(session.cnc):
             return
         try:
             receipt = await session.write_one(self._config.macro, degc, cause=TEMPERATURE_CAUSE, trace=trace)

@@ -170,11 +170,11 @@ class _Follower:
         self._obstacle = obstacle
 
     def _judged(self, session: CncSession, found: MacroValues, clock_s: float, now_s: float) -> str:
-        """Return what stands against writing: a FAULT, a prohibition, or a block that is not ours (a FAULT too)."""
+        """Return what stands against writing: a FAULT, an inhibit, or a block that is not ours (a FAULT too)."""
         if self._journal.fault is not None:
             return f"FAULT: {self._journal.fault}"
-        if prohibition := self._permission.prohibition(session.cnc):
-            return prohibition
+        if (inhibit := self._permission.write_inhibit(session.cnc)) is not None:
+            return str(inhibit)
         if self._fault_raised and not self._block.vacant(found):
             self.writer.acknowledge(found)
         self._fault_raised = False

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray, OutputState, Phase
 
@@ -135,41 +136,42 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     return request
 
 
-def probe_objection(
-    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, obstacle: str, probe_um: FloatArray
-) -> str:
-    """Return why a probe value cannot correct the estimate, '' when it can.
+def probe_inhibit(
+    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, inhibit: Inhibit | None, probe_um: FloatArray
+) -> Inhibit | None:
+    """Return why a probe value cannot correct the estimate, None when it can.
 
     Parameters
     ----------
     memory, inputs, limits
         As for `models.control.compensation.step`.
-    obstacle
-        What stands against following the estimate, '' when nothing does.
+    inhibit
+        The first reason against following the estimate, None when there is none.
     probe_um : shape (n_axes,)
         Deviation per axis, actual minus nominal [um]; NaN where not probed.
 
     Returns
     -------
-    str
-        A sentence, or ''.
+    Inhibit or None
+        The first reason.
 
     """
     probed = np.isfinite(probe_um)
     if not probed.any():
-        return "no axis was probed"
-    if obstacle:
-        return f"the estimate cannot be corrected: {obstacle}"
+        return Inhibit(code=InhibitCode.PROBE, text="no axis was probed")
+    if inhibit is not None:
+        return replace(inhibit, text=f"the estimate cannot be corrected: {inhibit.text}")
     if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
-        return "the axis has no estimate"
+        return Inhibit(code=InhibitCode.NO_ESTIMATE, text="the axis has no estimate")
     correction = inputs.applied_um - probe_um - request_um(memory, inputs)
     for axis, change in zip(limits.axes, correction, strict=True):
         if abs(change) > limits.probe_bound_um:
-            return (
-                f"axis {axis}: the probe value would correct the estimate by {abs(change):.1f} um, "
-                f"more than the bound of {limits.probe_bound_um:g} um"
+            return Inhibit(
+                code=InhibitCode.PROBE,
+                text=f"axis {axis}: the probe value would correct the estimate by {abs(change):.1f} um, "
+                f"more than the bound of {limits.probe_bound_um:g} um",
             )
-    return ""
+    return None
 
 
 def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
@@ -178,7 +180,7 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     Parameters
     ----------
     memory, inputs
-        `inputs.probe_um` is what is left with what is applied now [um]; `probe_objection` was asked before.
+        `inputs.probe_um` is what is left with what is applied now [um]; `probe_inhibit` was asked before.
 
     Returns
     -------

@@ -22,6 +22,7 @@ from models.control.baseline import (
     take_probe,
     weight_of,
 )
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import CompensationCommand, FloatArray, OutputState, Phase
 
@@ -162,38 +163,47 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     )
 
 
-def why_not_ready(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> str:
-    """Return the first thing that stands against following the estimate, '' when nothing does."""
-    if inputs.refusals:
-        return inputs.refusals[0]
+def first_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
+    """Return the first reason against following the estimate, None when there is none."""
+    if inputs.inhibits:
+        return inputs.inhibits[0]
     if not inputs.link:
-        return "no link to the CNC"
+        return Inhibit(code=InhibitCode.LINK, text="no link to the CNC")
     if not np.all(np.isfinite(inputs.applied_um)):
-        return "the CNC's echo is vacant"
+        return Inhibit(code=InhibitCode.ECHO, text="the CNC's echo is vacant")
     if inputs.reference_id is None:
         ended = inputs.reference_ended or "the NC program has not passed its positioning"
-        return f"no valid reference: {ended}"
+        return Inhibit(code=InhibitCode.REFERENCE, text=f"no valid reference: {ended}")
     if inputs.estimate_age_s > limits.stale_after_s:
         age = "there is no estimate" if np.isinf(inputs.estimate_age_s) else f"{inputs.estimate_age_s:.0f} s old"
-        return f"temperatures are stale ({age})"
+        return Inhibit(code=InhibitCode.STALE, text=f"temperatures are stale ({age})")
     if inputs.estimate_reference_id != inputs.reference_id or memory.reference_id != inputs.reference_id:
-        return "waiting for the first estimate of this reference"
+        return Inhibit(code=InhibitCode.REFERENCE, text="waiting for the first estimate of this reference")
+    return _inhibit_of_estimate(memory, inputs, limits)
+
+
+def _inhibit_of_estimate(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
     if inputs.confidence < limits.min_confidence:
         why = inputs.doubt or "sensors missing"
-        return f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
+        text = f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
+        return Inhibit(code=InhibitCode.CONFIDENCE, text=text)
     if not inputs.in_domain:
-        return "temperatures are outside the range that the model was trained on"
+        text = "temperatures are outside the range that the model was trained on"
+        return Inhibit(code=InhibitCode.DOMAIN, text=text)
     without = np.array(memory.wanted, dtype=bool) & ~np.isfinite(inputs.error_of_tool_point_um)
     if without.any():
         axes = ", ".join(axis for axis, missing in zip(limits.axes, without, strict=True) if missing)
-        return (
-            f"no estimate for axis {axes}: sensors that its model counts from are silent, or were when the work was "
-            "positioned; bring them back, then position the work again, or switch the axis off"
+        return Inhibit(
+            code=InhibitCode.NO_ESTIMATE,
+            text=f"no estimate for axis {axes}: sensors that its model counts from are silent, or were when the work "
+            "was positioned",
+            remedy="bring them back, then position the work again, or switch the axis off",
         )
     in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if in_cut and weight_of(inputs.confidence, limits) < memory.weight:
-        return f"confidence fell to {inputs.confidence:.2f} within a cut: frozen until the next safe point"
-    return ""
+        text = f"confidence fell to {inputs.confidence:.2f} within a cut: frozen until the next safe point"
+        return Inhibit(code=InhibitCode.CONFIDENCE, text=text)
+    return None
 
 
 def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
@@ -210,7 +220,8 @@ def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLim
 
 
 def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
-    obstacle = why_not_ready(memory, inputs, limits)
+    inhibit = first_inhibit(memory, inputs, limits)
+    why = "" if inhibit is None else str(inhibit)
     known = bool(np.all(np.isfinite(inputs.applied_um)))
     zero = known and bool(np.all(np.abs(inputs.applied_um) <= ZERO_UM))
     any_wanted = any(memory.wanted)
@@ -219,29 +230,29 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         Condition.WANTED: any_wanted and inputs.link and known and not inputs.zero_first,
         Condition.NONE_WANTED: not any_wanted,
         Condition.ZERO_FIRST: inputs.zero_first,
-        Condition.READY: not obstacle and any_wanted,
-        Condition.BAD_INPUT: bool(obstacle),
+        Condition.READY: inhibit is None and any_wanted,
+        Condition.BAD_INPUT: inhibit is not None,
         Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
         Condition.RETREATED: inputs.link and zero and bool(np.all(memory.command_um == 0.0)),
         Condition.ACKNOWLEDGED: (inputs.request.acknowledge and inputs.link and known and inputs.output_fault is None),
     }
     for condition, target in TRANSITIONS[memory.state]:
         if holds[condition]:
-            return _enter(memory, target, condition, obstacle, inputs)
+            return _enter(memory, target, condition, why, inputs)
     if memory.state in (OutputState.ARMED, OutputState.HOLD):
-        return replace(memory, reason=obstacle or memory.reason)
+        return replace(memory, reason=why or memory.reason)
     if memory.state is OutputState.FAULT:
         return replace(memory, reason=inputs.output_fault or memory.reason)
     return memory
 
 
 def _enter(
-    memory: OutputMemory, target: OutputState, condition: Condition, obstacle: str, inputs: OutputInputs
+    memory: OutputMemory, target: OutputState, condition: Condition, why: str, inputs: OutputInputs
 ) -> OutputMemory:
     reason = {
         Condition.OUTPUT_FAULT: inputs.output_fault or "",
-        Condition.WANTED: obstacle or "switched on",
-        Condition.BAD_INPUT: obstacle,
+        Condition.WANTED: why or "switched on",
+        Condition.BAD_INPUT: why,
         Condition.READY: "following the estimate",
         Condition.NONE_WANTED: "switched off",
         Condition.HELD_TOO_LONG: f"held too long: {memory.reason}",

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from models.control.inhibit import Inhibit
 from models.records import FloatArray, OutputState, Phase
 
 
@@ -87,8 +88,8 @@ class OutputInputs:
     model_id: str | None = None
     output_fault: str | None = None
     """Why the output is not trusted (read-back differs, foreign value, exception)."""
-    refusals: tuple[str, ...] = ()
-    """What stands against ACTIVE: no model, no commissioning record, insecure link, ..."""
+    inhibits: tuple[Inhibit, ...] = ()
+    """What inhibits ACTIVE: no model, no commissioning record, insecure link, ..."""
     request: OperatorRequest = NO_REQUEST
     zero_first: bool = False
     """The offset is to be taken out before the next work positioning."""

@@ -24,7 +24,7 @@ def alarm(state: OutputState, *, refusals: int, now_s: float = 10.0) -> str:
     watch = GuardWatch()
     watch.refusals = refusals
     echo = Echo(applied_um=np.array([5.0]), time_s=1.0, status=INCH, guard_version=1.0)
-    return alarm_of(memory_in(state), echo, now_s=now_s, guard=watch, config=OutputConfig(), obstacle="")
+    return alarm_of(memory_in(state), echo, now_s=now_s, guard=watch, config=OutputConfig(), inhibit=None)
 
 
 @pytest.mark.parametrize("state", [OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT])

@@ -9,12 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from output_machine import LIMITS, ON, Machine
 
-from models.control.baseline import probe_objection, request_um, weight_of
-from models.control.compensation import LONGEST_INTERVAL_S, step, why_not_ready
+from models.control.baseline import probe_inhibit, request_um, weight_of
+from models.control.compensation import LONGEST_INTERVAL_S, first_inhibit, step
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest
 from models.records import OutputState, Phase
 
 # --- a reference settles ---------------------------------------------------------------
+
+STALE = Inhibit(code=InhibitCode.STALE, text="temperatures are stale", remedy="bring them back")
 
 
 def test_what_the_guard_applies_before_the_new_command_is_held_becomes_the_baseline():
@@ -74,7 +77,7 @@ def test_a_probe_value_is_cancelled_from_then_on():
     machine = Machine().following()
     deviation = np.array([np.nan, 4.0])
     inputs = machine.inputs()
-    assert probe_objection(machine.memory, inputs, LIMITS, "", deviation) == ""
+    assert probe_inhibit(machine.memory, inputs, LIMITS, None, deviation) is None
     machine.step(probe_um=deviation).step(60)
     assert machine.applied == pytest.approx([3.0, 16.0], abs=0.02)
     machine.set(thermal_error_um=np.array([-3.0, -22.0])).step(60)
@@ -82,18 +85,18 @@ def test_a_probe_value_is_cancelled_from_then_on():
 
 
 @pytest.mark.parametrize(
-    ("deviation", "changes", "obstacle", "words"),
+    ("deviation", "changes", "inhibit", "words"),
     [
-        ([np.nan, 11.0], {}, "", "more than the bound of 10 um"),
-        ([np.nan, np.nan], {}, "", "no axis was probed"),
-        ([np.nan, 1.0], {}, "temperatures are stale", "temperatures are stale"),
-        ([np.nan, 1.0], {"thermal_error_um": np.array([0.0, np.nan])}, "", "no estimate"),
+        ([np.nan, 11.0], {}, None, "more than the bound of 10 um"),
+        ([np.nan, np.nan], {}, None, "no axis was probed"),
+        ([np.nan, 1.0], {}, STALE, "temperatures are stale"),
+        ([np.nan, 1.0], {"thermal_error_um": np.array([0.0, np.nan])}, None, "no estimate"),
     ],
 )
-def test_a_probe_value_that_cannot_be_used_is_refused_in_words(deviation, changes, obstacle, words):
+def test_a_probe_value_that_cannot_be_used_is_refused_in_words(deviation, changes, inhibit, words):
     machine = Machine().following()
     inputs = machine.inputs(**changes)
-    assert words in probe_objection(machine.memory, inputs, LIMITS, obstacle, np.array(deviation))
+    assert words in str(probe_inhibit(machine.memory, inputs, LIMITS, inhibit, np.array(deviation)))
 
 
 # --- confidence --------------------------------------------------------------------------
@@ -210,8 +213,8 @@ class Histories(RuleBasedStateMachine):
         machine = self.machine
         deviations = np.array([np.nan, deviation])
         inputs = machine.inputs()
-        obstacle = why_not_ready(machine.memory, inputs, LIMITS)
-        if not probe_objection(machine.memory, inputs, LIMITS, obstacle, deviations):
+        inhibit = first_inhibit(machine.memory, inputs, LIMITS)
+        if probe_inhibit(machine.memory, inputs, LIMITS, inhibit, deviations) is None:
             self.take(probe_um=deviations)
             if not machine.memory.settling:
                 after = request_um(machine.memory, machine.inputs())

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from models.control.compensation import LONGEST_INTERVAL_S, TRANSITIONS, initial_memory, step, why_not_ready
+from models.control.compensation import LONGEST_INTERVAL_S, TRANSITIONS, first_inhibit, initial_memory, step
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest, OutputInputs, OutputLimits
 from models.records import OutputState, Phase
 
@@ -112,7 +113,7 @@ def test_setting_a_reference_moves_nothing_and_makes_the_applied_value_the_basel
         ({"estimate_age_s": np.inf}, "no estimate"),
         ({"confidence": 0.69}, "confidence"),
         ({"in_domain": False}, "outside the range"),
-        ({"refusals": ("no commissioning record",)}, "commissioning"),
+        ({"inhibits": (Inhibit(code=InhibitCode.COMMISSIONING, text="no commissioning record"),)}, "commissioning"),
         ({"thermal_error_um": np.array([np.nan, 1.0])}, "no estimate"),
         ({"estimate_reference_id": "old"}, "first estimate"),
     ],
@@ -124,7 +125,7 @@ def test_bad_input_freezes_and_says_why(change, words):
     memory, command = step(memory, changed, LIMITS)
     assert memory.state is OutputState.HOLD
     assert words in memory.reason
-    assert words in why_not_ready(memory, changed, LIMITS)
+    assert words in str(first_inhibit(memory, changed, LIMITS))
     assert command.compensation_um == pytest.approx(before)
 
 

@@ -15,7 +15,6 @@ STILL_TO_GO = {
     "objection",
     "obstacle",
     "permission",
-    "prohibition",
     "rehearsal",
     "rehearse",
     "shelf",

@@ -172,7 +172,7 @@ class CampaignDaemon:
             self._estimated(control, memory, estimate),
             estimate.model_id if estimate is not None else None,
             bool(daemon.thermal.inhibit()),
-            bool(control.skill.obstacle()),
+            control.skill.inhibit() is not None,
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
         )
 
