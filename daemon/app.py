@@ -51,6 +51,7 @@ from daemon.telemetry.metrics import Telemetry
 from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
 from drivers.contract import Cnc
+from models.control.state import OutputLimits
 from models.records import DisplacementSample
 from models.thermal.family import ThermalModel
 
@@ -126,31 +127,9 @@ class Daemon:
             self._planner = PlannerProcess(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[Message] = asyncio.Queue()
-        journal = Journal(self._history, self._store, self._resume.faults)
+        limits = output_limits(configuration, factors)
         interlocks = Interlocks(configuration, clock, record, lambda: obstacle or self.thermal.inhibit())
-        self.spindle_speed = SpindleSpeedOutput(configuration, clock, journal, interlocks, self._planner)
-        temperature = TemperatureMacro(configuration, self._telemetry, journal, interlocks)
-        self.control = ControlTask(
-            ControlParts(
-                configuration=configuration,
-                clock=clock,
-                link=self._link,
-                history=self._history,
-                telemetry=self._telemetry,
-                journal=journal,
-                interlocks=interlocks,
-                limits=output_limits(configuration, factors),
-                resume=self._resume,
-                model_id=model.model_id if model is not None else None,
-                tell_thermal=inbox.put_nowait,
-                on_tick=self._on_tick,
-                on_sample=lambda sample: inbox.put_nowait(
-                    SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
-                ),
-                on_change=self._publish_output,
-                macro_clients=(temperature, self.spindle_speed),
-            )
-        )
+        self.control = self._control_task(interlocks, limits, None if model is None else model.model_id, inbox)
         self.thermal = ThermalTask(
             configuration,
             clock,
@@ -174,6 +153,36 @@ class Daemon:
         status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
         actions = output_actions(self.control, self._switch_spindle_speed)
         self._commands = CommandDesk(status, self.snapshots, actions, configuration.compensation.axes)
+
+    def _control_task(
+        self, interlocks: Interlocks, limits: OutputLimits, model_id: str | None, inbox: "asyncio.Queue[Message]"
+    ) -> ControlTask:
+        """Return the control task with the macros that it serves beside the block; `inbox` is the thermal task's."""
+        configuration = self._configuration
+        journal = Journal(self._history, self._store, self._resume.faults)
+        temperature = TemperatureMacro(configuration, self._telemetry, journal, interlocks)
+        self.spindle_speed = SpindleSpeedOutput(configuration, self._clock, journal, interlocks, self._planner)
+        return ControlTask(
+            ControlParts(
+                configuration=configuration,
+                clock=self._clock,
+                link=self._link,
+                history=self._history,
+                telemetry=self._telemetry,
+                journal=journal,
+                interlocks=interlocks,
+                limits=limits,
+                resume=self._resume,
+                model_id=model_id,
+                tell_thermal=inbox.put_nowait,
+                on_tick=self._on_tick,
+                on_sample=lambda sample: inbox.put_nowait(
+                    SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
+                ),
+                on_change=self._publish_output,
+                macro_clients=(temperature, self.spindle_speed),
+            )
+        )
 
     def _first_snapshots(self) -> SnapshotBoard:
         """Return the board as it is before anything runs."""

@@ -95,7 +95,7 @@ class HistoryWriter:
             on_lost=self._tell_loss,
             kept=self._kept_states,
         )
-        self._state: dict[str, Any] = {}
+        self._state: dict[str, str] = {}
         self._last_displacement_utc_s: float | None = None
         self._write_id: int | None = None
         self._housekeeping = asyncio.Lock()
@@ -221,7 +221,7 @@ class HistoryWriter:
     def put_state(self, key: str, value: Any) -> Commit:
         """Keep a JSON value for the next start of the daemon."""
         text, time_ms = json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
-        self._state[key] = json.loads(text)
+        self._state[key] = text
         return self._audit("states", rows.PUT_STATE, lambda: (key, text, time_ms))
 
     def _tell_loss(self, sentence: str) -> None:
@@ -230,7 +230,7 @@ class HistoryWriter:
     def _kept_states(self) -> list[tuple[str, str, int]]:
         """Return the states of this run, for a store that is begun anew."""
         now_ms = rows.utc_ms(self._clock.now())
-        return [(key, json.dumps(value), now_ms) for key, value in list(self._state.items()) if value is not None]
+        return [(key, text, now_ms) for key, text in list(self._state.items()) if text != "null"]
 
     def _audit(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> Commit:
         return self._put(kind, _statement(sql, build))
@@ -253,8 +253,8 @@ class HistoryWriter:
     def get_state(self, key: str) -> Any:
         """Return a value that `put_state` kept, None where there is none. May be called before `start`."""
         if key not in self._state:
-            self._state[key] = self._look_up(lambda reader: reader.get_state(key))
-        return self._state[key]
+            self._state[key] = json.dumps(self._look_up(lambda reader: reader.get_state(key)))
+        return json.loads(self._state[key])
 
     def last_written_macros(self, of: Sequence[int] = ()) -> dict[int, tuple[float, ...]] | None:
         """Return what our macros, or `of` these, may hold by the audit; None when nothing was ever written."""

@@ -13,6 +13,9 @@ import numpy as np
 
 from models.records import Instant
 
+PLAIN = (int, str, bool, type(None))
+"""Types that are JSON values themselves."""
+
 
 class DocumentError(ValueError):
     """A stored document is not what its record says; the text says where."""
@@ -25,11 +28,11 @@ def to_json(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
-        return [to_json(item) for item in value.tolist()]
+        value = value.tolist()
     if isinstance(value, Instant):
         return value.utc_s
     if isinstance(value, tuple | list):
-        return [to_json(item) for item in value]
+        return [item if item.__class__ in PLAIN else to_json(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
