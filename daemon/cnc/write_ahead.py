@@ -92,7 +92,8 @@ class WriteAheadRecord:
         if write_id is not None and last_write_id is not None and write_id <= last_write_id:
             return known, ""
         if write_id is None:
-            both = {n: tuple(dict.fromkeys((*(known or {}).get(n, ()), *possible[n]))) for n in possible}
+            audited = {n: tuple(v for v in (known or {}).get(n, ()) if v not in possible[n]) for n in possible}
+            both = {n: (*audited[n], *values) for n, values in possible.items()}
             return {**(known or {}), **both}, _not_in(known or {}, possible)
         return {**(known or {}), **possible}, _not_in(known or {}, possible)
 
