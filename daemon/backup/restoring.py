@@ -1,4 +1,8 @@
-"""Restore a back-up: verify all of it, put nothing over what is there, and let nothing move by itself afterwards.
+"""Restore a back-up: prove all of it, put nothing over what is there, and let nothing move by itself afterwards.
+
+An archive may be anybody's, and whoever restores it is root. So it is read whole and proved before anything is
+written, and what it says about places is compared, never followed. It is unpacked into a folder that is held open
+and that only root can change, also where it lies in a folder of the daemon's.
 
 What a restored store says of the CNC is old: somebody has written to the macros since. Therefore the
 restored store forgets what was switched on, the reference and everything else that a start would
@@ -7,42 +11,40 @@ compared and acknowledged.
 """
 
 import filecmp
+import itertools
 import json
 import os
 import shutil
 import sqlite3
-import tarfile
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from config.files import sha256_of_stream
-from config.loader import ConfigurationError, load_yaml_model, with_absolute_paths
+from config.loader import ConfigurationError, parse_yaml_model, with_absolute_paths
+from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
+from daemon.backup.archive import MIB, Archive
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
-    MANIFEST_NAME,
     MODEL_NAME,
-    RELEASES_NAME,
     STORE_NAME,
     BackupError,
     Manifest,
     last_block_beside,
 )
+from daemon.backup.places import Places, agreed_places, installed_places, targets
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
 from daemon.state_store.documents import OutputFault
 from daemon.state_store.store import KEYS, document_json
 
-LARGEST_MANIFEST = 16 * 2**20
 BESIDE_STORE = ("-wal", "-shm")
 """Files of SQLite that belong to a store."""
 
@@ -60,84 +62,84 @@ class Restored:
 def read_manifest(archive_path: Path) -> Manifest:
     """Return the manifest of a back-up after proving every file in it; raises BackupError."""
     try:
-        with tarfile.open(archive_path, mode="r:") as archive:
-            return _proved(archive, archive_path)
-    except (OSError, tarfile.TarError) as error:
+        with Archive(archive_path) as archive:
+            archive.prove()
+            return archive.manifest
+    except OSError as error:
         raise BackupError(f"{archive_path}: this is no whole back-up ({error}); take another one") from error
 
 
-def _proved(archive: tarfile.TarFile, path: Path) -> Manifest:
-    members = archive.getmembers()
-    if not members or members[0].name != MANIFEST_NAME or members[0].size > LARGEST_MANIFEST:
-        raise BackupError(f"{path}: this is no back-up of Toolpoint: it does not begin with {MANIFEST_NAME}")
-    stream = archive.extractfile(members[0])
-    try:
-        manifest = Manifest.model_validate_json(stream.read() if stream is not None else b"")
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise BackupError(f"{path}: {MANIFEST_NAME}: {where}: {first['msg']}; another version made it") from error
-    expected = {item.name: item for item in manifest.files}
-    names = [member.name for member in members[1:]]
-    if sorted(names) != sorted(expected) or len(expected) != len(manifest.files):
-        raise BackupError(f"{path}: holds other files than its manifest names; take another back-up")
-    for member in members[1:]:
-        item, stream = expected[member.name], archive.extractfile(member) if member.isfile() else None
-        if stream is None or ".." in Path(member.name).parts:
-            raise BackupError(f"{path}: {member.name} is no plain file; take another back-up")
-        with stream:
-            if member.size != item.size_bytes or sha256_of_stream(stream) != item.sha256:
-                raise BackupError(f"{path}: {member.name} was damaged after the back-up was made; take another one")
-    wanted = [STORE_NAME, CONFIGURATION_NAME]
-    if manifest.active_release is not None:
-        wanted.append(f"{RELEASES_NAME}/{manifest.active_release:04d}/model.json")
-    if missing := [name for name in wanted if name not in expected]:
-        raise BackupError(f"{path}: has no {missing[0]}; take another back-up")
-    return manifest
+def restore(
+    archive_path: Path,
+    config_path: Path,
+    *,
+    person: str,
+    replace: bool,
+    given: Places | None = None,
+    keep_configuration: bool = False,
+) -> Restored:
+    """Restore a back-up to the places of the installed configuration; raises BackupError with nothing changed.
 
-
-def restore(archive_path: Path, config_path: Path, *, person: str, replace: bool) -> Restored:
-    """Restore a back-up to the places that its configuration names; raises BackupError with nothing changed.
-
-    `config_path` is where its configuration goes. What is there already is refused, or moved aside
-    when `replace` is set.
+    `config_path` is where the installed configuration stands and that of the back-up goes. `given` are places that
+    a person has named. What is there already is refused, or moved aside when `replace` is set.
     """
-    manifest = read_manifest(archive_path)
     try:
-        configuration = _configuration(archive_path, manifest, config_path)
-        store = configuration.history.path
-        with _stopped(store), tempfile.TemporaryDirectory(prefix=".toolpoint-restore-", dir=store.parent) as work:
-            folder = Path(work)
-            _extract(archive_path, [item.name for item in manifest.files], folder)
-            disarm(folder / STORE_NAME, manifest, person)
-            _check_releases(folder, manifest)
-            return _put_in_place(folder, manifest, configuration, config_path, replace=replace)
+        with Archive(archive_path) as archive:
+            manifest = archive.manifest
+            archived = Places.of(_configuration(archive, config_path))
+            wanted = installed_places(config_path, given or Places())
+            places = agreed_places(manifest, archived, wanted, keep_configuration=keep_configuration)
+            store = places.store
+            assert store is not None, "every back-up holds a store"
+            _refuse_small_disk(archive, store)
+            archive.prove()
+            with _stopped(store), _private_folder(store.parent) as folder:
+                archive.extract(folder)
+                _check_commissioning(folder)
+                _check_releases(folder, manifest)
+                disarm(folder / STORE_NAME, manifest, person)
+                pieces = list(targets(places, None if keep_configuration else config_path))
+                return _put_in_place(folder, manifest, pieces, store, replace=replace)
     except OSError as error:
         raise BackupError(f"the back-up cannot be restored: {error}") from error
 
 
-def _extract(archive_path: Path, names: Iterable[str], folder: Path) -> None:
-    with tarfile.open(archive_path, mode="r:") as archive:
-        for name in names:
-            stream = archive.extractfile(name)
-            assert stream is not None, "the manifest was proved"
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with stream, path.open("xb") as file:
-                shutil.copyfileobj(stream, file)
+def _refuse_small_disk(archive: Archive, store: Path) -> None:
+    """Refuse what the disk cannot hold twice: unpacked, and in its place."""
+    there = next(folder for folder in store.absolute().parents if folder.is_dir())
+    free = shutil.disk_usage(there).free
+    if 2 * archive.size_bytes > free:
+        raise BackupError(
+            f"{there}: {2 * archive.size_bytes / MIB:.0f} MiB must be free to restore this back-up, "
+            f"{free / MIB:.0f} MiB are; free space on the disk"
+        )
 
 
-def _configuration(archive_path: Path, manifest: Manifest, config_path: Path) -> Configuration:
-    """Return the configuration of the back-up as it will be read from its new place."""
-    with tempfile.TemporaryDirectory(prefix="toolpoint-restore-") as work:
-        _extract(archive_path, [CONFIGURATION_NAME], Path(work))
+@contextmanager
+def _private_folder(parent: Path) -> Iterator[Path]:
+    """Yield a folder of our own that stays the same one, even if somebody else renames it."""
+    with tempfile.TemporaryDirectory(prefix=".toolpoint-restore-", dir=parent) as work:
+        descriptor = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
-            section = load_yaml_model(Path(work) / CONFIGURATION_NAME, Configuration)
-        except ConfigurationError as error:
-            raise BackupError(
-                f"the configuration in the back-up is refused by this version; install {manifest.toolpoint}, which "
-                f"made it:\n{error}"
-            ) from error
+            if os.fstat(descriptor).st_uid != os.geteuid():
+                raise BackupError(f"{work}: somebody else has put a folder in this place; find out who")
+            yield Path(f"/proc/self/fd/{descriptor}")
+        finally:
+            os.close(descriptor)
+
+
+def _configuration(archive: Archive, config_path: Path) -> Configuration:
+    """Return the configuration of the back-up as it will be read from its new place."""
+    try:
+        text = archive.content(CONFIGURATION_NAME).decode("utf-8")
+        section = parse_yaml_model(text, Configuration, CONFIGURATION_NAME)
+    except UnicodeDecodeError as error:
+        raise BackupError(f"the configuration in the back-up is not UTF-8 text (byte {error.start})") from error
+    except ConfigurationError as error:
+        raise BackupError(
+            f"the configuration in the back-up is refused by this version; install {archive.manifest.toolpoint}, which "
+            f"made it:\n{error}"
+        ) from error
     return with_absolute_paths(section, config_path.absolute().parent)
 
 
@@ -166,6 +168,9 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
         "compare the macro variables with the machine, then acknowledge"
     )
     try:
+        with closing(sqlite3.connect(store, isolation_level=None)) as connection:
+            connection.execute("PRAGMA trusted_schema=OFF")
+            _refuse_foreign_schema(connection)
         connect_writer(store).close()
         with closing(sqlite3.connect(store, isolation_level=None)) as connection:
             (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
@@ -189,6 +194,22 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
         raise BackupError(f"the store in the back-up cannot be used: {error}") from error
 
 
+def _refuse_foreign_schema(connection: sqlite3.Connection) -> None:
+    """Refuse a store that would do more than store: triggers and views of somebody else act when it is changed."""
+    active = "SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
+    if (found := connection.execute(active).fetchone()) is not None:
+        raise BackupError(f"the store in the back-up holds a {ascii(found[0])[1:-1]}, which none has; take another one")
+
+
+def _check_commissioning(folder: Path) -> None:
+    if not (path := folder / COMMISSIONING_NAME).exists():
+        return
+    try:
+        load_commissioning(path)
+    except CommissioningError as error:
+        raise BackupError(f"the commissioning record in the back-up cannot be read: {error}") from error
+
+
 def _check_releases(folder: Path, manifest: Manifest) -> None:
     """Check that every release in the back-up is the file that its record names."""
     for name in manifest.release_files:
@@ -203,36 +224,23 @@ def _check_releases(folder: Path, manifest: Manifest) -> None:
                 raise BackupError(f"{name}: the model beside it is not the one that {record.person} released")
 
 
-def _targets(configuration: Configuration, config_path: Path) -> Iterator[tuple[str, Path]]:
-    """Yield the name in the back-up and the new place of what is restored as one piece."""
-    yield CONFIGURATION_NAME, config_path.absolute()
-    yield STORE_NAME, configuration.history.path
-    if (record := configuration.compensation.commissioning_file) is not None:
-        yield COMMISSIONING_NAME, record
-    if (model_file := configuration.compensation.model_file) is not None:
-        yield RELEASES_NAME, model_file.parent / "releases"
-        yield MODEL_NAME, model_file
-
-
 def _put_in_place(
-    folder: Path, manifest: Manifest, configuration: Configuration, config_path: Path, *, replace: bool
+    folder: Path, manifest: Manifest, pieces: Iterable[tuple[str, Path]], store: Path, *, replace: bool
 ) -> Restored:
-    targets = [
-        (name, path)
-        for name, path in _targets(configuration, config_path)
-        if (folder / name).exists() and not _is_there_already(folder / name, path)
+    to_place = [
+        (name, path) for name, path in pieces if (folder / name).exists() and not _is_there_already(folder / name, path)
     ]
-    in_the_way = [path for _, path in targets if os.path.lexists(path)]
+    in_the_way = [path for _, path in to_place if os.path.lexists(path)]
     if in_the_way and not replace:
         listed = ", ".join(map(str, in_the_way))
         raise BackupError(f"there is already {listed}; --replace moves what is there aside, nothing is deleted")
     kept: dict[Path, Path] = {}
     placed: list[Path] = []
     try:
-        for path, aside in _aside(configuration.history.path, in_the_way):
+        for path, aside in _aside(store, in_the_way):
             path.rename(aside)
             kept[path] = aside
-        for name, path in targets:
+        for name, path in to_place:
             path.parent.mkdir(parents=True, exist_ok=True)
             placed.append(path)
             if name == MODEL_NAME and manifest.active_release is not None:
@@ -263,32 +271,50 @@ def _undo(placed: Iterable[Path], kept: dict[Path, Path]) -> None:
         aside.rename(path)
 
 
-def _aside(store: Path, in_the_way: list[Path]) -> Iterator[tuple[Path, Path]]:
-    """Yield what is there with its new name; a store goes together with the files that belong to it."""
+def _aside(store: Path, in_the_way: list[Path]) -> list[tuple[Path, Path]]:
+    """Return what is there with its new name, which nothing has; a store goes with the files that belong to it."""
+    here = [path for path in (*in_the_way, last_block_beside(store)) if os.path.lexists(path)]
     stamp = f"before-restore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-    for path in (*in_the_way, last_block_beside(store)):
-        if os.path.lexists(path):
-            yield path, path.with_name(f"{path.name}.{stamp}")
-    for suffix in BESIDE_STORE:  # SQLite finds them by the store's name
-        if (path := Path(f"{store}{suffix}")).exists():
-            yield path, Path(f"{store}.{stamp}{suffix}")
+    for number in itertools.count(2):
+        aside = [(path, path.with_name(f"{path.name}.{stamp}")) for path in here]
+        for suffix in BESIDE_STORE:  # SQLite finds them by the store's name
+            if (path := Path(f"{store}{suffix}")).exists():
+                aside.append((path, Path(f"{store}.{stamp}{suffix}")))
+        if not any(os.path.lexists(name) for _, name in aside):
+            break
+        stamp = f"{stamp.partition('Z')[0]}Z-{number}"
+    return aside
 
 
 def _place(source: Path, path: Path) -> None:
-    """Copy a file or folder to its place, as the property of whoever owns the folder there."""
+    """Copy a file or folder to its place, as the property of whoever owns the folder there; never through a link."""
     if source.is_dir():
-        shutil.copytree(source, path)
-    else:
-        shutil.copyfile(source, path)
-    for place in (path, *(path.rglob("*") if path.is_dir() else ())):
-        place.chmod(0o755 if place.is_dir() else 0o644)
-        give_to_owner_of_folder(place)
-    if source.name == Path(STORE_NAME).name:
-        path.chmod(0o640)
+        path.mkdir()
+        _make_readable(path, 0o755)
+        for each in sorted(source.iterdir()):
+            _place(each, path / each.name)
+        return
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with os.fdopen(descriptor, "wb") as target, source.open("rb") as content:
+        shutil.copyfileobj(content, target)
+        target.flush()
+        os.fsync(target.fileno())
+    _make_readable(path, 0o640 if source.name == Path(STORE_NAME).name else 0o644)
+
+
+def _make_readable(path: Path, mode: int) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        os.fchmod(descriptor, mode)
+        if os.geteuid() == 0:
+            owner = path.parent.stat()
+            os.fchown(descriptor, owner.st_uid, owner.st_gid)
+    finally:
+        os.close(descriptor)
 
 
 def give_to_owner_of_folder(path: Path) -> None:
     """Let a file that root has made belong to whoever owns its folder: the daemon's user must write its store."""
     if os.geteuid() == 0:
         owner = path.parent.stat()
-        os.chown(path, owner.st_uid, owner.st_gid)
+        os.chown(path, owner.st_uid, owner.st_gid, follow_symlinks=False)

@@ -8,6 +8,7 @@ import sqlite3
 import tarfile
 from contextlib import closing
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 import yaml
@@ -18,6 +19,7 @@ from config.loader import load_configuration
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.names import existing_backups
+from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history import HistoryReader
 from daemon.model_release.releasing import rollback
@@ -38,8 +40,11 @@ def state_of(store: Path) -> dict[str, object]:
 
 
 def elsewhere(installation: Installation) -> Path:
-    """Return where the configuration would lie on another computer."""
-    return installation.folder.parent / "there/etc/toolpoint.yaml"
+    """Return the configuration of another computer, on which nothing else is installed yet."""
+    path = installation.folder.parent / "there/etc/toolpoint.yaml"
+    path.parent.mkdir(parents=True)
+    shutil.copyfile(installation.config_path, path)
+    return path
 
 
 # --- making ----------------------------------------------------------------------------------
@@ -164,9 +169,9 @@ def rewritten(path: Path, change: str) -> Path:
         ("flipped", "store/history.sqlite was damaged"),
         ("shortened", "store/last-block was damaged"),
         ("missing", "other files than its manifest names"),
-        ("extra", "other files than its manifest names"),
+        ("extra", "store/more is nothing that a back-up holds"),
         ("link", "commissioning/record.json is no plain file"),
-        ("climbing", "is no plain file"),
+        ("climbing", "is nothing that a back-up holds"),
         ("version", "format_version"),
     ],
 )
@@ -175,7 +180,7 @@ def test_a_backup_that_is_not_whole_is_refused(installation, change, words):
     target = elsewhere(installation)
     with pytest.raises(BackupError, match=words):
         restore(path, target, person="anna", replace=False)
-    assert not target.parent.exists()
+    assert [path for path in target.parents[1].rglob("*") if path.is_file()] == [target]
 
 
 def test_what_is_no_backup_is_refused(tmp_path):
@@ -227,7 +232,10 @@ def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation
     writer.event("note", "after the back-up")
     writer.close()
     installation.config_path.write_text("changed: true\n", encoding="utf-8")
-    done = restore(path, installation.config_path, person="anna", replace=True)
+    with pytest.raises(BackupError, match=r"cannot be read, so it names no places.*--store"):
+        restore(path, installation.config_path, person="anna", replace=True)
+    places = Places.of(installation.configuration)
+    done = restore(path, installation.config_path, person="anna", replace=True, given=places)
     assert not [path for path in (*done.kept, *done.placed) if "commissioning.json" in path.name]
     kept = {item.name.split(".before-restore-")[0]: item for item in done.kept}
     assert {"toolpoint.yaml", "history.sqlite", "history.sqlite.last-block", "releases", "model.json"} <= set(kept)
@@ -265,16 +273,18 @@ def test_half_a_restoration_is_undone(installation, monkeypatch):
     path = installation.backup()
     installation.config_path.write_text("changed: true\n", encoding="utf-8")
     before = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
-    copy, copied = shutil.copyfile, []
+    copy, copied = shutil.copyfileobj, []
 
-    def until_the_disk_is_full(source: Path, destination: Path) -> None:
+    def until_the_disk_is_full(source: BinaryIO, destination: BinaryIO) -> None:
         if copied:
             raise OSError(28, "No space left on device")
         copied.append(copy(source, destination))
 
-    monkeypatch.setattr("daemon.backup.restoring.shutil.copyfile", until_the_disk_is_full)
+    monkeypatch.setattr("daemon.backup.restoring.shutil.copyfileobj", until_the_disk_is_full)
     with pytest.raises(BackupError, match="No space left"):
-        restore(path, installation.config_path, person="anna", replace=True)
+        restore(
+            path, installation.config_path, person="anna", replace=True, given=Places.of(installation.configuration)
+        )
     after = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
     lock = Path(f"{installation.configuration.history.path}.lock")
     assert {k: v for k, v in after.items() if k != lock} == {k: v for k, v in before.items() if k != lock}

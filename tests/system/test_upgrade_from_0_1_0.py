@@ -477,7 +477,12 @@ def test_the_backup_restores(tmp_path: Path) -> None:
     installed = install(tmp_path / "machine")
     verified = installed.run("restore", str(archive), "--verify")
     agree(verified, expected("backup/expected.json"), "manifest")
-    installed.run("restore", str(archive), "--replace")
+    refused = CliRunner().invoke(
+        main, ["restore", str(archive), "--replace", "--config", str(installed.folder / "etc/toolpoint.yaml")]
+    )
+    assert refused.exit_code == 1 and "--store /var/lib/toolpoint/history.sqlite" in refused.output
+    done = installed.run("restore", str(archive), "--replace", "--keep-configuration")
+    assert all(Path(path).is_relative_to(installed.folder) for path in done["placed"])
     wanted, path = expected("backup/restored.json"), installed.configuration.history.path
     with closing(sqlite3.connect(path)) as connection:
         states = {key: json.loads(text) for key, text in connection.execute("SELECT key, json FROM state")}

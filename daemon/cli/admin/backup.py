@@ -69,16 +69,30 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 @click.argument("archive", type=click.Path(path_type=Path))
 @click.option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
 @click.option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
+@click.option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")
+@click.option("--store", type=click.Path(path_type=Path), help="Where the history goes.")
+@click.option("--commissioning-file", type=click.Path(path_type=Path), help="Where the commissioning record goes.")
+@click.option("--model-file", type=click.Path(path_type=Path), help="Where the model goes, its releases beside it.")
 @config_option
 @json_option
-def restore(archive: Path, verify_only: bool, replace: bool, config_path: Path, json_path: str | None) -> None:
+def restore(
+    archive: Path,
+    verify_only: bool,
+    replace: bool,
+    keep_configuration: bool,
+    config_path: Path,
+    json_path: str | None,
+    **places: Path | None,
+) -> None:
     """Restore ARCHIVE while the daemon is stopped; nothing is overwritten or deleted.
 
-    The configuration goes to the place that --config names, everything else to where that
-    configuration says. The daemon then starts in FAULT and moves nothing until a person acknowledges.
+    Everything goes to where the configuration says that is installed at --config, or an option; where the archive's
+    own configuration means other places, nothing is restored. All of the archive is proved before anything is
+    written. The daemon then starts in FAULT and moves nothing until a person acknowledges.
     """
     from daemon.backup import restoring
     from daemon.backup.manifest import BackupError
+    from daemon.backup.places import Places
     from daemon.model_release.releasing import person_now
 
     try:
@@ -89,7 +103,14 @@ def restore(archive: Path, verify_only: bool, replace: bool, config_path: Path, 
             )
             write_json(json_path, manifest.model_dump(mode="json"))
             return
-        done = restoring.restore(archive, config_path, person=person_now(), replace=replace)
+        done = restoring.restore(
+            archive,
+            config_path,
+            person=person_now(),
+            replace=replace,
+            given=Places(**{name: path and path.absolute() for name, path in places.items()}),
+            keep_configuration=keep_configuration,
+        )
     except BackupError as error:
         click.echo(str(error), err=True)
         sys.exit(FAILED)
