@@ -76,8 +76,8 @@ def load_record(path: Path | None) -> CommissioningRecord | None:
 def load_model(configuration: Configuration) -> LoadedModel[ThermalModel]:
     """Return the released model, or why there is none; what stands against it is in the log."""
     loaded = load_released(configuration, own_account())
-    if loaded.obstacle:
-        log.error("model.missing", problem=loaded.obstacle)
+    if loaded.inhibit:
+        log.error("model.missing", problem=loaded.inhibit)
     elif loaded.warning:
         log.warning("model.unprotected", problem=loaded.warning)
     return loaded
@@ -106,7 +106,7 @@ class Daemon:
         )
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
-        model, obstacle = self._loaded.model, self._loaded.obstacle
+        model, inhibit = self._loaded.model, self._loaded.inhibit
         record = load_record(configuration.compensation.commissioning_file)
         axes = tuple(configuration.compensation.axes)
         factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
@@ -128,7 +128,7 @@ class Daemon:
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox: asyncio.Queue[Message] = asyncio.Queue()
         limits = output_limits(configuration, factors)
-        interlocks = Interlocks(configuration, clock, record, lambda: obstacle or self.thermal.inhibit())
+        interlocks = Interlocks(configuration, clock, record, lambda: inhibit or self.thermal.inhibit())
         self.control = self._control_task(interlocks, limits, None if model is None else model.model_id, inbox)
         self.thermal = ThermalTask(
             configuration,
@@ -307,8 +307,8 @@ class Daemon:
 
     def _on_bearings(self, opened: OpenedModel) -> None:
         """Note which model speeds are planned with; it is told once, however often the planner is started."""
-        if opened.obstacle:
-            self._links.planner_health.went_down(opened.obstacle, self._clock.now().utc_s)
+        if opened.inhibit:
+            self._links.planner_health.went_down(opened.inhibit, self._clock.now().utc_s)
         else:
             self._links.planner_health.came_up()
         if opened.model != self.snapshots.bearing_model:

@@ -129,7 +129,7 @@ CHECKING_GUARD = 2
 """First version of the guard that applies a block only when its check fits; no older one is enabled."""
 
 
-def commissioning_obstacle(
+def commissioning_inhibit(
     record: CommissioningRecord | None,
     *,
     cnc_identity: str,
@@ -159,7 +159,7 @@ def commissioning_obstacle(
         return f"cnc.macros.check {CHECK_MISSING}"
     if axes and record.guard_version is not None and (older := older_guard(record.guard_version)):
         return f"the commissioning was made with {older}, and {ADVICE} again"
-    return "" if guard_version is None else _guard_obstacle(record, guard_version)
+    return "" if guard_version is None else _guard_inhibit(record, guard_version)
 
 
 def older_guard(guard_version: float) -> str:
@@ -172,7 +172,7 @@ def older_guard(guard_version: float) -> str:
     )
 
 
-def _guard_obstacle(record: CommissioningRecord, guard_version: float) -> str:
+def _guard_inhibit(record: CommissioningRecord, guard_version: float) -> str:
     if record.guard_version is None:
         return (
             f"the commissioning record is of format {record.format_version} and does not say which guard it was made "

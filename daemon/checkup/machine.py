@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.records.commissioning import CommissioningError, commissioning_obstacle, load_commissioning
+from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
 from daemon.cnc.macro_block import MacroBlock
@@ -61,7 +61,7 @@ def model_finding(configuration: Configuration) -> Finding:
     found = load_released(configuration, account_of_daemon(configuration.history.path))
     if found.model is None:
         pending = configuration.compensation.model_file is None
-        return Finding(subject="thermal model", passed=False, detail=found.obstacle, pending=pending)
+        return Finding(subject="thermal model", passed=False, detail=found.inhibit, pending=pending)
     channels = ", ".join(found.model.channels)
     return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
 
@@ -69,8 +69,8 @@ def model_finding(configuration: Configuration) -> Finding:
 def _spindle_speed(configuration: Configuration) -> Finding:
     """Return whether spindles, bearings' model and cases of the tuned operations can be read and fit together."""
     opened = open_planning(configuration, account_of_daemon(configuration.history.path))
-    if opened.obstacle or opened.model is None:
-        return Finding(subject="spindle speed", passed=False, detail=opened.obstacle)
+    if opened.inhibit or opened.model is None:
+        return Finding(subject="spindle speed", passed=False, detail=opened.inhibit)
     detail = f"{opened.model.in_words()}; {len(opened.operations)} operation(s) can be tuned"
     return Finding(subject="spindle speed", passed=True, detail=detail)
 
@@ -90,11 +90,11 @@ def _record(configuration: Configuration) -> Finding:
     except CommissioningError as error:
         return Finding(subject="commissioning", passed=False, detail=str(error))
     axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
-    obstacle = commissioning_obstacle(
+    inhibit = commissioning_inhibit(
         record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=axes
     )
-    detail = obstacle or f"{record.cnc_identity} by {record.person} on {record.date}"
-    return Finding(subject="commissioning", passed=not obstacle, detail=detail)
+    detail = inhibit or f"{record.cnc_identity} by {record.person} on {record.date}"
+    return Finding(subject="commissioning", passed=not inhibit, detail=detail)
 
 
 async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:
@@ -144,8 +144,8 @@ async def _cnc(configuration: Configuration, clock: Clock) -> str:
     vacant = [n for n in block.polled if sample.macros.get(n) is None and n != configuration.cnc.macros.valid_until]
     if vacant:
         raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
-    if obstacle := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
-        raise DriverError(f"{cnc.identity}: {obstacle}")
+    if inhibit := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
+        raise DriverError(f"{cnc.identity}: {inhibit}")
     security = "encrypted" if cnc.security == "encrypted" else "NOT secure"
     return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
 
@@ -160,4 +160,4 @@ def _other_control(configuration: Configuration, identity: str, guard_version: f
     if record is None:
         return ""
     macros = configuration.cnc.macros
-    return commissioning_obstacle(record, cnc_identity=identity, macros=macros, axes=(), guard_version=guard_version)
+    return commissioning_inhibit(record, cnc_identity=identity, macros=macros, axes=(), guard_version=guard_version)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
-from config.records.commissioning import CommissioningRecord, commissioning_obstacle
+from config.records.commissioning import CommissioningRecord, commissioning_inhibit
 from config.schema import Configuration
 from daemon.cnc.session import CncSession
 from drivers.clock import Clock
@@ -59,7 +59,7 @@ class Interlocks:
                 "no commissioning record: `toolpoint commission --check` says why",
                 remedy="start the daemon again afterwards",
             )
-        not_proved = commissioning_obstacle(
+        not_proved = commissioning_inhibit(
             self._commissioning,
             cnc_identity=cnc.identity,
             macros=self._configuration.cnc.macros,

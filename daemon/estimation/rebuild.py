@@ -19,7 +19,7 @@ LEAD_S = 120.0
 """Read a little earlier, so that a value that is held at the window's begin is known [s]."""
 
 
-class Past:
+class HistoryBackfill:
     """Reads one machine's store; times are the monotonic clock's."""
 
     def __init__(self, store: Path, sensor_ids: Sequence[int], clock: Clock) -> None:

@@ -14,7 +14,7 @@ import structlog
 from config.schema import Configuration
 from daemon.estimation.cleansing import Cleansing
 from daemon.estimation.model_in_use import ModelInUse
-from daemon.estimation.rebuild import Past
+from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import SinceReference
 from daemon.history.writer import HistoryWriter
 from daemon.messages import (
@@ -117,7 +117,7 @@ class ThermalTask:
 
     async def recall(self) -> None:
         """Hold the first temperatures against those that the previous run accepted last."""
-        past = Past(self._history.path, self._sensor_ids, self._clock)
+        past = HistoryBackfill(self._history.path, self._sensor_ids, self._clock)
         degc, at_s = await asyncio.to_thread(past.last_accepted)
         self._cleansing.recall(degc, at_s)
 
@@ -161,7 +161,7 @@ class ThermalTask:
     def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
         if model is None:
             return None
-        past = Past(self._history.path, self._sensor_ids, self._clock)
+        past = HistoryBackfill(self._history.path, self._sensor_ids, self._clock)
         return ModelInUse(model, self._sensor_ids, self._components, past.means)
 
     def inhibit(self) -> str:

@@ -12,7 +12,7 @@ def load_released_bearings(configuration: Configuration, account: Account) -> Lo
     """Return the bearing model of the spindle-speed tuning as this account may use it; deny by default."""
     tuning = configuration.spindle_speed
     if tuning is None:
-        return LoadedModel(model=None, obstacle="no bearing model is configured (there is no section spindle_speed)")
+        return LoadedModel(model=None, inhibit="no bearing model is configured (there is no section spindle_speed)")
     wanted = WantedModel(kind="bearing model", option="--bearings ")
     return load_checked(wanted, tuning.thermomechanical_model, configuration, account, _read_bearings)
 

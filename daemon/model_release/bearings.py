@@ -14,7 +14,7 @@ from models.errors import StabilityError
 from models.thermomechanics.regression import ThermomechanicalModel
 
 
-def bearing_shelf(configuration: Configuration) -> ReleaseRepository:
+def bearing_repository(configuration: Configuration) -> ReleaseRepository:
     """Return the releases of the bearing model; raises ReleaseError without a configured place."""
     tuning = configuration.spindle_speed
     if tuning is None:
@@ -30,9 +30,9 @@ def bearing_shelf(configuration: Configuration) -> ReleaseRepository:
 
 def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermomechanicalModel, list[str]]:
     """Return the model and what was found good; raises ReleaseError."""
-    model, obstacle = bearings_from_text(content, source)
+    model, inhibit = bearings_from_text(content, source)
     if model is None:
-        raise ReleaseError(obstacle)
+        raise ReleaseError(inhibit)
     try:
         planning = planned_with(configuration, model)
     except (ConfigurationError, StabilityError) as error:
@@ -46,7 +46,7 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
     ]
 
 
-BEARINGS = Kind(shelf=bearing_shelf, checked=_checked)
+BEARINGS = Kind(repository=bearing_repository, checked=_checked)
 """The bearing model of the spindle speed."""
 
 
@@ -56,7 +56,7 @@ class OpenedPlanning:
 
     operations: dict[int, OperationPlanning]
     """By the place of the operation in the configuration."""
-    obstacle: str
+    inhibit: str
     model: LoadedModel[ThermomechanicalModel] | None
     """None without a section `spindle_speed`."""
 
@@ -64,11 +64,11 @@ class OpenedPlanning:
 def open_planning(configuration: Configuration, account: Account) -> OpenedPlanning:
     """Return the planning of each configured operation with the released model, as this account may use it."""
     if configuration.spindle_speed is None:
-        return OpenedPlanning(operations={}, obstacle="", model=None)
+        return OpenedPlanning(operations={}, inhibit="", model=None)
     loaded = load_released_bearings(configuration, account)
     if loaded.model is None:
-        return OpenedPlanning(operations={}, obstacle=loaded.obstacle, model=loaded)
+        return OpenedPlanning(operations={}, inhibit=loaded.inhibit, model=loaded)
     try:
-        return OpenedPlanning(operations=planned_with(configuration, loaded.model), obstacle="", model=loaded)
+        return OpenedPlanning(operations=planned_with(configuration, loaded.model), inhibit="", model=loaded)
     except (ConfigurationError, StabilityError) as error:
-        return OpenedPlanning(operations={}, obstacle=str(error), model=loaded)
+        return OpenedPlanning(operations={}, inhibit=str(error), model=loaded)

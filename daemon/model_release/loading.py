@@ -36,7 +36,7 @@ class LoadedModel(Generic[AnyModel]):
     """The model, or why there is none, and who released it."""
 
     model: AnyModel | None
-    obstacle: str
+    inhibit: str
     record: ReleaseRecord | None = None
     sha256: str = ""
     warning: str = ""
@@ -45,7 +45,7 @@ class LoadedModel(Generic[AnyModel]):
     def in_words(self) -> str:
         """Return one sentence for audit and log."""
         if self.model is None:
-            return f"refused: {self.obstacle}"
+            return f"refused: {self.inhibit}"
         words = f"{self.model.model_id}, sha256 {self.sha256}, "
         if self.record is None:
             words += "released by nobody"
@@ -62,7 +62,7 @@ class LoadedModel(Generic[AnyModel]):
             release=record.number if record is not None else None,
             released_by=record.person if record is not None else None,
             released=record.released if record is not None else None,
-            problem=self.obstacle,
+            problem=self.inhibit,
             warning=self.warning,
         )
 
@@ -71,13 +71,13 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
     """Return the configured thermal model as this account may use it; deny by default."""
     path = configuration.compensation.model_file
     if path is None:
-        return LoadedModel(model=None, obstacle="no thermal model is configured (compensation.model_file)")
+        return LoadedModel(model=None, inhibit="no thermal model is configured (compensation.model_file)")
     wanted = [axis.estimate for axis in configuration.compensation.axes.values() if axis.estimate]
 
     def read(content: bytes, source: str) -> tuple[ThermalModel | None, str, str]:
         """Return the thermal model, and what stands against it."""
-        model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
-        return model, obstacle, "" if model is None else training_inhibit(model)
+        model, inhibit = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
+        return model, inhibit, "" if model is None else training_inhibit(model)
 
     return load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
 
@@ -94,11 +94,11 @@ class WantedModel:
 def load_checked(
     wanted: WantedModel, path: Path, configuration: Configuration, account: Account, read: Read[AnyModel]
 ) -> LoadedModel[AnyModel]:
-    """Return a model as this account may use it: out of its reach, released, unchanged, and read without objection."""
+    """Return a released, unchanged and readable model whose file this account cannot change."""
     try:
         return _loaded(wanted, path, configuration, account, read)
     except OSError as error:
-        return LoadedModel(model=None, obstacle=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
+        return LoadedModel(model=None, inhibit=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
 
 
 def _loaded(
@@ -109,26 +109,26 @@ def _loaded(
     if not real.exists():
         return LoadedModel(
             model=None,
-            obstacle=f"{path}: there is no {wanted.kind}; release one: `toolpoint model release {wanted.option}FILE`",
+            inhibit=f"{path}: there is no {wanted.kind}; release one: `toolpoint model release {wanted.option}FILE`",
         )
     record, mismatch = released(path)
-    doubt = _doubt(wanted, path, account, record)
-    if mismatch or (doubt and not lenient):
-        return LoadedModel(model=None, obstacle=mismatch or doubt, record=record)
+    unreleased = _not_released(wanted, path, account, record)
+    if mismatch or (unreleased and not lenient):
+        return LoadedModel(model=None, inhibit=mismatch or unreleased, record=record)
     content = real.read_bytes()
-    model, obstacle, refused = read(content, str(real))
+    model, inhibit, refused = read(content, str(real))
     if model is None:
-        return LoadedModel(model=None, obstacle=obstacle, record=record)
+        return LoadedModel(model=None, inhibit=inhibit, record=record)
     if refused:
-        doubt = f"{doubt}; {refused}" if doubt else f"{path}: {refused}"
+        unreleased = f"{unreleased}; {refused}" if unreleased else f"{path}: {refused}"
         if not lenient:
-            return LoadedModel(model=None, obstacle=doubt, record=record)
-    warning = f"allow_writable_model_directory lets it pass: {doubt}" if doubt else ""
-    return LoadedModel(model=model, obstacle="", record=record, sha256=sha256_of(content), warning=warning)
+            return LoadedModel(model=None, inhibit=unreleased, record=record)
+    warning = f"allow_writable_model_directory lets it pass: {unreleased}" if unreleased else ""
+    return LoadedModel(model=model, inhibit="", record=record, sha256=sha256_of(content), warning=warning)
 
 
-def _doubt(wanted: WantedModel, path: Path, account: Account, record: ReleaseRecord | None) -> str:
-    """Return what stands against a model whose release is not in order, '' when nothing does."""
+def _not_released(wanted: WantedModel, path: Path, account: Account, record: ReleaseRecord | None) -> str:
+    """Return why a model may not be used whose release is not in order, '' when nothing does."""
     if how := how_it_could_change(path, account):
         return (
             f"{path}: the daemon could change this model: {how}; let root or the account of the releases own file and "

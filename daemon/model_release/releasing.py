@@ -26,7 +26,7 @@ NO_LOGIN = 2**32 - 1
 class Kind:
     """A kind of model that is released: where, and what is checked before."""
 
-    shelf: Callable[[Configuration], ReleaseRepository]
+    repository: Callable[[Configuration], ReleaseRepository]
     """Raises ReleaseError without a configured place."""
     checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
     """Return the model that bytes hold, and what was found good; raises ReleaseError."""
@@ -39,7 +39,7 @@ class Proposal:
     path: Path
     model_id: str
     sha256: str
-    obstacle: str
+    inhibit: str
     """Why it would be refused now, '' when it would not."""
 
 
@@ -68,8 +68,8 @@ def _named(uid: int) -> str:
         return f"unknown (uid {uid})"
 
 
-def shelf_of(configuration: Configuration) -> ReleaseRepository:
-    """Return the machine's shelf of releases; raises ReleaseError without a configured place."""
+def repository_of(configuration: Configuration) -> ReleaseRepository:
+    """Return the machine's repository of releases; raises ReleaseError without a configured place."""
     if configuration.compensation.model_file is None:
         raise ReleaseError("compensation.model_file is not set, so there is no place for a released model")
     return ReleaseRepository(configuration.compensation.model_file)
@@ -89,29 +89,29 @@ def release(
     Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
     """
     kind = kind or THERMAL
-    shelf = kind.shelf(configuration)
+    repository = kind.repository(configuration)
     content = _content(proposal)
     model, checks = kind.checked(configuration, content, str(proposal))
-    with shelf.locked():
-        active = shelf.active()
-        _refuse_the_daemons_reach(configuration, shelf)
+    with repository.locked():
+        active = repository.active()
+        _refuse_the_daemons_reach(configuration, repository)
         if active is not None and active.sha256 == sha256_of(content):
             raise ReleaseError(f"{proposal}: this model is active already, as release {active.number}")
-        if twin := [r for r in shelf.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
+        if twin := [r for r in repository.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
             raise ReleaseError(
                 f"{proposal}: release {twin[0].number} is another model of the same name {model.model_id}; audit and "
                 "history could not tell them apart: train it again, or give it another model_id"
             )
         if by_policy:
             proposed, _ = _checked(configuration, content, str(proposal))
-            before = _checked_release(configuration, shelf, active)
-            if obstacle := policy_inhibit(proposed, before, configuration):
-                raise ReleaseError(f"{proposal}: {obstacle}")
+            before = _checked_release(configuration, repository, active)
+            if inhibit := policy_inhibit(proposed, before, configuration):
+                raise ReleaseError(f"{proposal}: {inhibit}")
             checks.append("its bands are not wider than the active model's")
         record = _record(
-            shelf, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
+            repository, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
         )
-        shelf.add(record, content)
+        repository.add(record, content)
     return record
 
 
@@ -121,9 +121,9 @@ def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRe
         raise ReleaseError(
             "compensation.release.automatic is false: only a person releases a model, by `toolpoint model release FILE`"
         )
-    known = {record.sha256 for record in shelf_of(configuration).records()}
+    known = {record.sha256 for record in repository_of(configuration).records()}
     for proposal in reversed(proposals(configuration)):
-        if proposal.obstacle or proposal.sha256 in known:
+        if proposal.inhibit or proposal.sha256 in known:
             continue
         try:
             return release(configuration, proposal.path, person=person, note="by policy", by_policy=True)
@@ -142,19 +142,19 @@ def rollback(
 ) -> ReleaseRecord:
     """Make an earlier release of a kind (None: thermal) active again, under a new number; raises ReleaseError."""
     kind = kind or THERMAL
-    shelf = kind.shelf(configuration)
-    with shelf.locked():
-        active = shelf.active()
-        _refuse_the_daemons_reach(configuration, shelf)
+    repository = kind.repository(configuration)
+    with repository.locked():
+        active = repository.active()
+        _refuse_the_daemons_reach(configuration, repository)
         number = to if to is not None else _before(active)
-        found, content = shelf.content(number)
+        found, content = repository.content(number)
         if active is not None and found.sha256 == active.sha256:
             raise ReleaseError(f"release {number} holds the model that is active now")
         model, checks = kind.checked(configuration, content, f"release {number}")
         record = _record(
-            shelf, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
+            repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
-        shelf.add(record, content)
+        repository.add(record, content)
     return record
 
 
@@ -193,13 +193,13 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
             changed_s = path.stat().st_mtime
         except (ReleaseError, OSError):
             continue  # gone, or not for us to read: nothing to propose
-        model, obstacle = model_from_text(
+        model, inhibit = model_from_text(
             content, str(path), configuration.temperatures.sensor_ids, _wanted(configuration)
         )
         if model is not None:
-            obstacle = gate_inhibit(model, configuration)
+            inhibit = gate_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
-        found.append((changed_s, Proposal(path=path, model_id=name, sha256=sha256_of(content), obstacle=obstacle)))
+        found.append((changed_s, Proposal(path=path, model_id=name, sha256=sha256_of(content), inhibit=inhibit)))
     return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
 
 
@@ -225,11 +225,11 @@ def _content(path: Path) -> bytes:
 
 def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel, list[str]]:
     """Return the model and what was found good; raises ReleaseError."""
-    model, obstacle = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
+    model, inhibit = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
     if model is None:
-        raise ReleaseError(obstacle)
-    if obstacle := gate_inhibit(model, configuration):
-        raise ReleaseError(f"{source}: {obstacle}")
+        raise ReleaseError(inhibit)
+    if inhibit := gate_inhibit(model, configuration):
+        raise ReleaseError(f"{source}: {inhibit}")
     bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in _wanted(configuration))
     return model, [
         "the checksum fits the content",
@@ -240,15 +240,15 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
 
 
 def _checked_release(
-    configuration: Configuration, shelf: ReleaseRepository, record: ReleaseRecord | None
+    configuration: Configuration, repository: ReleaseRepository, record: ReleaseRecord | None
 ) -> ThermalModel | None:
     if record is None:
         return None
-    _, content = shelf.content(record.number)
+    _, content = repository.content(record.number)
     return _checked(configuration, content, f"release {record.number}")[0]
 
 
-def _refuse_the_daemons_reach(configuration: Configuration, shelf: ReleaseRepository) -> None:
+def _refuse_the_daemons_reach(configuration: Configuration, repository: ReleaseRepository) -> None:
     """Refuse a place that the daemon could write, and the daemon's own account."""
     if configuration.compensation.allow_writable_model_directory:
         return
@@ -257,9 +257,10 @@ def _refuse_the_daemons_reach(configuration: Configuration, shelf: ReleaseReposi
         raise ReleaseError(
             "this account runs the daemon, and the daemon may not release its own model; use another account"
         )
-    if how := how_it_could_change(shelf.releases / "model.json", account):
+    if how := how_it_could_change(repository.releases / "model.json", account):
         raise ReleaseError(
-            f"{shelf.releases}: the daemon could change a model there ({how}); choose a folder that it cannot write"
+            f"{repository.releases}: the daemon could change a model there ({how}); "
+            "choose a folder that it cannot write"
         )
 
 
@@ -270,7 +271,7 @@ def _before(active: ReleaseRecord | None) -> int:
 
 
 def _record(
-    shelf: ReleaseRepository,
+    repository: ReleaseRepository,
     action: str,
     model: Named,
     content: bytes,
@@ -280,12 +281,12 @@ def _record(
     note: str,
     checks: list[str],
 ) -> ReleaseRecord:
-    active = shelf.active()
+    active = repository.active()
     previous = None
     if active is not None:
         previous = PreviousRelease(number=active.number, model_id=active.model_id, sha256=active.sha256)
     return ReleaseRecord(
-        number=shelf.next_number(),
+        number=repository.next_number(),
         action="rollback" if action == "rollback" else "release",
         model_id=model.model_id,
         sha256=sha256_of(content),
@@ -298,5 +299,5 @@ def _record(
     )
 
 
-THERMAL = Kind(shelf=shelf_of, checked=_checked)
+THERMAL = Kind(repository=repository_of, checked=_checked)
 """The thermal model of the compensation."""

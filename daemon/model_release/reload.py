@@ -49,7 +49,7 @@ class ModelReload:
                 found = await self._load()
             except Exception as error:
                 log.exception("model.defect")
-                found = LoadedModel(model=None, obstacle=f"unexpected {type(error).__name__} while loading: {error}")
+                found = LoadedModel(model=None, inhibit=f"unexpected {type(error).__name__} while loading: {error}")
             self._take_up(found)
 
     def _take_up(self, found: LoadedModel[ThermalModel]) -> None:
@@ -67,6 +67,6 @@ class ModelReload:
             self._take(found.model)
         else:
             words = f"{found.in_words()}; the model in use stays"
-            self._publish(replace(self._loaded.snapshot(), problem=found.obstacle))
+            self._publish(replace(self._loaded.snapshot(), problem=found.inhibit))
         log.info("model.reload", outcome=words)
         self._report("model", words)

@@ -120,7 +120,7 @@ class ReleaseRepository:
         return max((int(folder.name) for folder in self.releases.glob("[0-9]*")), default=0) + 1
 
     def add(self, record: ReleaseRecord, content: bytes) -> None:
-        """Put a release on the shelf and make it the active one."""
+        """Add a release and make it the active one."""
         folder = self.releases / f"{record.number:04d}"
         try:
             made = Path(tempfile.mkdtemp(prefix=".new-", dir=self.releases))

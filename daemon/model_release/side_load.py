@@ -38,7 +38,7 @@ async def load_beside(configuration: Configuration) -> LoadedModel[ThermalModel]
             os.close(descriptor)
     except OSError as error:
         found, problem = None, str(error)
-    return found or LoadedModel(model=None, obstacle=f"the process that loads a model failed: {problem}")
+    return found or LoadedModel(model=None, inhibit=f"the process that loads a model failed: {problem}")
 
 
 async def _run(descriptor: int, configuration: bytes) -> str:

@@ -44,9 +44,9 @@ def check_model(path: Path, recording: Recording) -> None:
     names = recording.temperature_names
     if recording.axis_positions:
         raise ValueError(f"{recording.name}: a replay plays no axis positions; take axis_positions out of the map")
-    model, obstacle = read_model(path, range(1, len(names) + 1), recording.displacement_names)
+    model, inhibit = read_model(path, range(1, len(names) + 1), recording.displacement_names)
     if model is None:
-        raise ValueError(obstacle)
+        raise ValueError(inhibit)
     for sensor_id, name in zip(model.sensor_ids, model.sensor_names, strict=True):
         if name != names[sensor_id - 1]:
             raise ValueError(

@@ -86,8 +86,8 @@ class SpeedDecision:
     def _planned(self, operation: SpeedOperation, now_s: float) -> tuple[PlannedSpeed | None, str]:
         """Return the latest plan of this operation and what stands against following it, '' when nothing does."""
         planned = self._worker.latest
-        if self._worker.obstacle:
-            return None, self._worker.obstacle
+        if self._worker.inhibit:
+            return None, self._worker.inhibit
         if planned is None or planned.called != operation.called:
             return None, "no dynamics for this operation yet"
         if now_s - planned.time_s > self._tuning.stale_after_s:

@@ -91,7 +91,7 @@ class SpeedSwitch:
         self._off_by = "" if kept is None else kept.off_by
 
     @property
-    def obstacle(self) -> str:
+    def inhibit(self) -> str:
         """Who has switched it off, in words; '' while it is on."""
         if not self._off_by:
             return ""

@@ -55,7 +55,7 @@ class PlannedSpeed:
 class OpenedModel:
     """Which bearing model the planning follows, or why it follows none."""
 
-    obstacle: str
+    inhibit: str
     """'' where speeds can be planned."""
     words: str
     """One sentence for the audit."""
@@ -88,7 +88,7 @@ class Planner(Protocol):
     """Plans speeds; the worker asks for one plan at a time."""
 
     @property
-    def obstacle(self) -> str:
+    def inhibit(self) -> str:
         """Why no speed can be planned now, '' when it can."""
         ...
 

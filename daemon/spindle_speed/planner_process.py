@@ -50,16 +50,16 @@ class PlannerProcess:
         """Of the process that runs; None while there is none."""
 
     @property
-    def obstacle(self) -> str:
+    def inhibit(self) -> str:
         """Why no speed can be planned now, '' when it can."""
         if self._lost:
             return self._lost
-        return self.opened.obstacle if self.opened is not None else STARTING
+        return self.opened.inhibit if self.opened is not None else STARTING
 
     async def plan(self, request: PlanRequest) -> PlannedSpeed | None:
         """Return the plan; raises LinkError when the process is lost before it has answered."""
-        if obstacle := self.obstacle:
-            raise LinkError(obstacle)
+        if inhibit := self.inhibit:
+            raise LinkError(inhibit)
         answer: asyncio.Future[PlannedSpeed | None] = asyncio.get_running_loop().create_future()
         self._asked.put_nowait((request, answer))
         return await answer
@@ -89,7 +89,7 @@ class PlannerProcess:
                 raise self._gone("has not said what it opened")
             self.opened, self._lost = reply.opened, ""
             self._on_opened(reply.opened)
-            if reply.opened.obstacle:
+            if reply.opened.inhibit:
                 process.kill()
                 await asyncio.Event().wait()
             while True:

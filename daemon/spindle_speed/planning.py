@@ -153,7 +153,7 @@ class SpeedPlanning:
         known = planning.estimator.known
         plan, problem, changes = None, "no temperatures yet", dict[str, float]()
         if known is not None:
-            problem = known.doubt
+            problem = known.inhibit
             try:
                 planner = self._planner_of(planning, called)
                 changes = self._changes(planning, planner, called, time_s)

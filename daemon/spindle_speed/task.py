@@ -82,7 +82,7 @@ class SpindleSpeedOutput:
     def stands_off(self) -> bool:
         """It is switched off, and the block in the CNC says so or has run out."""
         follower = self._follower
-        return follower is None or (bool(follower.switch.obstacle) and not follower.followed)
+        return follower is None or (bool(follower.switch.inhibit) and not follower.followed)
 
     def close(self) -> None:
         """Release what is open."""
@@ -120,7 +120,7 @@ class _Follower:
         self._session: CncSession | None = None
         self._fault_raised = any(reason.startswith(OUR_FAULT) for reason in journal.faults)
         """A FAULT has been raised here that nobody has acknowledged yet."""
-        self._obstacle = NO_LINK
+        self._inhibited = NO_LINK
         """Why nothing may be decided or written, '' when it may."""
         self._unreadable: tuple[CncSession, str] | None = None
 
@@ -139,7 +139,7 @@ class _Follower:
             return
         if session is not self._session:
             self._session = session
-            self.writer.doubt()
+            self.writer.write_again()
         self._found = found
         clock_s = sample.clock_s + (now_s - sample.time.monotonic_s)
         self._inhibit(self._judged(session, found, clock_s, now_s))
@@ -149,7 +149,7 @@ class _Follower:
             self._worker.update(operation.called, operation.place if operation.wanted else None)
         else:
             self._worker.update(None, None)
-        if not self._obstacle:
+        if not self._inhibited:
             await self._serve(session, operation, phase, clock_s, now_s)
 
     async def _read(self, session: CncSession) -> MacroValues | None:
@@ -162,15 +162,15 @@ class _Follower:
             self._inhibit(why)
             return None
 
-    def _inhibit(self, obstacle: str) -> None:
-        """Take what stands against deciding and writing; say once what is said nowhere else."""
-        elsewhere = obstacle in ("", NO_LINK) or self._journal.fault is not None
-        if not elsewhere and obstacle != self._obstacle:
-            self._journal.say("alarm", f"spindle speed: {obstacle}")
-        self._obstacle = obstacle
+    def _inhibit(self, why: str) -> None:
+        """Take why nothing is decided or written; log once what is logged nowhere else."""
+        elsewhere = why in ("", NO_LINK) or self._journal.fault is not None
+        if not elsewhere and why != self._inhibited:
+            self._journal.say("alarm", f"spindle speed: {why}")
+        self._inhibited = why
 
     def _judged(self, session: CncSession, found: MacroValues, clock_s: float, now_s: float) -> str:
-        """Return what stands against writing: a FAULT, an inhibit, or a block that is not ours (a FAULT too)."""
+        """Return why nothing may be written: a FAULT, an interlock, or a block that is not ours (a FAULT too)."""
         if self._journal.fault is not None:
             return f"FAULT: {self._journal.fault}"
         if (inhibit := self._permission.write_inhibit(session.cnc)) is not None:
@@ -178,8 +178,8 @@ class _Follower:
         if self._fault_raised and not self._block.vacant(found):
             self.writer.acknowledge(found)
         self._fault_raised = False
-        if objection := self.writer.objection(found, clock_s, now_s):
-            return self._raise_fault(objection)
+        if mismatch := self.writer.mismatch(found, clock_s, now_s):
+            return self._raise_fault(mismatch)
         return ""
 
     def _raise_fault(self, problem: str) -> str:
@@ -251,7 +251,7 @@ class _Follower:
     @property
     def _withheld(self) -> str:
         """Why the NC is to take nothing, although it may be written to; '' when it may."""
-        return self.switch.obstacle or self._calls.absence
+        return self.switch.inhibit or self._calls.absence
 
     async def _write(
         self, session: CncSession, pair: SpeedPair, operation: SpeedOperation | None, clock_s: float, now_s: float
@@ -292,8 +292,8 @@ class _Follower:
 
     def _state(self) -> tuple[SpeedState, str]:
         command = self._operation_state.command if self._operation_state is not None else None
-        if self._obstacle:
-            return SpeedState.HOLD, f"nothing is decided or written: {self._obstacle}"
+        if self._inhibited:
+            return SpeedState.HOLD, f"nothing is decided or written: {self._inhibited}"
         if self._withheld:
             return SpeedState.OFF, self._withheld
         if command is None:
@@ -309,12 +309,12 @@ class _Follower:
         """Return what status shows; the command only while the NC may follow it."""
         state, reason = self._state()
         alarm = self._operation_state.alarm if self._operation_state is not None else ""
-        followed = not self._obstacle and self.followed
+        followed = not self._inhibited and self.followed
         return speed_snapshot(
             state=state.value,
             reason=reason,
-            alarm=self._obstacle or alarm or self._worker.obstacle,
-            switched_on=not self.switch.obstacle,
+            alarm=self._inhibited or alarm or self._worker.inhibit,
+            switched_on=not self.switch.inhibit,
             stands_off=stands_off,
             applied_rpm=self._block.applied_rpm(self._found),
             nc_status=self._block.status(self._found),

@@ -22,14 +22,14 @@ class SpeedWorker:
         self._latest: PlannedSpeed | None = None
 
     @property
-    def obstacle(self) -> str:
+    def inhibit(self) -> str:
         """Why no speed can be planned now, '' when it can."""
-        return "" if self._planner is None else self._planner.obstacle
+        return "" if self._planner is None else self._planner.inhibit
 
     @property
     def latest(self) -> PlannedSpeed | None:
         """The latest plan; none of a planner that has been lost since."""
-        return None if self.obstacle else self._latest
+        return None if self.inhibit else self._latest
 
     def take(self, time_s: float, degc: FloatArray) -> None:
         """Take a reading of all sensors [degC]."""
@@ -47,7 +47,7 @@ class SpeedWorker:
                 self._latest = task.result() or self._latest
             except LinkError:
                 self._latest = None
-        if self._planner is None or self._planner.obstacle:
+        if self._planner is None or self._planner.inhibit:
             self._latest = None
             return
         unplanned = called is not None and place is not None and (self._latest is None or self._latest.called != called)

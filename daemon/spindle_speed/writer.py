@@ -52,7 +52,7 @@ class SpeedWriter:
         """Release the file."""
         self._last.close()
 
-    def objection(self, found: MacroValues, clock_s: float, now_s: float) -> str:
+    def mismatch(self, found: MacroValues, clock_s: float, now_s: float) -> str:
         """Return what is vacant or foreign in the block, in words; take over at the first contact what may be.
 
         That is what was written here, by this run or the one before, or a whole block which the NC does not follow.
@@ -78,8 +78,8 @@ class SpeedWriter:
         self._known = {n: (value,) for n in self._block.ours if (value := found.get(n)) is not None}
         self._adopted, self._certain = True, False
 
-    def doubt(self) -> None:
-        """Write once more: the connection is another one."""
+    def write_again(self) -> None:
+        """Count what was written as unknown, so that it is written once more: the connection is another one."""
         self._certain = False
 
     def _adopt(self, found: MacroValues, clock_s: float, now_s: float) -> None:

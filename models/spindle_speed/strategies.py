@@ -120,7 +120,7 @@ class TunedSpeed:
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
         """Return the pair in force. Raises StabilityError and SpeedTuningError."""
-        plan = self._planner.plan(known) if known is not None and not known.doubt else None
+        plan = self._planner.plan(known) if known is not None and not known.inhibit else None
         command, self._memory = step(
             self._memory,
             SpeedTuningInputs(

@@ -17,7 +17,7 @@ class EstimatedToolPoint:
     """The followed resonance per axis [Hz]; a rigid axis has none."""
     flagged_ends: "tuple[EstimatedToolPoint | None, ...]" = ()
     """The same with each flagged property at both ends of its physical range; None: the mode is lost there."""
-    doubt: str = ""
+    inhibit: str = ""
     """Why it should not be followed, '' when it can be."""
 
 

@@ -58,7 +58,7 @@ class TrackedToolPoint:
             response=_response(dynamics.frequency_hz, _receptances(dynamics)),
             resonance_hz=dynamics.resonance_hz,
             flagged_ends=self._flagged_ends(dynamics),
-            doubt="; ".join(each for each in (dynamics.doubt, self._few(degc)) if each),
+            inhibit="; ".join(each for each in (dynamics.inhibit, self._few(degc)) if each),
         )
         return self.known
 

@@ -96,7 +96,7 @@ class ToolPointDynamics:
     signals: tuple[str, ...]
     degc: FloatArray
     """One-minute means of the signals [degC]."""
-    doubt: str
+    inhibit: str
     """Why it should not be followed yet, '' when it can be."""
     model_id: str
 
@@ -268,16 +268,16 @@ class ToolPointTracker:
         mean = self._history.mean_degc()
         if mean is None:
             return None
-        doubts = []
+        reasons = []
         if unknown := [name for name, value in zip(self.model.signals, mean, strict=True) if not np.isfinite(value)]:
-            doubts.append(f"no temperature of {', '.join(unknown)} for a minute; the last one stands")
+            reasons.append(f"no temperature of {', '.join(unknown)} for a minute; the last one stands")
         now = np.where(np.isfinite(mean), mean, self._last)
         if not np.isfinite(now).all():
             return None
         self._last = now
         differences, short = self._differences(now)
         if short:
-            doubts.append(
+            reasons.append(
                 f"the changes of temperature need {max(short):g} min of temperatures, "
                 f"{self._history.covered_min:.1f} min are there"
             )
@@ -285,14 +285,14 @@ class ToolPointTracker:
             axis: tracker.renew(now[columns], {minutes: change[columns] for minutes, change in differences.items()})
             for (axis, tracker), columns in zip(self.axes.items(), self._columns.values(), strict=True)
         }
-        doubts += [f"{axis}: the mode is lost" for axis, each in axes.items() if not each.resonance.continuous]
+        reasons += [f"{axis}: the mode is lost" for axis, each in axes.items() if not each.resonance.continuous]
         return ToolPointDynamics(
             time_s=time_s,
             frequency_hz=self.frequency_hz,
             axes=axes,
             signals=self.model.signals,
             degc=now,
-            doubt="; ".join(doubts),
+            inhibit="; ".join(reasons),
             model_id=self.model.model_id,
         )
 

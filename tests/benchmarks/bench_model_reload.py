@@ -63,7 +63,7 @@ async def held_up(work: Callable[[], Awaitable[Any]]) -> tuple[float, float]:
     await asyncio.sleep(10 * LOOK_S)
     done = True
     await looking
-    assert found is None or found.model is not None, found.obstacle
+    assert found is None or found.model is not None, found.inhibit
     return longest_s, took_s
 
 

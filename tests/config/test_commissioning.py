@@ -14,7 +14,7 @@ from config.records.commissioning import (
     CommissionedAxis,
     CommissioningError,
     CommissioningRecord,
-    commissioning_obstacle,
+    commissioning_inhibit,
     load_commissioning,
     macro_map_digest,
     save_commissioning,
@@ -51,9 +51,9 @@ def record(**changes) -> CommissioningRecord:
     return CommissioningRecord(**(content | changes))
 
 
-def obstacle(of: CommissioningRecord | None, **changes) -> str:
+def inhibit(of: CommissioningRecord | None, **changes) -> str:
     content = {"cnc_identity": "urn:cnc", "macros": MACROS, "axes": ["z"], "guard_version": 3.0}
-    return commissioning_obstacle(of, **(content | changes))
+    return commissioning_inhibit(of, **(content | changes))
 
 
 def test_a_record_survives_the_way_over_the_disk(tmp_path):
@@ -107,8 +107,8 @@ def test_a_record_of_format_2_names_its_guard(tmp_path):
 
 def test_an_old_record_is_read_and_permits_nothing_once_the_guard_has_spoken():
     old = record(format_version=1, guard_version=None)
-    assert obstacle(old, guard_version=None) == ""
-    assert "format 1 and does not say which guard" in obstacle(old)
+    assert inhibit(old, guard_version=None) == ""
+    assert "format 1 and does not say which guard" in inhibit(old)
 
 
 @pytest.mark.parametrize(
@@ -122,18 +122,18 @@ def test_an_old_record_is_read_and_permits_nothing_once_the_guard_has_spoken():
     ],
 )
 def test_what_the_record_does_not_cover_is_refused_with_what_to_do(changes, words):
-    said = obstacle(record(), **changes)
+    said = inhibit(record(), **changes)
     assert words in said and "toolpoint commission" in said
 
 
 def test_what_the_record_covers_is_permitted():
-    assert obstacle(record()) == ""
-    assert "no commissioning record" in obstacle(None)
+    assert inhibit(record()) == ""
+    assert "no commissioning record" in inhibit(None)
 
 
 @pytest.mark.parametrize("heard", [None, 1.0, 2.0])
 def test_a_guard_that_makes_no_check_is_not_accepted(heard: float | None) -> None:
-    said = obstacle(record(guard_version=1), guard_version=heard)
+    said = inhibit(record(guard_version=1), guard_version=heard)
     assert "guard version 1, which applies a block whose check does not fit: load the text that" in said
     assert "run `toolpoint commission` again" in said
 
@@ -141,7 +141,7 @@ def test_a_guard_that_makes_no_check_is_not_accepted(heard: float | None) -> Non
 def test_the_shipped_record_is_that_of_the_simulated_machine():
     shipped = load_commissioning(shipped_file("simulated_machine_commissioning.json"))
     assert shipped.format_version == 2
-    said = commissioning_obstacle(
+    said = commissioning_inhibit(
         shipped,
         cnc_identity=SIMULATED_CNC_IDENTITY,
         macros=MACROS,

@@ -52,12 +52,12 @@ def proposed(folder: Path, name: str = "a", stiffening_per_k: float = 0.02) -> P
 def test_one_that_nobody_released_is_refused(folder: Path) -> None:
     configuration = configured(folder)
     assert "there is no bearing model; release one: `toolpoint model release --bearings" in (
-        open_planning(configuration, STRANGER).obstacle
+        open_planning(configuration, STRANGER).inhibit
     )
     proposed(folder).rename(folder / "models/bearings.json")
     (folder / "models/bearings.json").chmod(0o644)
     opened = open_planning(configuration, STRANGER)
-    assert "nobody has released this model" in opened.obstacle
+    assert "nobody has released this model" in opened.inhibit
     assert opened.operations == {}
 
 
@@ -65,13 +65,13 @@ def test_one_that_nobody_released_is_refused(folder: Path) -> None:
 def test_one_that_the_daemon_could_change_is_refused_unless_the_bench_says_so(folder: Path) -> None:
     release(configured(folder, lenient=True), proposed(folder), person="anna", kind=BEARINGS)
     strict = configured(folder)
-    assert as_user(OTHER, lambda: open_planning(strict, own_account()).obstacle) == ""
+    assert as_user(OTHER, lambda: open_planning(strict, own_account()).inhibit) == ""
     os.chown(folder / "models", OTHER, OTHER)
-    obstacle = as_user(OTHER, lambda: open_planning(strict, own_account()).obstacle)
-    assert "the daemon could change this model" in obstacle
-    assert "runs as root" in open_planning(strict, own_account()).obstacle
+    inhibit = as_user(OTHER, lambda: open_planning(strict, own_account()).inhibit)
+    assert "the daemon could change this model" in inhibit
+    assert "runs as root" in open_planning(strict, own_account()).inhibit
     opened = open_planning(configured(folder, lenient=True), own_account())
-    assert opened.obstacle == ""
+    assert opened.inhibit == ""
     assert opened.model is not None
     assert "WARNING: allow_writable_model_directory lets it pass" in opened.model.in_words()
 
@@ -98,7 +98,7 @@ def test_a_file_that_differs_from_its_record_is_refused_even_on_a_bench(folder: 
     release(configuration, proposed(folder), person="anna", kind=BEARINGS)
     real = (folder / "models/bearings.json").resolve()
     real.write_bytes(proposed(folder, "other", 0.05).read_bytes())
-    assert "not the file that anna released" in open_planning(configuration, own_account()).obstacle
+    assert "not the file that anna released" in open_planning(configuration, own_account()).inhibit
 
 
 def test_what_does_not_fit_the_machine_is_not_released(folder: Path) -> None:

@@ -202,9 +202,9 @@ def test_the_tool_point_over_the_campaigns_own_recording(simulated: Path, fitted
     assert found["warnings"] == []
     assert set(found["axes"]) == {"x", "y"}
     hz = np.array(found["axes"]["y"]["resonance_hz"])
-    assert len(hz) == len(found["time_min"]) == len(found["doubt"]) == 46
-    assert "need 10 min" in found["doubt"][0]
-    assert set(found["doubt"][2:]) == {""}
+    assert len(hz) == len(found["time_min"]) == len(found["inhibit"]) == 46
+    assert "need 10 min" in found["inhibit"][0]
+    assert set(found["inhibit"][2:]) == {""}
     assert hz[0] + 30.0 < hz.max() < hz[0] + 90.0
     assert all(found["axes"]["y"]["continuous"])
     stiffness = found["axes"]["y"]["properties"]["kt_34"]

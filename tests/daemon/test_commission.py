@@ -4,7 +4,7 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import Bench, Person, serving
 
-from config.records.commissioning import commissioning_obstacle, save_commissioning
+from config.records.commissioning import commissioning_inhibit, save_commissioning
 from daemon.checkup.machine import preflight
 from models.records import WriteOutcome
 
@@ -32,14 +32,14 @@ async def test_a_straight_machine_is_commissioned(bench):
     assert record.axes["z"].others_um == pytest.approx({"x": 0.0, "y": 0.0}, abs=0.01)
     assert (record.guard_version, record.person, record.instrument) == (2, "A. Fitter", "indicator 7")
     configuration = bench.configuration()
-    obstacle = commissioning_obstacle(
+    inhibit = commissioning_inhibit(
         record,
         cnc_identity="urn:toolpoint:simulated-cnc",
         macros=configuration.cnc.macros,
         axes=["x", "y", "z"],
         guard_version=2.0,
     )
-    assert obstacle == ""
+    assert inhibit == ""
     assert bench.at_rest()
     assert all(write.outcome is WriteOutcome.VERIFIED for write in bench.writes())
 

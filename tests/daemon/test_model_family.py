@@ -213,7 +213,7 @@ def test_it_is_released_and_loaded(trained: MeanTemperature) -> None:
         release(configuration, proposal, person="anna")
         lenient = configured(folder, allow_writable_model_directory=True)
         found = load_released(lenient, own_account())
-        assert isinstance(found.model, MeanTemperature), found.obstacle
+        assert isinstance(found.model, MeanTemperature), found.inhibit
 
 
 async def test_it_runs_on_line_and_the_return_of_a_sensor_moves_nothing(

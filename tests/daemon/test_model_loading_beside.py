@@ -43,17 +43,17 @@ async def test_a_refusal_comes_back_in_the_same_words(tmp_path: Path) -> None:
     configuration = configured(tmp_path, "{}")
     found = await load_beside(configuration)
     assert found.model is None
-    assert found.obstacle == load_released(configuration, own_account()).obstacle != ""
+    assert found.inhibit == load_released(configuration, own_account()).inhibit != ""
 
 
 async def test_a_process_that_cannot_work_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daemon.model_release.side_load.sys.executable", str(tmp_path / "no-python"))
     found = await load_beside(configured(tmp_path, model().to_json()))
-    assert found.model is None and found.obstacle.startswith("the process that loads a model failed: ")
+    assert found.model is None and found.inhibit.startswith("the process that loads a model failed: ")
 
 
 def test_arrays_of_a_mapped_model_cannot_be_written(tmp_path: Path) -> None:
-    made = LoadedModel(model=model(), obstacle="", sha256="0" * 64)
+    made = LoadedModel(model=model(), inhibit="", sha256="0" * 64)
     descriptor = os.memfd_create("test")
     with os.fdopen(descriptor, "wb", buffering=0, closefd=False) as file:
         pack(made, file)  # type: ignore[arg-type]
@@ -104,7 +104,7 @@ class Shelf:
 
 
 def found(name: str, sha256: str) -> LoadedModel[ThermalModel]:
-    return LoadedModel(model=model(name), obstacle="", sha256=sha256 * 64)
+    return LoadedModel(model=model(name), inhibit="", sha256=sha256 * 64)
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ async def test_a_stop_while_a_model_is_loaded_takes_nothing() -> None:
 
 
 async def test_a_refused_release_is_shown_until_what_is_released_is_in_force_again(shelf: Shelf) -> None:
-    shelf.released = LoadedModel(model=None, obstacle="nobody has released this model")
+    shelf.released = LoadedModel(model=None, inhibit="nobody has released this model")
     shelf.reload.request()
     shelf.let_end.put_nowait(None)
     refused = await shelf.publication()

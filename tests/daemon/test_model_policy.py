@@ -19,7 +19,7 @@ from config.schema.compensation import ReleaseConfig
 from daemon.cli import main
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import load_released
-from daemon.model_release.releasing import proposals, release, release_by_policy, shelf_of
+from daemon.model_release.releasing import proposals, release, release_by_policy, repository_of
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
 from models.recordings.dataset import Recording
@@ -74,9 +74,9 @@ def test_a_model_that_its_training_refused_is_neither_released_nor_loaded(folder
         source="by hand",
         checks=[],
     )
-    shelf_of(strict).add(smuggled, content)
+    repository_of(strict).add(smuggled, content)
     found = load_released(strict, STRANGER)
-    assert found.model is None and "its training refused it: " in found.obstacle
+    assert found.model is None and "its training refused it: " in found.inhibit
     bench = load_released(configured(folder, allow_writable_model_directory=True), STRANGER)
     assert bench.model is not None and "its training refused it: " in bench.warning
 
@@ -100,7 +100,7 @@ def test_the_policy_takes_the_newest_that_is_not_worse(folder):
         elif name == "3.json":
             proposal(folder, model("ridge-3", 2.5), name)
         os.utime(path, (1e9 - age_s, 1e9 - age_s))
-    assert [p.obstacle != "" for p in proposals(configuration)] == [False, False, False, True]
+    assert [p.inhibit != "" for p in proposals(configuration)] == [False, False, False, True]
     record = release_by_policy(configuration, person="policy")
     assert record is not None and record.model_id == "ridge-2" and record.note == "by policy"
     assert "its bands are not wider than the active model's" in record.checks

@@ -20,8 +20,8 @@ from daemon.model_release.releasing import (
     person_now,
     proposals,
     release,
+    repository_of,
     rollback,
-    shelf_of,
     why_proposals_are_hidden,
 )
 from daemon.model_release.repository import ReleaseError
@@ -123,8 +123,8 @@ def test_a_folder_that_is_closed_is_named_and_breaks_nothing(folder):
     release(configuration, proposal(folder, model()), person="anna")
     for name in ("models", "state"):
         (folder / name).chmod(0o700)
-    obstacle = as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
-    assert "cannot be read (Permission denied)" in obstacle
+    inhibit = as_user(OTHER, lambda: load_released(configuration, own_account()).inhibit)
+    assert "cannot be read (Permission denied)" in inhibit
     assert "use sudo" in as_user(OTHER, lambda: why_proposals_are_hidden(configuration))
     assert "use sudo" in as_user(OTHER, lambda: str(HistoryReader(configuration.history.path)))
 
@@ -144,7 +144,7 @@ def test_a_released_model_is_what_another_user_loads(folder):
     words = as_user(OTHER, look)
     assert words.startswith(f"ridge-1, sha256 {record.sha256}, release 1 by anna (uid 1000) on 20"), words
     assert "WARNING" not in words
-    assert load_released(configuration, own_account()).obstacle.count("runs as root") == 1
+    assert load_released(configuration, own_account()).inhibit.count("runs as root") == 1
 
 
 @as_root
@@ -153,23 +153,23 @@ def test_a_released_file_that_was_changed_is_refused(folder):
     release(configuration, proposal(folder, model()), person="anna")
     path = folder / "models/releases/0001/model.json"
     path.write_text(model("another").to_json(), encoding="utf-8")
-    obstacle = as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
-    assert "not the file that anna released" in obstacle and "rollback" in obstacle
+    inhibit = as_user(OTHER, lambda: load_released(configuration, own_account()).inhibit)
+    assert "not the file that anna released" in inhibit and "rollback" in inhibit
     path.with_name("release.json").write_text("{}", encoding="utf-8")
-    assert "release.json" in as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+    assert "release.json" in as_user(OTHER, lambda: load_released(configuration, own_account()).inhibit)
 
 
 @as_root
 def test_a_model_that_nobody_released_is_refused(folder):
     configuration = configured(folder)
     (folder / "models/model.json").write_text(model().to_json(), encoding="utf-8")
-    assert "nobody has released" in as_user(OTHER, lambda: load_released(configuration, own_account()).obstacle)
+    assert "nobody has released" in as_user(OTHER, lambda: load_released(configuration, own_account()).inhibit)
     with pytest.raises(ReleaseError, match="which nobody released; move it away"):
         release(configuration, proposal(folder, model()), person="anna")
 
 
 def test_without_a_model_the_refusal_says_what_to_do(folder):
-    assert "toolpoint model release" in load_released(configured(folder), STRANGER).obstacle
+    assert "toolpoint model release" in load_released(configured(folder), STRANGER).inhibit
 
 
 def test_the_key_for_test_benches_lets_it_pass_and_says_so(folder):
@@ -185,7 +185,7 @@ def test_the_key_does_not_excuse_a_file_that_differs_from_its_record(folder):
     configuration = configured(folder, allow_writable_model_directory=True)
     release(configuration, proposal(folder, model()), person="anna")
     (folder / "models/releases/0001/model.json").write_text(model("another").to_json(), encoding="utf-8")
-    assert "not the file that anna released" in load_released(configuration, own_account()).obstacle
+    assert "not the file that anna released" in load_released(configuration, own_account()).inhibit
 
 
 def test_releases_follow_each_other_and_lead_back(folder):
@@ -197,7 +197,7 @@ def test_releases_follow_each_other_and_lead_back(folder):
     assert back.previous is not None and back.previous.model_id == "ridge-3"
     first = rollback(configuration, person="ben", to=1)
     assert (first.number, first.model_id) == (5, "ridge-1")
-    shelf = shelf_of(configuration)
+    shelf = repository_of(configuration)
     assert [record.number for record in shelf.records()] == [1, 2, 3, 4, 5]
     active = shelf.active()
     assert active is not None and active.number == 5

@@ -74,8 +74,8 @@ class Supervised:
     async def lost(self) -> str:
         with pytest.raises(LinkError) as error:
             await self.attempt
-        assert self.planner.obstacle == str(error.value)
-        assert "the speed is frozen" in self.planner.obstacle
+        assert self.planner.inhibit == str(error.value)
+        assert "the speed is frozen" in self.planner.inhibit
         with pytest.raises(LinkError):
             await self.planner.plan(asked())
         return str(error.value)
@@ -93,9 +93,9 @@ async def supervised(folder: Path, command: tuple[str, ...] = SPEED_PLANNER) -> 
 
 async def test_it_answers_what_the_planning_says(tmp_path: Path) -> None:
     async with supervised(tmp_path) as child:
-        assert child.planner.obstacle == STARTING
+        assert child.planner.inhibit == STARTING
         await child.opened()
-        assert child.planner.obstacle == ""
+        assert child.planner.inhibit == ""
         assert child.planner.opened is not None
         assert child.planner.opened.model.model_id == "made-up"
         planned = await child.planner.plan(asked())
@@ -206,7 +206,7 @@ async def test_without_a_model_nothing_runs_and_nothing_is_tried_again(tmp_path:
     async with supervised(tmp_path) as child:
         (tmp_path / "bearings.json").unlink()
         process_id = await child.opened()
-        assert "there is no bearing model" in child.planner.obstacle
+        assert "there is no bearing model" in child.planner.inhibit
         assert await asyncio.to_thread(ends, process_id)
         assert not child.attempt.done()
 
@@ -262,7 +262,7 @@ async def test_a_lost_planner_freezes_the_speed_and_a_new_one_goes_on(tmp_path: 
             assert planner.process_id is not None
             os.kill(planner.process_id, signal.SIGSTOP)  # so that nothing comes back before it has been seen
             os.kill(planner.process_id, signal.SIGKILL)
-            while not planner.obstacle:
+            while not planner.inhibit:
                 await asyncio.sleep(0)
             bench.degc += 10.0
             await bench.rig.turn(after_s=1.0, safe=False)

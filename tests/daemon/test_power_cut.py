@@ -243,12 +243,12 @@ def test_a_power_cut_leaves_a_speed_that_is_ours(tmp_path: Path, kept: int | Non
     if not whole and audited == 41:
         found[MACROS.sequence_b] = 41.0
 
-    def objection(**changes: float) -> str:
+    def mismatch(**changes: float) -> str:
         writer = SpeedWriter(tuning, SpeedBlock(MACROS), store, audit, 7)
         held = found | {getattr(MACROS, name): value for name, value in changes.items()}
-        return writer.objection(held, clock_s=600.0, now_s=0.0)
+        return writer.mismatch(held, clock_s=600.0, now_s=0.0)
 
-    assert objection() == ""
-    assert "holds 60" in objection(sequence_a=60.0, sequence_b=60.0)
+    assert mismatch() == ""
+    assert "holds 60" in mismatch(sequence_a=60.0, sequence_b=60.0)
     if audited == 43:
-        assert "holds 12000" in objection(speed=12000.0)
+        assert "holds 12000" in mismatch(speed=12000.0)

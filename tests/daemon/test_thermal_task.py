@@ -143,8 +143,8 @@ def test_a_model_for_sensors_that_do_not_exist_is_refused(tmp_path):
     )
     found = load_released(configuration.model_copy(update={"compensation": compensation}), own_account())
     assert found.model is None
-    assert "simulated_machine_model.json" in found.obstacle
-    assert "sensors that this machine does not have" in found.obstacle
+    assert "simulated_machine_model.json" in found.inhibit
+    assert "sensors that this machine does not have" in found.inhibit
 
 
 async def test_every_cycle_and_estimate_is_in_the_store(tmp_path):

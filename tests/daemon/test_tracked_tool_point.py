@@ -28,7 +28,7 @@ def test_it_answers_with_the_trackers_response_and_flags(tracker: ToolPointTrack
     estimator = TrackedToolPoint(tracker, LABELS)
     known = estimator.renew(0.0, DEGC)
     assert known is not None
-    assert "the changes of temperature need 10 min" in known.doubt
+    assert "the changes of temperature need 10 min" in known.inhibit
     assert set(known.resonance_hz) == {"x", "y"}
     assert isinstance(known.response, SampledResponse)
     assert np.abs(known.response.receptance[:, 0, 0]).max() > 0.0
@@ -62,12 +62,12 @@ def test_a_signal_that_stands_on_fewer_than_half_of_its_sensors_is_not_followed(
     labels = LABELS | {"IR": [0, 1, 5]}
     estimator = TrackedToolPoint(tracker, labels)
     degc = np.append(DEGC, 25.1)
-    doubts = []
+    reasons = []
     for missing in ([], [0], [0, 1], [0, 1, 5], []):
         reading = degc.copy()
         reading[missing] = np.nan
-        known = estimator.renew(100.0 + 5.0 * len(doubts), reading)
+        known = estimator.renew(100.0 + 5.0 * len(reasons), reading)
         assert known is not None
-        doubts.append(known.doubt)
+        reasons.append(known.inhibit)
     few = "only 1 of 3 sensors of IR have a value"
-    assert [few in doubt for doubt in doubts] == [False, False, True, False, False]
+    assert [few in reason for reason in reasons] == [False, False, True, False, False]

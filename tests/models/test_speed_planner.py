@@ -121,13 +121,13 @@ EVENTS = st.lists(
 def test_whatever_the_estimator_says(events: list) -> None:
     tuned, planner = TunedSpeed(OPERATION, SETTINGS, lobes_of), SpeedPlanner(OPERATION, lobes_of)
     now_s, before, begun = 0.0, OPERATION.demand.programmed_rpm, False
-    for elapsed_s, phase, resonances, doubt, ends in events:
+    for elapsed_s, phase, resonances, inhibit, ends in events:
         now_s += elapsed_s
-        known = None if resonances is None else known_at(*resonances, doubt=doubt, flagged_ends=ends)
+        known = None if resonances is None else known_at(*resonances, inhibit=inhibit, flagged_ends=ends)
         pair = tuned.renew(now_s, phase, known)
         assert RANGE_RPM[0] <= pair.speed_rpm <= RANGE_RPM[1]
         assert pair.feed_mm_min == pytest.approx(1840.0 * pair.speed_rpm / 9200.0)
-        usable = known is not None and not known.doubt
+        usable = known is not None and not known.inhibit
         plan = planner.plan(known) if known is not None and usable else None
         blocked = plan is not None and plan.flagged_span_rpm > SETTINGS.hysteresis_rpm
         if phase is not Phase.SAFE_POINT or plan is None or blocked:

@@ -253,17 +253,17 @@ def test_doubt_until_the_changes_are_known_and_when_a_signal_is_silent() -> None
     warm = np.full(5, 25.0)
     silent = np.array([np.nan, 25.0, 25.0, 25.0, 25.0])
     assert tracker.renew(cycle(0.0, silent)) is None
-    doubts = []
+    reasons = []
     for k in range(1, 75):
         found = tracker.renew(cycle(10.0 * k, warm))
         assert found is not None
-        doubts.append(found.doubt)
-    assert "need 10 min" in doubts[0]
-    assert doubts[-1] == ""
+        reasons.append(found.inhibit)
+    assert "need 10 min" in reasons[0]
+    assert reasons[-1] == ""
     for k in range(75, 90):
         found = tracker.renew(cycle(10.0 * k, silent))
     assert found is not None
-    assert "no temperature of IR for a minute" in found.doubt
+    assert "no temperature of IR for a minute" in found.inhibit
     assert found.degc.tolist() == [25.0, 25.0, 25.0, 25.0]
 
 

@@ -31,7 +31,7 @@ class ThreadPlanner:
     def __init__(self, configuration: Configuration) -> None:
         assert configuration.spindle_speed is not None
         found = open_planning(configuration, own_account())
-        self.obstacle = found.obstacle
+        self.inhibit = found.inhibit
         self._planning = SpeedPlanning(found.operations, configuration.spindle_speed.sensor_step_k)
 
     async def plan(self, request: PlanRequest) -> PlannedSpeed | None:

@@ -93,7 +93,7 @@ def followed(result: CampaignResult, day: Day, hours: float) -> tuple[FloatArray
         signals = np.array([degc[labels[name]].mean() for name in result.model.signals])
         dynamics = tracker.renew_from(time_s, signals)
         true = {axis: truth[axis].at(body.thermal_nodes()) for axis in AXES} if time_s % 600.0 == 0.0 else None
-        if true is not None and dynamics is not None and not dynamics.doubt:
+        if true is not None and dynamics is not None and not dynamics.inhibit:
             errors.append([dynamics.resonance_hz[axis] - true[axis] for axis in AXES])
             said.append(dynamics)
     return np.array(errors), said

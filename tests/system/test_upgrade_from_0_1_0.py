@@ -18,7 +18,7 @@ from memory_cnc import MemoryNc
 from whole_loop import WholeLoop
 
 from config.loader import load_configuration, load_with_warnings
-from config.records.commissioning import commissioning_obstacle, load_commissioning, macro_map_digest
+from config.records.commissioning import commissioning_inhibit, load_commissioning, macro_map_digest
 from config.renamed import RENAMED
 from config.schema import Configuration
 from daemon.cli import main
@@ -177,19 +177,17 @@ def test_every_configuration_is_tried() -> None:
 # --- commissioning ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "obstacle"), [("record", ""), ("record_format_1", "is of format 1")])
-def test_commissioning_records_still_match(name: str, obstacle: str) -> None:
+@pytest.mark.parametrize(("name", "inhibit"), [("record", ""), ("record_format_1", "is of format 1")])
+def test_commissioning_records_still_match(name: str, inhibit: str) -> None:
     cnc = load_configuration(OLD / "config/toolpoint.yaml").cnc
     record = load_commissioning(OLD / f"commissioning/{name}.json")
     assert record.macro_map_sha256 == macro_map_digest(cnc.macros), "every machine would have to be commissioned anew"
     assert plain(record.model_dump(exclude_unset=True)) == expected(f"commissioning/{name}.json")
     to_take_back, to_enable = (
-        commissioning_obstacle(
-            record, cnc_identity=record.cnc_identity, macros=cnc.macros, axes=axes, guard_version=1.0
-        )
+        commissioning_inhibit(record, cnc_identity=record.cnc_identity, macros=cnc.macros, axes=axes, guard_version=1.0)
         for axes in ((), tuple(record.axes))
     )
-    assert to_take_back == obstacle if not obstacle else obstacle in to_take_back
+    assert to_take_back == inhibit if not inhibit else inhibit in to_take_back
     assert "cnc.macros.check names no variable" in to_enable, "0.1.0 had no check"
 
 
@@ -463,7 +461,7 @@ def test_bearing_models_give_the_same_properties(name: str) -> None:
 def test_the_shelf_of_releases_is_read(installed: Installed, options: tuple[str, ...], record: str) -> None:
     load = load_released_bearings if options else load_released
     found = load(installed.configuration, own_account())
-    assert found.model is not None and found.record is not None, found.obstacle
+    assert found.model is not None and found.record is not None, found.inhibit
     agree(plain(found.record.model_dump()), expected(f"shelf/{record}/0003/release.json"), record)
     listed = installed.run("model", "list", *options)
     assert [each["number"] for each in listed["releases"]] == [1, 2, 3], listed

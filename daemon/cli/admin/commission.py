@@ -273,7 +273,7 @@ def _write_report(report_path: Path, text: str) -> None:
 
 def _check(configuration: "Configuration", record_file: Path | None, report_path: Path | None) -> int:
     """Print what a record covers; 1 when an axis that has a model is not covered."""
-    from config.records.commissioning import CommissioningError, commissioning_obstacle, load_commissioning
+    from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
     from daemon.commissioning.report import record_digest, report_html
 
     if record_file is None:
@@ -295,11 +295,11 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
     if report_path is not None:
         _write_report(report_path, report_html(record, configuration))
     wanted = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
-    obstacle = commissioning_obstacle(
+    inhibit = commissioning_inhibit(
         record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=wanted
     )
-    if obstacle:
-        click.echo(f"It does not permit what the configuration wants: {obstacle}", err=True)
+    if inhibit:
+        click.echo(f"It does not permit what the configuration wants: {inhibit}", err=True)
         return NOT_DONE
     click.echo("It fits the configuration. The control's identity and the guard's version are compared by the daemon.")
     return 0

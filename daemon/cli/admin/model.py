@@ -119,11 +119,11 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
 
     configuration = read_configuration(config_path)
     try:
-        shelf = _kind(bearings).shelf(configuration)
-        active = shelf.active()
+        repository = _kind(bearings).repository(configuration)
+        active = repository.active()
     except (ReleaseError, OSError) as error:
         refuse(str(error))
-    records, waiting = shelf.records(), () if bearings else proposals(configuration)
+    records, waiting = repository.records(), () if bearings else proposals(configuration)
     number = active.number if active is not None else None
     write_json(
         json_path,
@@ -131,8 +131,7 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
             "active": number,
             "releases": [record.model_dump(mode="json") for record in records],
             "proposals": [
-                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "obstacle": p.obstacle}
-                for p in waiting
+                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "inhibit": p.inhibit} for p in waiting
             ],
         },
     )
@@ -150,7 +149,7 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
         click.echo(hidden, err=True)
     for proposal in waiting:
         click.echo(
-            f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.obstacle}".rstrip()
+            f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.inhibit}".rstrip()
         )
 
 

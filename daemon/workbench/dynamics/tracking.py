@@ -113,7 +113,7 @@ def tracking_summary(day: TrackedDay) -> dict[str, Any]:
         "model_id": day.dynamics[0].model_id,
         "warnings": list(day.warnings),
         "time_min": day.time_min.tolist(),
-        "doubt": [each.doubt for each in day.dynamics],
+        "inhibit": [each.inhibit for each in day.dynamics],
         "axes": {axis: _axis_summary(day, axis) for axis in day.dynamics[0].axes},
     }
 
@@ -144,8 +144,10 @@ def write_tracking_page(path: Path, day: TrackedDay) -> None:
     for number, axis in enumerate(day.dynamics[0].axes):
         hz = np.array([each.resonance_hz[axis] for each in day.dynamics])
         curves.append(Curve(x=day.time_min, y=hz, label=axis, colour=COLOURS[number]))
-        doubted = [k for k, each in enumerate(day.dynamics) if each.doubt or not each.axes[axis].resonance.continuous]
-        curves.append(_crosses(day.time_min[doubted], hz[doubted], COLOURS[number], f"{axis}, doubted"))
+        unusable = [
+            k for k, each in enumerate(day.dynamics) if each.inhibit or not each.axes[axis].resonance.continuous
+        ]
+        curves.append(_crosses(day.time_min[unusable], hz[unusable], COLOURS[number], f"{axis}, not followed"))
         figures += [_responses(day, axis), _properties(day, axis)]
     resonances = Axes(x_label="time [min]", y_label="frequency [Hz]", curves=curves)
     figures.insert(0, Figure(title="Followed resonance at the tool point (Fig. 5-19)", axes=[resonances]))
