@@ -11,8 +11,6 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
 STILL_TO_GO = {
     "doubt",
-    "objection",
-    "obstacle",
     "permission",
 }
 """Words of the second table that the program still has; this list may only get shorter."""
