@@ -14,6 +14,8 @@ from models.records import CompensationCommand, FloatArray
 
 ECHO_SLACK_UM = 0.05
 """Allowed between the echo and what explains it [um]."""
+NO_STATUS = -1
+"""Stands for an echo status that is no whole number, which no guard has written."""
 LAST_SEQUENCE = 999_999
 """Sequence numbers run from 1 to here and start again."""
 UNRECORDED_WRITES = 3
@@ -36,6 +38,16 @@ def begun_after(
     return 1 <= ahead <= UNRECORDED_WRITES and (last == first or last in known.get(sequence_b, ()))
 
 
+def sequence_of(value: float | None) -> int:
+    """Return the sequence number that a macro holds, 0 where it holds none."""
+    return int(value) if value is not None and value.is_integer() and 0 <= value <= LAST_SEQUENCE else 0
+
+
+def status_of(value: float | None) -> int | None:
+    """Return the status that a program of the NC has left in a macro, None where it is vacant."""
+    return None if value is None else int(value) if value.is_integer() else NO_STATUS
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Echo:
     """What the guard says it did."""
@@ -44,6 +56,7 @@ class Echo:
     """Per axis [um], NaN where vacant."""
     time_s: float | None
     status: int | None
+    """A GuardStatus, or NO_STATUS; None where vacant."""
     guard_version: float | None
 
 
@@ -115,7 +128,7 @@ class MacroBlock:
         return Echo(
             applied_um=units * self._um_per_unit,
             time_s=macros.get(self._map.echo_time),
-            status=None if status is None else round(status),
+            status=status_of(status),
             guard_version=macros.get(self._map.echo_guard_version),
         )
 
@@ -211,11 +224,11 @@ class MacroBlock:
         return bool(macros.get(self._map.enable))
 
     def sequence(self, macros: Mapping[int, float | None]) -> int:
-        """Return the sequence number in the CNC, 0 when vacant."""
-        return round(macros.get(self._map.sequence_b) or 0.0)
+        """Return the sequence number in the CNC, 0 where there is none."""
+        return sequence_of(macros.get(self._map.sequence_b))
 
     def _close(self, value: float, expected: float) -> bool:
-        return abs(value - expected) <= max(self._map.tolerance, 1e-9 * abs(expected))
+        return value == expected or abs(value - expected) <= max(self._map.tolerance, 1e-9 * abs(expected))
 
 
 def _between_zero_and(written_um: float, applied_um: float, slack_um: float) -> bool:

@@ -5,53 +5,39 @@ when the request was taken, minus the counter when it was refused. A program tha
 sets the kind to 0.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 
 from config.schema.cnc import RequestMacrosConfig
+from models.control.nc_request import (
+    NcRequest,
+    Refusal,
+    RequestMacros,
+    counter_of,
+    missed_requests,
+    parse_request,
+)
 
-
-class RequestKind(IntEnum):
-    """What the NC program asks for."""
-
-    WITHDRAWN = 0
-    REFERENCE = 1
-    PROBE = 2
-    TOOL_CHANGE = 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NcRequest:
-    """One request."""
-
-    counter: int
-    kind: RequestKind
-    axis: str | None
-    """None: every axis."""
-    value_mm: float
-
-    def __str__(self) -> str:
-        return f"request {self.counter} of the NC program ({self.kind.name.lower().replace('_', ' ')})"
-
-
-class RequestError(Exception):
-    """A request that cannot be understood; the text says why."""
+LATE = "it was made while the daemon was away; ask again"
 
 
 class Handshake:
     """Sees requests in the macros that are polled, and says when one was lost."""
 
     def __init__(self, macros: RequestMacrosConfig | None, axes: Sequence[str]) -> None:
-        self._macros = macros
+        self._macros = RequestMacros(**macros.model_dump()) if macros is not None else None
         self._axes = tuple(axes)
+        self._shown: float | None = None
+        """What the macro of the counter held when it was last read."""
+        self._begun = False
         self.counter: int | None = None
-        """The latest counter that was seen; None before the first poll."""
+        """The latest counter that was seen; None before the first."""
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """The macros of a request, to be read once more after its counter was seen."""
-        return tuple(self._macros.model_dump().values()) if self._macros is not None else ()
+        m = self._macros
+        return () if m is None else (m.counter, m.kind, m.axis, m.value_mm, m.acknowledge)
 
     @property
     def acknowledge(self) -> int:
@@ -59,64 +45,45 @@ class Handshake:
         assert self._macros is not None
         return self._macros.acknowledge
 
-    def begin(self, macros: Mapping[int, float | None]) -> int | None:
-        """Take the counter as it stands when the CNC is first seen; return it when it waits for an answer."""
-        self.counter = self._counter(macros)
-        if self._macros is None or not self.counter:
+    def begin(self, macros: Mapping[int, float | None]) -> Refusal | None:
+        """Take the counter as it stands when the CNC is first seen; return what is refused of what waits there."""
+        if self._macros is None or (self._begun and not self.risen(macros)):
             return None
+        self._begun, self._shown = True, self._counter_macro(macros)
+        self.counter = counter_of(macros, self._macros)
+        if self.counter is None:
+            found = parse_request(macros, self._macros, self._axes)
+            return found if isinstance(found, Refusal) else None
         answered = macros.get(self._macros.acknowledge)
-        return None if answered is not None and abs(round(answered)) == self.counter else self.counter
+        if not self.counter or (answered is not None and abs(answered) == self.counter):
+            return None
+        return Refusal(why=LATE, number=float(self.counter), may_have_positioned=False)
 
     def risen(self, macros: Mapping[int, float | None]) -> bool:
-        """Whether the polled counter is another than the latest."""
-        counter = self._counter(macros)
-        return self._macros is not None and counter is not None and counter != self.counter
+        """Whether the counter is another than when it was last read."""
+        return self._macros is not None and self._counter_macro(macros) != self._shown
 
     def withdrawn(self, macros: Mapping[int, float | None]) -> bool:
         """Whether the program has given up its latest request."""
         return self._macros is not None and macros.get(self._macros.kind) == 0.0
 
-    def take(self, macros: Mapping[int, float | None]) -> tuple[NcRequest, int]:
-        """Return the request that was read after its counter, and how many before it were never seen.
+    def take(self, macros: Mapping[int, float | None]) -> tuple[NcRequest | Refusal | None, str]:
+        """Return the request that was read after its counter, and what its counter says of others before it.
 
-        Raises RequestError, with the counter taken all the same, when it cannot be understood.
+        There is none where the counter is what it was, or was set back to 0.
         """
         assert self._macros is not None
-        counter = self._counter(macros)
+        self._shown = self._counter_macro(macros)
+        counter, latest = counter_of(macros, self._macros), self.counter or 0
         if counter is None:
-            raise RequestError(f"macro #{self._macros.counter} of the request counter is vacant")
-        lost = counter - (self.counter or 0) - 1
+            return parse_request(macros, self._macros, self._axes), ""
+        missed = missed_requests(latest, counter)
+        if self.counter == counter:
+            return None, ""
         self.counter = counter
-        request = NcRequest(
-            counter=counter,
-            kind=self._kind(macros, counter),
-            axis=self._axis(macros, counter),
-            value_mm=macros.get(self._macros.value_mm) or 0.0,
-        )
-        return request, max(lost, 0)
+        return parse_request(macros, self._macros, self._axes) if counter else None, missed
 
-    def _counter(self, macros: Mapping[int, float | None]) -> int | None:
-        value = macros.get(self._macros.counter) if self._macros is not None else None
-        return None if value is None else round(value)
-
-    def _kind(self, macros: Mapping[int, float | None], counter: int) -> RequestKind:
+    def _counter_macro(self, macros: Mapping[int, float | None]) -> float | None:
         assert self._macros is not None
-        value = macros.get(self._macros.kind)
-        try:
-            return RequestKind(round(value)) if value is not None else RequestKind.WITHDRAWN
-        except ValueError as error:
-            known = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in RequestKind)
-            raise RequestError(
-                f"request {counter}: kind {value:g} in macro #{self._macros.kind} is none of {known}"
-            ) from error
-
-    def _axis(self, macros: Mapping[int, float | None], counter: int) -> str | None:
-        assert self._macros is not None
-        value = macros.get(self._macros.axis)
-        index = 0 if value is None else round(value)
-        if not 0 <= index <= len(self._axes):
-            raise RequestError(
-                f"request {counter}: axis {index} in macro #{self._macros.axis} is none of 0 (all), "
-                + ", ".join(f"{number} {axis}" for number, axis in enumerate(self._axes, start=1))
-            )
-        return self._axes[index - 1] if index else None
+        value = macros.get(self._macros.counter)
+        return None if value is None or math.isnan(value) else value

@@ -5,9 +5,10 @@ from typing import Protocol
 
 from daemon.cnc.events import Journal
 from daemon.cnc.session import CncSession
-from daemon.compensation.handshake import Handshake, NcRequest, RequestError, RequestKind
+from daemon.compensation.handshake import Handshake
 from daemon.compensation.references import References, new_id
 from drivers.contract import FatalDriverError
+from models.control.nc_request import NcRequest, Refusal, RequestKind
 from models.control.state import OutputMemory
 from models.records import WriteOutcome
 
@@ -20,7 +21,9 @@ UNANSWERED = "an answer to the NC program could not be written"
 class _Pending:
     """A request that has no answer yet."""
 
-    request: NcRequest
+    request: NcRequest | Refusal
+    number: float
+    """Its counter, which is the answer, or minus the answer."""
     reference_id: str | None = None
     """The reference that it waits for."""
     settles: bool = False
@@ -68,14 +71,13 @@ class RequestDesk:
             self._watch_withdrawal(session)
             return
         found = await session.cnc.read_macros(self._handshake.numbers)
-        try:
-            request, lost = self._handshake.take(found)
-        except RequestError as error:
-            self._refuse_unknown(str(error))
-            return
-        if lost:
-            self._references.end(f"{lost} request(s) of the NC program were missed")
-        self._serve(request)
+        request, missed = self._handshake.take(found)
+        if missed:
+            self._references.end(missed)
+        if isinstance(request, Refusal):
+            self._refuse(request)
+        elif request is not None:
+            self._serve(request)
 
     def refused(self, reference_id: str, why: str) -> None:
         """Take the refusal of a reference that was asked for."""
@@ -100,8 +102,7 @@ class RequestDesk:
                 return
             if pending.settles and memory.settling:
                 return
-        counter = pending.request.counter
-        value = float(-counter if pending.refusal else counter)
+        value = -pending.number if pending.refusal else pending.number
         try:
             receipt = await session.write_one(self._handshake.acknowledge, value, cause=HANDSHAKE_CAUSE)
         except FatalDriverError as error:
@@ -115,24 +116,23 @@ class RequestDesk:
 
     def _begin(self, session: CncSession) -> None:
         assert session.sample is not None
-        waiting = self._handshake.begin(session.sample.macros)
-        if waiting is not None:
-            late = NcRequest(counter=waiting, kind=RequestKind.WITHDRAWN, axis=None, value_mm=0.0)
-            self._pending = _Pending(request=late, refusal="it was made while the daemon was away; ask again")
+        if (refusal := self._handshake.begin(session.sample.macros)) is not None:
+            self._refuse(refusal)
 
-    def _refuse_unknown(self, why: str) -> None:
-        counter = self._handshake.counter
-        if counter is None:
-            self._journal.say("notice", why)
-            return
-        unknown = NcRequest(counter=counter, kind=RequestKind.WITHDRAWN, axis=None, value_mm=0.0)
-        self._pending = _Pending(request=unknown, refusal=why)
+    def _refuse(self, request: Refusal) -> None:
+        """Answer with minus the counter where a program may wait for it; say in any case why."""
+        if request.may_have_positioned:
+            self._references.end(f"{request} was refused, and the work may have been positioned ({request.why})")
+        if request.number is None:
+            self._journal.say("refused", f"{request}: {request.why}")
+        else:
+            self._pending = _Pending(request=request, number=request.number, refusal=request.why)
 
     def _watch_withdrawal(self, session: CncSession) -> None:
         pending, sample = self._pending, session.sample
         if pending is None or sample is None:
             return
-        if self._handshake.withdrawn(sample.macros) and pending.request.kind is not RequestKind.WITHDRAWN:
+        if self._handshake.withdrawn(sample.macros) and isinstance(pending.request, NcRequest):
             self._pending = None
             self._journal.say("notice", f"{pending.request}: the program no longer waits for the answer")
             if pending.reference_id is not None:
@@ -140,7 +140,7 @@ class RequestDesk:
                 self._references.end("the NC program gave up waiting for its reference")
 
     def _serve(self, request: NcRequest) -> None:
-        pending = self._pending = _Pending(request=request)
+        pending = self._pending = _Pending(request=request, number=float(request.counter))
         match request.kind:
             case RequestKind.WITHDRAWN:
                 self._pending = None
@@ -158,4 +158,4 @@ class RequestDesk:
             case RequestKind.PROBE:
                 pending.refusal = self._output.take_probe(request.axis or "", request.value_mm * 1e3)
             case RequestKind.TOOL_CHANGE:
-                self._output.change_tool(round(request.value_mm))
+                self._output.change_tool(request.tool_number)

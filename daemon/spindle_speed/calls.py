@@ -114,11 +114,11 @@ class SpeedCalls:
         made_for = call.operation
         configured = None
         if made_for.kind > 0.0:
-            configured = self._tuning.operation_of(round(made_for.tool_number), sample.program)
+            configured = self._tuning.operation_of(int(made_for.tool_number), sample.program)
         return SpeedOperation(
             made_for=made_for,
             called=CalledOperation(
-                tool_number=round(made_for.tool_number),
+                tool_number=int(made_for.tool_number),
                 program=sample.program,
                 speed_rpm=made_for.speed_rpm,
                 feed_mm_min=made_for.feed_mm_min,

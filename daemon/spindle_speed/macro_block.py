@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from config.schema.spindle_speed import SpeedMacrosConfig
-from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after
+from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after, sequence_of, status_of
 
 MacroValues = Mapping[int, float | None]
 Groups = tuple[tuple[tuple[int, float], ...], ...]
@@ -77,6 +77,8 @@ class SpeedBlock:
         count, tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind, text = numbers
         if count <= 0.0 or speed_rpm <= 0.0 or feed_mm_min <= 0.0:
             return None
+        if not (count.is_integer() and tool_number.is_integer()):
+            return None
         operation = OperationKey(
             tool_number=tool_number,
             speed_rpm=speed_rpm,
@@ -85,7 +87,7 @@ class SpeedBlock:
             radial_mm=radial_mm,
             kind=kind,
         )
-        return SpeedCall(count=round(count), operation=operation, text=text)
+        return SpeedCall(count=int(count), operation=operation, text=text)
 
     def made_for(self, found: MacroValues) -> OperationKey | None:
         """Return the operation that the NC program has called last; None as for `call`."""
@@ -136,12 +138,11 @@ class SpeedBlock:
 
     def status(self, found: MacroValues) -> int | None:
         """Return what the speed program did last."""
-        status = found.get(self._map.echo_status)
-        return None if status is None else round(status)
+        return status_of(found.get(self._map.echo_status))
 
     def sequence(self, found: MacroValues) -> int:
-        """Return the sequence number in the CNC, 0 when vacant."""
-        return round(found.get(self._map.sequence_b) or 0.0)
+        """Return the sequence number in the CNC, 0 where there is none."""
+        return sequence_of(found.get(self._map.sequence_b))
 
     def whole(self, found: MacroValues) -> bool:
         """Whether the sequence numbers are there and equal."""

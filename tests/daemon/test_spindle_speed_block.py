@@ -1,5 +1,6 @@
 """The block of the spindle speed: whose it is at the start and after a connection, and what never leaves."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -179,3 +180,20 @@ async def test_a_pair_out_of_bounds_never_leaves(tmp_path: Path, change: dict) -
     operation = tuning.operations[0].model_copy(update={"highest_rpm": 9800.0})
     with pytest.raises(SpeedWriteError, match="out of bounds"):
         await writer.write(None, pair, operation, {}, clock_s=0.0, now_s=0.0)  # type: ignore[arg-type]
+
+
+# --- values that no program writes ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [None, math.inf, -math.inf, 1e300, 2.5, 1e-9, -3.0, -0.0])
+def test_whatever_a_macro_holds_no_number_is_made_of_it(value: float | None) -> None:
+    block, told = SpeedBlock(MACROS), dict.fromkeys(MACROS.numbers, 1.0)
+    assert block.call(told) is not None
+    for number in MACROS.numbers:
+        found = told | {number: value}
+        assert block.pair(found) is not None
+        assert block.sequence(found) == (0 if number == MACROS.sequence_b else 1)
+        whole = value is not None and value.is_integer()
+        assert number != MACROS.echo_status or block.status(found) == (value if whole or value is None else -1)
+        if number in (MACROS.calls, MACROS.called_tool) and not whole:
+            assert block.call(found) is None

@@ -154,7 +154,18 @@ def test_the_counter_goes_on_from_whatever_it_is(counter: float | None, followin
 
 @pytest.mark.parametrize(
     "arguments",
-    [{}, {"K": 4.0}, {"K": 0.0}, {"K": 2.0}, {"K": 2.0, "A": 3.0}, {"K": 1.0, "A": 4.0}, {"K": 1.0, "A": -1.0}],
+    [
+        {},
+        *({"K": kind} for kind in (4.0, 0.0, 1.5, 2.5, 1e-9, -1.0, 1e300)),
+        *({"K": 1.0, "A": axis} for axis in (4.0, -1.0, 2.4, 1e-9, 1e300)),
+        {"K": 2.0},
+        {"K": 2.0, "A": 3.0},
+        *({"K": 2.0, "A": axis, "V": 0.01} for axis in (0.0, 3.4, 4.0, 1e-9)),
+        {"K": 2.0, "V": 0.01},
+        {"K": 3.0},
+        {"K": 3.0, "A": 1.0},
+        *({"K": 3.0, "V": tool} for tool in (2.5, -1.0, 1e-9, 1e8, 1e300)),
+    ],
 )
 def test_a_wrong_call_is_refused_before_anything_is_asked(arguments: dict[str, float]) -> None:
     simulated = machine()
@@ -163,6 +174,18 @@ def test_a_wrong_call_is_refused_before_anything_is_asked(arguments: dict[str, f
     guard.at(simulated.nc.macros, 1.0).run(guard.programs.request, **arguments)
     assert guard.control.alarm == (120, "TOOLPOINT REQUEST WRONG")
     assert request_of(simulated) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("counter,acknowledge,following", [(None, 1.0, 2.0), (None, -1.0, 2.0), (6.0, 7.0, 8.0)])
+def test_an_answer_that_stands_there_from_before_answers_no_request(
+    counter: float | None, acknowledge: float, following: float
+) -> None:
+    simulated = machine()
+    simulated.nc.macros.set(520, counter)
+    simulated.nc.macros.set(524, acknowledge)
+    simulated.advance(5.5)
+    assert request_of(simulated)[0] == following
+    assert simulated.guard.interpreter.running, "it waits"
 
 
 def test_a_request_in_inches_is_refused() -> None:

@@ -1,5 +1,6 @@
 """A CNC in this process: macro table and safe points of the simulated NC behind the drivers' contract."""
 
+import math
 from collections.abc import Callable, Sequence
 
 from config.schema import Configuration
@@ -94,7 +95,7 @@ class MemoryCnc:
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         self._answer()
-        found = {number: self._nc.macros.get(number) for number in macros}
+        found = {number: _known(self._nc.macros.get(number)) for number in macros}
         if self._nc.after_read is not None:
             self._nc.after_read(macros)
         return found
@@ -124,3 +125,8 @@ class MemoryCnc:
         if self._nc.breaks is not None:
             error, self._nc.breaks = self._nc.breaks, None
             raise error
+
+
+def _known(value: float | None) -> float | None:
+    """Return a value as every driver does: what is not a number is vacant."""
+    return None if value is None or math.isnan(value) else value
