@@ -6,6 +6,7 @@ from models.records import CncSample
 
 
 def seen_of(sample: CncSample, rules: ReferenceRules) -> CncSeen:
+    """Return what of a poll tells later whether a positioning passed since."""
     counter = rules.positioning_counter
     return CncSeen(
         utc_s=sample.time.utc_s,
