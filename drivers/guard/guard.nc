@@ -108,7 +108,8 @@ IF[#{valid_until}EQ#3]THEN#{valid_until}=#0
 GOTO90800(POLICY KEEP)
 @end
 @zero
-(POLICY ZERO, STEP BY STEP)
+(POLICY ZERO, STEP BY STEP. EVERY AXIS, BITS MAY BE FOREIGN)
+#4={all_bits}
 @end
 @zero_axes
 #{local}=0

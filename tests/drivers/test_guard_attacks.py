@@ -97,6 +97,21 @@ def test_expired(policy: str, valid_until: float | None) -> None:
     assert reached == [pytest.approx(row) for row in (zero if policy == "zero" else [(4.0, 17.0)] * 3)]
 
 
+@pytest.mark.parametrize("enable", [1.0, 2.0, 4.0, 5.0, 6.0])
+def test_foreign_enable_bits_do_not_decide_which_axes_an_expired_block_takes_back(enable: float) -> None:
+    bench = GuardBench(own_um={"y": 30.0}, on_expiry="zero")
+    bench.write(x=4.0, y=-3.0, z=17.0)
+    bench.call()
+    bench.call()
+    bench.macros.set(MAP.enable, enable)
+    bench.clock_s += 60.0
+    reached = []
+    for _ in range(3):
+        assert bench.call() is GuardStatus.EXPIRED and bench.settled()
+        reached.append(list(bench.applied_um.values()))
+    assert reached == [pytest.approx(row) for row in ((0.0, 0.0, 7.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+
+
 def test_an_alarm_instead_of_a_message_ends_the_program_after_the_echo() -> None:
     bench = GuardBench(alarm="stop")
     bench.write(z=1.0, valid_for_s=-1.0)
