@@ -129,7 +129,7 @@ def cleanse_cycle(
 ) -> CleansingResult:
     """Accept, hold or miss each value of one line's cycle.
 
-    The source (section 3.3.1) keeps the previous value when a temperature changes by more than
+    The dissertation (section 3.3.1) keeps the previous value when a temperature changes by more than
     1 degC, which never lets go of it after a real step. Here the allowed change is
     ``min(max_change + max_rate * (elapsed - cycle_period), max_gap_change)`` since the last accepted
     value. How many samples, each within `agree_within_degc` of the one before, it takes until the

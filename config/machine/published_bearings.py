@@ -73,7 +73,7 @@ def published_model(bounds: dict[str, Bounds] | None = None) -> Thermomechanical
     ranges = bounds or load_bounds()
     return ThermomechanicalModel(
         model_id="tables-d1-d2",
-        source="Tables D-1 and D-2: identified at the nose of the source's spindle in three warm-up and idle runs",
+        source="Tables D-1 and D-2: identified at the nose of the published spindle in three warm-up and idle runs",
         created="2021",
         rigid_rotary_inertia="published",
         spindle_sha256="",

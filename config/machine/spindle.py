@@ -202,7 +202,7 @@ class SpindleDescription(Section):
     note: str | None = Field(None, description="what a reader should know")
     structural_damping: float = Field(0.0, ge=0, lt=0.5, description="zeta of E (1 + j zeta), G (1 + j zeta)")
     rigid_rotary_inertia: Rotary | None = Field(
-        None, description="correct (default), or published: 4-12 as printed, to reproduce the source's tables"
+        None, description="correct (default), or published: as printed, to reproduce the published tables"
     )
     bearings_identified_with: Rotary | None = Field(
         None, description="rotary-inertia setting with which the bearing properties were identified"

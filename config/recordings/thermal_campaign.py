@@ -11,7 +11,7 @@ from config.loader import load_yaml_model
 from config.schema.base import KeyPath, KeyProblems, Section
 
 PUBLISHED = Path(__file__).parent / "table_3_1.yaml"
-"""The source's programme, as it ships."""
+"""The dissertation's programme, as it ships."""
 
 WholeMinutes = Annotated[int, Field(ge=1, le=1440)]
 Speed = Annotated[float, Field(ge=0.0, le=1e6)]

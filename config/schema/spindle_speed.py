@@ -146,7 +146,8 @@ class SpindleSpeedConfig(Section):
     keep_feed_per_tooth: bool = Field(True, description="the feed follows the speed; else the programmed feed stays")
     offset_hz: float | None = Field(
         None,
-        description="signed f_o of equation 5-9 [Hz]: only its speeds are candidates; none: every speed",
+        description="choose only speeds whose tooth-passing frequency, or a harmonic of it, lies this far below a "
+        "resonance [Hz]; negative: above; none: every speed",
         examples=[20.0],
     )
     margin_percent: float = Field(20.0, ge=0, le=500, description="limiting depth over the programmed one [%]")

@@ -158,7 +158,7 @@ class CleansingConfig(Section):
 
 
 class TemperaturesConfig(Section):
-    """Temperature sensors and the lines they hang on."""
+    """Temperature sensors, and the lines that they are connected to."""
 
     lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines")
     sensors: list[SensorConfig] = Field(
@@ -173,7 +173,7 @@ class TemperaturesConfig(Section):
             ]
         ],
     )
-    cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="what is believed of a temperature")
+    cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="which temperatures count")
 
     @model_validator(mode="after")
     def _consistent(self) -> "TemperaturesConfig":

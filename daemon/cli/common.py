@@ -160,7 +160,7 @@ spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=c
 rotary_option = click.option(
     "--rotary",
     type=click.Choice(["correct", "published"]),
-    help="Rotary inertia of a segment's rigid rotation; published: 4-12 as printed. Without: what the file says.",
+    help="Rotary inertia of a segment's rigid rotation: correct, or as published. Without: what the file says.",
 )
 trust_option = click.option(
     "--trust-units",

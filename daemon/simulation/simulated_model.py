@@ -56,7 +56,7 @@ def published_sensors() -> list[SensorConfig]:
 
 
 def training_programmes() -> tuple[PartProgram, ...]:
-    """Return the programmes of the training days, used in turn: the kinds of test that the source made."""
+    """Return the programmes of the training days, used in turn: the kinds of test that the dissertation made."""
     return (
         rotation_program(speed_rpm=12000.0),
         stepwise_program((3000.0, 6000.0, 9000.0, 12000.0), minutes_each=40.0, idle_reduction=True),

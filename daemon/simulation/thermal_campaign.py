@@ -27,7 +27,7 @@ from models.records import FloatArray
 OVERVIEW_FILE = "overview.csv"
 SAMPLES_PER_MINUTE = 6
 ROTATION_JUMP = RotationJump(um={"Y1": 3.4, "Y2": 4.2})
-"""Jump of the test bar when the spindle turns (chosen, just over the source's threshold of 3 um)."""
+"""Jump of the test bar when the spindle turns (chosen, just over the dissertation's threshold of 3 um)."""
 
 Progress = Callable[[float], None]
 

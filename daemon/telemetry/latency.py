@@ -19,7 +19,7 @@ from models.records import TemperatureCycle, Trace
 KEPT_DELAYS = 8192
 """As many of the latest delays are kept for percentiles."""
 PUBLISHED_DELAY_S = {"measurement": 20.0, "feedback": 1.2, "total": 24.7}
-"""Means published for the source's chain (measurement: more than); another rig, with database polling."""
+"""Means published for another rig, which polls a database (measurement: more than)."""
 PUBLISHED_NOTE = (
     "published means of another rig with another CNC and network, database polling included; "
     "measurement: more than 20 s. For orientation, not a comparison"

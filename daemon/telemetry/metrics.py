@@ -100,7 +100,7 @@ class Telemetry:
         )
         self._published = Gauge(
             "toolpoint_published_delay_seconds",
-            f"Means of the source's chain: {PUBLISHED_NOTE}",
+            f"Published means: {PUBLISHED_NOTE}",
             ["part"],
             registry=registry,
         )

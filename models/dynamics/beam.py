@@ -1,4 +1,4 @@
-"""Exact dynamic stiffness of uniform Timoshenko segments (equations 4-1 to 4-6 of the source).
+"""Exact dynamic stiffness of uniform Timoshenko segments (equations 4-1 to 4-6 of the dissertation).
 
 The state ``(y, theta, T, B)`` along a segment, with the transverse force ``T = A_s G (y' - theta) - N y'``
 and ``B = E I theta'``, obeys ``x' = A x`` with a constant matrix. Its exponential over the length is written
@@ -7,13 +7,13 @@ values and are summed as power series in the two coefficients of the characteris
 is taken, so nothing changes at the shear cut-off and nothing cancels on a segment of any shortness.
 Segments longer than `longest_element_m` are halved until they are not and joined again, which is exact.
 
-Rigid rotary inertia: the source normalises the rigid rotation mode of a segment (4-12) without its rotary
+Rigid rotary inertia: the dissertation normalises the rigid rotation mode of a segment (4-12) without its rotary
 inertia rho I L. `published` reproduces that: the receptance of a free segment gets a rank-one term, the
 stiffness its inverse (`_with_published_rotation`). It makes results depend on how a shaft is divided.
 
-Sign of the axial load: positive is compression, as in 4-8. The source's 4-2 and 4-4 together are not
+Sign of the axial load: positive is compression, as in 4-8. The dissertation's 4-2 and 4-4 together are not
 self-adjoint when N_L is not zero (the receptance would depend on which end is hit); here the load acts
-through its potential ``-N y'^2 / 2``. For N_L = 0 the equations are the source's.
+through its potential ``-N y'^2 / 2``. For N_L = 0 the equations are the dissertation's.
 """
 
 from dataclasses import dataclass, replace

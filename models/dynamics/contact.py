@@ -1,4 +1,4 @@
-"""Contact at an interface from a measured response in front of it (sections 4.3.2 and 5.3.3 of the source)."""
+"""Contact at an interface from a measured response in front of it (sections 4.3.2 and 5.3.3 of the dissertation)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ def identify_contact(
     fixed
         Parameters that are kept, with their values.
     method
-        `lm`, or `nelder-mead` on the source's cost.
+        `lm`, or `nelder-mead` on the dissertation's cost.
 
     Raises
     ------

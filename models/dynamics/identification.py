@@ -1,7 +1,7 @@
-"""Bearing properties from a measured response at the nose (sections 4.2.2 and 5.2.3 of the source).
+"""Bearing properties from a measured response at the nose (sections 4.2.2 and 5.2.3 of the dissertation).
 
 The default method is least squares of ``log(H / H_meas)`` with exact derivatives: it finds in about ten
-evaluations what Nelder and Mead's simplex on the source's own cost (4-36) finds in hundreds.
+evaluations what Nelder and Mead's simplex on the dissertation's own cost (4-36) finds in hundreds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +59,7 @@ def identify_bearings(
 ) -> Identified:
     """Return bearing properties that reproduce a measured response at the nose.
 
-    Twelve parameters are found in two stages, as in the source: all front bearings equal, then each group
+    Twelve parameters are found in two stages, as in the dissertation: all front bearings equal, then each group
     with its own. Twelve are not identifiable from one response; `identifiable` says which the data see.
 
     Parameters
@@ -75,7 +75,7 @@ def identify_bearings(
     fixed
         Values of the parameters that are not varied, by name; None: those of section 5.2.3.
     method
-        `lm`, or `nelder-mead` on the source's cost.
+        `lm`, or `nelder-mead` on the dissertation's cost.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
 def _simplex(
     response: Response, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float], two_stages: bool
 ) -> Descent:
-    """Return the minimum of the source's cost, for twelve parameters in the source's two stages."""
+    """Return the minimum of the dissertation's cost, for twelve parameters in the dissertation's two stages."""
     evaluations = 0
     if two_stages:
         few = [name for name in free if not name.endswith("_34")]

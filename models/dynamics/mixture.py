@@ -1,8 +1,8 @@
-"""Equivalent elastic constants of a composite section (equations 4-19 to 4-25 of the source).
+"""Equivalent elastic constants of a composite section (equations 4-19 to 4-25 of the dissertation).
 
 Three models of a section: `mixed` with volume ratios, taken from the target (uniform, draft model) or from the
 segment (volume model), and `layered` with the diameters of the layers. No scheme that was tried reproduces the
-Poisson's ratios of the source's Table 4-2; a mixture's is the volume mean unless it is given.
+Poisson's ratios of the dissertation's Table 4-2; a mixture's is the volume mean unless it is given.
 """
 
 from collections.abc import Sequence

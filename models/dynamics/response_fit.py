@@ -1,7 +1,7 @@
 """Fits parameters of a model to a measured frequency response, and says which of them the data see.
 
 Least squares of ``log(H / H_meas)`` with exact derivatives in a trust region (SciPy's descendant of Levenberg and
-Marquardt's method), or Nelder and Mead's simplex on the source's cost (4-36). Both vary the logarithms of the
+Marquardt's method), or Nelder and Mead's simplex on the dissertation's cost (4-36). Both vary the logarithms of the
 parameters, so that no property becomes negative.
 A parameter's kind is what its name begins with: kt, ct, kr or cr.
 """
@@ -92,7 +92,7 @@ def good_fit(measured: ComplexArray) -> float:
 
 
 def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
-    """Return S_cf of 4-36 [m/N]; the source calls it least squares, but it sums |dH|."""
+    """Return S_cf of 4-36 [m/N]; the dissertation calls it least squares, but it sums |dH|."""
     return float(np.sum(np.abs(measured - computed)))
 
 

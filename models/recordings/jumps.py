@@ -1,4 +1,4 @@
-"""What is believed of a measured value: the source's rules, bounded so that they cannot latch for ever."""
+"""What is believed of a measured value: the dissertation's rules, bounded so that they cannot latch for ever."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Which spindle speed to take: the source's rule (5-9), and a choice among all pockets by limiting depth."""
+"""Which spindle speed to take: the dissertation's rule (5-9), and a choice among all pockets by limiting depth."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe:
     offset_hz
         Signed distance f_o that the tooth passing keeps below it [Hz].
     teeth
-        n_T (printed as n_r in the source).
+        n_T (printed as n_r in the dissertation).
     lobe
         k_c, 1 for the fastest pocket.
 

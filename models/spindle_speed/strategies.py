@@ -1,4 +1,4 @@
-"""Three ways to choose the spindle speed: none, the source's rule (5-9), and tuning by limiting depth.
+"""Three ways to choose the spindle speed: none, the dissertation's rule (5-9), and tuning by limiting depth.
 
 Each is asked once with every reading of the temperatures and answers with the pair of speed and feed that is in force.
 """

@@ -17,7 +17,7 @@ from models.records import FloatArray
 from models.stability.signal_checks import check_clipping, check_length
 
 WINDOW_S = 0.64
-"""4096 samples at 6400 Hz, as in the source."""
+"""4096 samples at 6400 Hz, as in the dissertation."""
 HARMONICS_FOR_SPEED = 6
 LEAST_SPACING = 2.0
 """Harmonics of the tooth passing lie at least so many times apart as is taken out around each."""

@@ -1,4 +1,4 @@
-"""Stability lobes by the zeroth-order solution (equations 5-2 to 5-8 of the source).
+"""Stability lobes by the zeroth-order solution (equations 5-2 to 5-8 of the dissertation).
 
 With lambda an eigenvalue of [a][H(j w_c)], Lambda = -1/lambda, and 5-6 to 5-8 become
 ``depth = 1 / (K_tc Re lambda)``, ``eps = 2 atan2(Re lambda, -Im lambda)`` and

@@ -2,7 +2,7 @@
 
 A tooth at the angle ``phi``, clockwise from the normal of the feed, stands in the direction
 ``(sin phi, cos phi)``. When the tool moves outwards there, the chip becomes thicker:
-``h = dx sin phi + dy cos phi`` with ``dx = x(t) - x(t - T_a)`` (equations 1-3 and 1-4 of the source).
+``h = dx sin phi + dy cos phi`` with ``dx = x(t) - x(t - T_a)`` (equations 1-3 and 1-4 of the dissertation).
 """
 
 import math

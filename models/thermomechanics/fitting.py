@@ -157,7 +157,7 @@ def fit_axis(
     fixed
         The parameters that were not varied.
     least_squares
-        No penalty, as the source.
+        No penalty, as the dissertation.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def solve(table: FloatArray, target: FloatArray, signals: int, ridge: float, *, 
     signals
         Number of temperatures.
     ridge
-        Penalty beside the variances [K^2]; 0: least squares, as the source.
+        Penalty beside the variances [K^2]; 0: least squares, as the dissertation.
     squares
         False leaves the squares out; their coefficients are 0.
 

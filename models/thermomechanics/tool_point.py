@@ -20,7 +20,7 @@ from models.thermomechanics.resonance import Resonance, ResonanceFollower, band
 
 SOURCE_BAND_HZ = (300.0, 2500.0)
 SOURCE_STEP_HZ = 12800.0 / 16384.0
-"""Band and spacing of the source's analyser: 2817 frequencies."""
+"""Band and spacing of the dissertation's analyser: 2817 frequencies."""
 COARSE = 4
 """Steps between two states, and the ends of physical ranges, are looked at on every fourth frequency."""
 ENDS_STAND_HZ = 0.5
@@ -30,7 +30,7 @@ REFERENCE_DEGC = 20.0
 
 
 def source_frequencies() -> FloatArray:
-    """Return 300 to 2500 Hz at the spacing of the source's analyser [Hz], shape (2817,)."""
+    """Return 300 to 2500 Hz at the spacing of the dissertation's analyser [Hz], shape (2817,)."""
     low, high = SOURCE_BAND_HZ
     count = int((high - low) / SOURCE_STEP_HZ) + 1
     return np.asarray(low + SOURCE_STEP_HZ * np.arange(count), dtype=np.float64)
@@ -224,7 +224,7 @@ class ToolPointTracker:
         labels
             Label -> indices into the machine's sensor order, whose mean is the signal.
         frequency_hz
-            Evenly spaced [Hz], shape (n,); None: those of the source.
+            Evenly spaced [Hz], shape (n,); None: those of the dissertation.
         near_hz
             Axis -> the resonance nearest to this is followed [Hz]; without: the highest.
 

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/bench_dynamics.py [--repeat 200]
 
-One thread. All are computed for the same spindle: the shaft of the source with rotor and sleeve on five bearings of
+One thread. All are computed for the same spindle: the published shaft with rotor and sleeve on five bearings of
 twelve parameters, at 2817 frequencies. `literal` is 4-35 as printed: the receptance matrix of shaft and bearings,
 inverted twice.
 """

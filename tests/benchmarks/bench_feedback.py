@@ -3,7 +3,7 @@
     python tests/benchmarks/bench_feedback.py [--minutes 10] [--period 1] [--secure] [--busy]
 
 Simulated machine and daemon are two processes as in the demo, at speed 1. --period shortens the lines'
-cycle (the source's is 10 s) to gather more samples, and with it the mean before the model, so that a cycle
+cycle (the dissertation's is 10 s) to gather more samples, and with it the mean before the model, so that a cycle
 costs what it costs at 10 s; --busy loads every core besides. Prints start-up time, percentiles of the
 feedback delay and of each stage on the way (from the audit), and memory and CPU of the daemon.
 

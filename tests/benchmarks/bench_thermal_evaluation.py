@@ -1,4 +1,4 @@
-"""The evaluation of the source's models by training sets and sensors: updated factors against refits.
+"""The evaluation of the dissertation's models by training sets and sensors: updated factors against refits.
 
 Run by hand: `python tests/benchmarks/bench_thermal_evaluation.py [--campaign FOLDER] [--refits 60 | --all]`.
 Without a folder a campaign is simulated first. Refits are scikit-learn's LinearRegression, one for each

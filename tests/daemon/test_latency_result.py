@@ -151,7 +151,7 @@ def test_cycles_that_hold_a_step_back_are_feedback_on_the_machines_clock():
 
 
 def test_a_sensor_that_answers_after_its_next_reading_takes_two_samples():
-    """As the seventh measurement of the source did; what a reading varies by noise shows nothing."""
+    """As the seventh measurement of the dissertation did; what a reading varies by noise shows nothing."""
     moves, problems = Machine(setting(), lag_s=12.0).delays()
     assert problems == []
     for move in moves:

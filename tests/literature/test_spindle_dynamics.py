@@ -1,4 +1,4 @@
-"""Published figures of the source's spindle, and another library's figures for its steel shaft.
+"""Published figures of the dissertation's spindle, and another library's figures for its steel shaft.
 
 - Table 4-3, Models 1 to 3: within 0.6 %, with the rotary inertia of 4-12 as printed. The table is rounded to 1 Hz
   (0.1 %); Table 4-2 gives E, G and nu as ranges for Models 1 and 2, whose middle is taken.

@@ -1,4 +1,4 @@
-"""The shipped measurement programme against the source's Table 3-1 (exact: words and numbers, no tolerance)."""
+"""The shipped measurement programme against the dissertation's Table 3-1 (exact: words and numbers, no tolerance)."""
 
 import csv
 import os

@@ -1,4 +1,4 @@
-"""Choice of the spindle speed: the source's rule, pockets, limits, margin, and what one sensor step does."""
+"""Choice of the spindle speed: the dissertation's rule, pockets, limits, margin, and what one sensor step does."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Cleansing: the source's rule, its bounds, and that it never latches."""
+"""Cleansing: the dissertation's rule, its bounds, and that it never latches."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Nested least squares, the source's models and the campaign study against refits from scratch."""
+"""Nested least squares, the dissertation's models and the campaign study against refits from scratch."""
 
 from dataclasses import replace
 

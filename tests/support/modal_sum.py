@@ -1,4 +1,4 @@
-"""The source's modal sum of one free segment (4-7 to 4-16), as a check of the product, which uses its limit.
+"""The dissertation's modal sum of one free segment (4-7 to 4-16), as a check of the product, which uses its limit.
 
 Natural modes are written with roots of the characteristic equation, which the exact stiffness does not use:
 below the shear cut-off one pair of exponentials that decay from either end (4-7 with the hyperbolic functions

@@ -2,8 +2,8 @@
 
 Receptance matrices have the shape (n, 2 p, 2 p): n frequencies, p points, at each the displacement [m] and the
 rotation [rad] against the force [N] and the moment [Nm], ordered (y_1, theta_1, y_2, ...). Entries are H, L; N, P
-of 4-18. The product condenses stiffness (`models.dynamics.chain`); this is the source's own way, and the product is
-tested against it.
+of 4-18. The product condenses stiffness (`models.dynamics.chain`); this is the dissertation's own way, and the product
+is tested against it.
 """
 
 from typing import Any

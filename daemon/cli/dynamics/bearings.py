@@ -38,7 +38,7 @@ def _temperature_options(command: Command) -> Command:
 
 
 @click.command()
-@click.option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis: Table D-1 (x) or D-2 (y).")
+@click.option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis that the regressions are for.")
 @_temperature_options
 @click.option(
     "--model",
@@ -56,7 +56,7 @@ def _temperature_options(command: Command) -> Command:
 )
 @json_option
 def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_path: str | None, **given: Any) -> None:
-    """Bearing properties from four temperatures and their changes (5-1).
+    """Bearing properties from four temperatures and their changes.
 
     The regressions are the published ones, or those of a model. `raw` is what the regression says, `value` the same
     within the physical bounds, `flagged` is true where they differ: a flagged value is a bound, not an estimate.

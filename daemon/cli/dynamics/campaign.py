@@ -69,7 +69,9 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
 @click.option("--to-hz", type=POSITIVE, help="Highest frequency used [Hz]; up to where the beam model holds.")
 @trust_option
 @click.option("--bounds", "bounds_path", metavar="FILE", type=FILE, help="Physical bounds (YAML).")
-@click.option("--least-squares", is_flag=True, help="No penalty and all thirteen variables, as the source.")
+@click.option(
+    "--least-squares", is_flag=True, help="Plain least squares on all thirteen variables, as published; no penalty."
+)
 @click.option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
 @click.option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
 @click.option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")

@@ -30,7 +30,7 @@ method_option = click.option(
     type=click.Choice(["lm", "nelder-mead"]),
     default="lm",
     show_default=True,
-    help="lm: least squares of the logarithm; nelder-mead: the simplex on the source's cost (4-36).",
+    help="lm: least squares of the logarithm; nelder-mead: the simplex on the published sum of errors.",
 )
 from_option = click.option("--from-hz", type=POSITIVE, help="Use no lower frequencies [Hz].")
 to_option = click.option("--to-hz", type=POSITIVE, help="Use no higher frequencies [Hz].")
@@ -56,7 +56,7 @@ coherence_option = click.option(
     type=click.Choice(["auto", "source", "file"]),
     default="auto",
     show_default=True,
-    help="Where kept parameters come from: section 5.2.3, the file, or auto: 5.2.3 unless only the file's fit.",
+    help="Kept parameters: source, the published values; file, SPINDLE's; auto, published unless only SPINDLE's fit.",
 )
 @from_option
 @to_option

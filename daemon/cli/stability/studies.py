@@ -17,7 +17,13 @@ POSITIVE = FiniteFloat(min=0.0, min_open=True)
 @click.option("--from-rpm", type=POSITIVE, default=2000.0, show_default=True, help="First spindle speed [1/min].")
 @click.option("--to-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
 @click.option("--points", type=click.IntRange(2, 20000), default=400, show_default=True, help="Number of speeds.")
-@click.option("--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="As for lobes.")
+@click.option(
+    "--method",
+    type=click.Choice(["zoa", "sdm"]),
+    default="zoa",
+    show_default=True,
+    help="zoa: zeroth-order solution; sdm: semi-discretisation.",
+)
 @click.option("--programmed-rpm", type=POSITIVE, help="Programmed speed [1/min]; with --depth-mm a speed is chosen.")
 @click.option("--depth-mm", type=POSITIVE, help="Programmed axial depth of cut [mm].")
 @picture_option

@@ -31,16 +31,36 @@ PERCENT = FiniteFloat(min=0.0, max=40.0)
 @click.option(
     "--max-change-percent", type=POSITIVE, default=20.0, show_default=True, help="Greatest change of the speed [%]."
 )
-@click.option("--margin-percent", type=PERCENT, default=20.0, show_default=True, help="As for choose [%].")
-@click.option("--tolerance-percent", type=PERCENT, default=2.0, show_default=True, help="As for choose [%].")
 @click.option(
-    "--offset-hz", type=FiniteFloat(), default=20.0, show_default=True, help="Signed offset f_o of the rule [Hz]."
+    "--margin-percent",
+    type=PERCENT,
+    default=20.0,
+    show_default=True,
+    help="The limiting depth exceeds the programmed one by this much [%].",
+)
+@click.option(
+    "--tolerance-percent",
+    type=PERCENT,
+    default=2.0,
+    show_default=True,
+    help="It does so this far to both sides of the speed [%].",
+)
+@click.option(
+    "--offset-hz",
+    type=FiniteFloat(),
+    default=20.0,
+    show_default=True,
+    help="The published rule keeps the tooth-passing frequency this far below the resonance [Hz].",
 )
 @click.option(
     "--rule-axis", type=click.Choice(["x", "y"]), help="Axis that the rule follows. Without: the softer at resonance."
 )
 @click.option(
-    "--method", type=click.Choice(["zoa", "sdm"]), default="zoa", show_default=True, help="Lobes of our choice."
+    "--method",
+    type=click.Choice(["zoa", "sdm"]),
+    default="zoa",
+    show_default=True,
+    help="Lobes that the tuning uses: zeroth-order solution, or semi-discretisation.",
 )
 @click.option(
     "--verify-with-sdm/--no-verify-with-sdm",
@@ -80,7 +100,7 @@ def warm_up(
     picture: Path | None,
     json_path: str | None,
 ) -> None:
-    """Let the simulated machine mill the CASE while it warms: untuned, by the source's rule, and tuned.
+    """Let the simulated machine mill the CASE while it warms: untuned, by the published rule, and tuned.
 
     The CASE gives tool, engagement and material. The tool point is that of the simulated machine's finite elements,
     whose bearings change with temperature, or with --dynamics case one with the CASE's modes when cold. What the tuning

@@ -1,4 +1,4 @@
-"""`toolpoint thermal campaign`: the source's measurement programme on the simulated machine."""
+"""`toolpoint thermal campaign`: the published measurement programme on the simulated machine."""
 
 from pathlib import Path
 

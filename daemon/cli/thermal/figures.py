@@ -1,4 +1,4 @@
-"""`toolpoint thermal figures`: every figure of the source's chapter on thermal errors, from a campaign."""
+"""`toolpoint thermal figures`: every figure of the published study of thermal errors, from a campaign."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,7 @@ from daemon.cli.common import ProgressBar, json_option, refuse, write_json
 @click.command()
 @click.argument("folder", metavar="CAMPAIGN", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for report and pictures.")
-@click.option("--b0/--no-b0", "intercept", default=True, show_default=True, help="Fit a drift with time (eq. 3-1).")
+@click.option("--b0/--no-b0", "intercept", default=True, show_default=True, help="Fit a drift with time.")
 @click.option(
     "--repeats",
     type=click.IntRange(1, 100),
@@ -21,9 +21,9 @@ from daemon.cli.common import ProgressBar, json_option, refuse, write_json
 )
 @json_option
 def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path: str | None) -> None:
-    """Draw every figure of the source's chapter on thermal errors from the recordings of a CAMPAIGN.
+    """Draw every figure of the published study of thermal errors from the recordings of a CAMPAIGN.
 
-    Writes report.html, which needs nothing else to be looked at, and one PNG for each figure.
+    Writes report.html, which needs no other file, and one PNG for each figure.
     """
     if lacking := [name for name in ("matplotlib", "plotly") if find_spec(name) is None]:
         refuse(f"{' and '.join(lacking)} cannot be found; install toolpoint with its extra 'plots'")

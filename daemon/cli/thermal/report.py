@@ -32,9 +32,11 @@ NOT_NEGATIVE = FiniteFloat(min=0.0)
 @click.option("--standing", is_flag=True, help="The spindle stood all the time; for recordings without speed.")
 @click.option("--ambient", help="Temperatures of the air: names or patterns, separated by commas.")
 @click.option("--chiller-kw", type=NOT_NEGATIVE, default=1.2, show_default=True, help="Power of the chiller [kW].")
-@click.option("--cut-kwh", type=NOT_NEGATIVE, help="Energy that cutting one part takes [kWh] (eq. 1-1).")
+@click.option(
+    "--cut-kwh", type=NOT_NEGATIVE, help="Energy that cutting one part takes [kWh], for the energy efficiency."
+)
 @click.option("--motor-kwh", type=POSITIVE, help="Energy of the motors for one part [kWh].")
-@click.option("--process-min", type=POSITIVE, help="Time of one part [min] (eq. 1-2).")
+@click.option("--process-min", type=POSITIVE, help="Time of one part [min], for the productivity.")
 @click.option("--html", "html_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a page to this file.")
 @json_option
 def report(

@@ -1,6 +1,6 @@
 """The published hot-and-ice experiment on the simulated machine: what is set up, and when what is moved.
 
-Section 2.3 of the source: a sensor is moved ten times between a hot pack and an ice pack, and the
+Section 2.3 of the dissertation: a sensor is moved ten times between a hot pack and an ice pack, and the
 delay is taken from the move to the first changed reading and to the changed macro variable.
 """
 
@@ -28,7 +28,7 @@ LAG_S = 40.0
 CHANGE_DEGC = 0.1875
 """A reading shows the move when it differs by three steps of the TMP102: its noise reaches two."""
 DWELL_S = 300.0
-"""Time on each pack [s]; the source needed more than 5 min until the temperature stood still."""
+"""Time on each pack [s]; the dissertation needed more than 5 min until the temperature stood still."""
 LEAD_S = {"temperature": 60.0, "compensation": 240.0}
 """Before the first move the sensor stands still on ice, and compensation is switched on [s]."""
 REFERENCE_AT_S = 120.0

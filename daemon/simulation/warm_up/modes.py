@@ -24,7 +24,7 @@ from models.stability.frf_modal_fit import fit_modes
 from models.stability.response import Mode
 
 SIGNALS = ("IR", "A", "F", "Room")
-"""Labels of the sensors that explain the dynamics, those of the source."""
+"""Labels of the sensors that explain the dynamics, those of the dissertation."""
 CAMPAIGN_DAYS = 6
 CAMPAIGN_SPEEDS_RPM = (12000.0, 6000.0, 9000.0)
 CAMPAIGN_STRETCHES_MIN = (30, 20, 30, 25)

@@ -10,7 +10,7 @@ from daemon.simulation.warm_up.run import WarmUpRequest, WarmUpRun
 from daemon.workbench.figures import Axes, Curve, Figure, save
 from models.records import FloatArray
 
-NAMES = {"programmed": "programmed speed", "rule": "source's rule (5-9)", "tuned": "tuned"}
+NAMES = {"programmed": "programmed speed", "rule": "published rule", "tuned": "tuned"}
 """Strategy -> words."""
 
 

@@ -49,7 +49,7 @@ class WarmUpRequest:
     verify_with_sdm: bool = True
     """A chosen speed is verified beyond the lobes."""
     rule_axis: str | None = None
-    """Followed by the source's rule; None: the axis that is softer at its resonance."""
+    """Followed by the dissertation's rule; None: the axis that is softer at its resonance."""
     offset_hz: float = 20.0
     settings: SpeedTuningSettings = USUAL_SETTINGS
     machine_seed: int = 1
@@ -99,7 +99,7 @@ class WarmUpRun:
 
 
 def warm_up(case: StabilityCase, request: WarmUpRequest) -> tuple[WarmUpRun, ...]:
-    """Return the warm-up without tuning, with the source's rule, and with ours; raises StabilityError."""
+    """Return the warm-up without tuning, with the published rule, and tuned; raises StabilityError."""
     if case.feed_deg == ALL_DIRECTIONS:
         raise StabilityError("the simulated cut has one direction of the feed; give feed_deg a number")
     machine = machine_of(case, request)

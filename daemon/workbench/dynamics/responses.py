@@ -16,7 +16,7 @@ from models.errors import RefusedInputError
 from models.records import FloatArray
 
 DEFAULT_STEP_HZ = 12800.0 / 16384.0
-"""Spectral line spacing of the source's analyser; 300 to 2500 Hz then are 2817 points."""
+"""Spectral line spacing of the dissertation's analyser; 300 to 2500 Hz then are 2817 points."""
 LOWEST_HZ, HIGHEST_HZ = 1e-3, 1e6
 """Where the beam model is computed: below, a free shaft only drifts; above, waves are shorter than the section."""
 MOST_POINTS = 1_000_000

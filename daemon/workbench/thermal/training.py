@@ -99,7 +99,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
 
 
 def increments_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
-    """Return `summary` with the figures of the source's model on increments."""
+    """Return `summary` with the figures of the dissertation's model on increments."""
     found, chosen = summary(result, path), result.hyper_parameters
     drift = zip(result.model.channels, result.drift_um_per_min.tolist(), strict=True)
     found["model"] |= {"interval_min": chosen["interval_min"], "ridge_k2": chosen["ridge_k2"]}

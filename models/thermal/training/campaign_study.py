@@ -1,4 +1,4 @@
-"""Residuals of the source's models by number of training sets and of sensors (section 3.4).
+"""Residuals of the dissertation's models by number of training sets and of sensors (section 3.4).
 
 Data sets are added one after the other by updating a triangular factor, sensors by bordering it
 (`models.thermal.training.nested`), so that all sets and sensors cost about as much as a few fits.

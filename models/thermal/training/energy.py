@@ -1,4 +1,4 @@
-"""Energy efficiency and productivity of a process (equations 1-1 and 1-2 of the source)."""
+"""Energy efficiency and productivity of a process (equations 1-1 and 1-2 of the dissertation)."""
 
 from dataclasses import dataclass
 

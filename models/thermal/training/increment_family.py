@@ -1,4 +1,4 @@
-"""The source's family: increments of displacement as a linear function of those of temperatures (3-1 to 3-5)."""
+"""The dissertation's family: increments of displacement as a linear function of those of temperatures (3-1 to 3-5)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -163,10 +163,10 @@ def _speed_stretches(speed_rpm: FloatArray) -> IntArray:
 
 
 def increments_without_drift(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
-    """Return the source's model without b_0, on increments from row to row."""
+    """Return the dissertation's model without b_0, on increments from row to row."""
     return IncrementProblem(IncrementChoices(), inputs, rows, fold, probe_min)
 
 
 def increments_with_drift(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
-    """Return the source's model with b_0, on increments from row to row."""
+    """Return the dissertation's model with b_0, on increments from row to row."""
     return IncrementProblem(IncrementChoices(intercept=True), inputs, rows, fold, probe_min)

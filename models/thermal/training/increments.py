@@ -1,6 +1,6 @@
-"""The source's model: displacement increments as a linear function of temperature increments.
+"""The dissertation's model: displacement increments as a linear function of temperature increments.
 
-Equations 3-1 to 3-5 of the source (the sum in 3-2 is squared here, as least squares needs).
+Equations 3-1 to 3-5 of the dissertation (the sum in 3-2 is squared here, as least squares needs).
 Differences are taken over any interval, every row being the end of one, and never across a gap
 or from one run into another.
 """

@@ -1,4 +1,4 @@
-"""The source's regression models Y2, Z2 and Z1+TL of its measurement campaign (equations 3-1 to 3-5).
+"""The dissertation's regression models Y2, Z2 and Z1+TL of its measurement campaign (equations 3-1 to 3-5).
 
 Y2, Z2 and Z1 are displacement increments over one minute as linear functions of the increments of the
 temperatures. TL is the length Z1 - Z2 of the test bar as a function of the air (Room), the infrared
@@ -109,7 +109,7 @@ def prepare(number: int, recording: Recording, length_sensors: Sequence[str]) ->
     outputs = np.column_stack([channel_um(recording, channel) for channel in OUTPUTS])
     if not (np.isfinite(outputs).all() and np.isfinite(recording.temperatures_degc).all()):
         raise DatasetError(
-            f"{recording.name}: values are missing; the source's models take complete data sets, so fill the gaps "
+            f"{recording.name}: values are missing; the published models take complete data sets, so fill the gaps "
             "or leave the column out"
         )
     cleansed = remove_jumps_at_switching(outputs, recording.speed_rpm, JUMP_THRESHOLD_UM)

@@ -46,7 +46,7 @@ RECIPES = {
 
 
 def increment_recipe(choices: IncrementChoices) -> Recipe:
-    """Return the recipe of the source's model as a person wants it."""
+    """Return the recipe of the dissertation's model as a person wants it."""
     kind = "increments" if choices.ridge_k2 is None else "ridge"
     interval = "" if choices.interval_min is None else f"-{choices.interval_min:g}min"
     return Recipe(

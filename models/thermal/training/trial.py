@@ -44,7 +44,7 @@ class FaultOutcome:
     """From the fault to the exclusion of this sensor [min]; None: it was not found."""
     max_ratio: float | None
     """Largest residual over all channels against fault-free; None where that is zero."""
-    blamed_instead: tuple[str, ...]
+    excluded_instead: tuple[str, ...]
     """Healthy sensors that were excluded."""
 
 
@@ -138,7 +138,7 @@ class Tester:
             kind=fault.kind,
             found_after_min=min(found) if found else None,
             max_ratio=largest / usual if usual > 0.0 else None,
-            blamed_instead=tuple(inputs.sensor_names[index] for index in sorted(others)),
+            excluded_instead=tuple(inputs.sensor_names[index] for index in sorted(others)),
         )
 
     def _features_with(self, sensor: int, degc: FloatArray) -> FloatArray:
