@@ -45,12 +45,12 @@ def contract(name: str) -> dict[str, Any]:
     return found
 
 
-def test_the_floors_are_those_of_the_contract() -> None:
-    floors = contract("the floors of daemon/")
-    assert [set(names(row[0])) for row in rows("## Rooms of the daemon")] == [
-        {room.strip() for room in layer.split("|")} for layer in floors["layers"]
+def test_the_layers_are_those_of_the_contract() -> None:
+    layers = contract("the layers of daemon/")
+    assert [set(names(row[0])) for row in rows("## Packages of the daemon")] == [
+        {package.strip() for package in layer.split("|")} for layer in layers["layers"]
     ]
-    assert floors["exhaustive"], "a new room needs a row"
+    assert layers["exhaustive"], "a new package needs a row"
 
 
 def test_only_the_simulation_and_the_tests_import_the_simulated_machine() -> None:
@@ -74,7 +74,7 @@ def imported(node: ast.Import | ast.ImportFrom) -> list[str]:
 
 def test_what_goes_back_to_the_thermal_task_are_four_frozen_messages() -> None:
     upwards = set(get_args(Message)) - {ThermalModel, TemperatureCycle}
-    told = {names(row[0])[0] for row in rows("## The way of one datum")}
+    told = {names(row[0])[0] for row in rows("## From sensor to CNC")}
     assert {each.__name__ for each in upwards} == told
     for message in upwards:
         assert is_dataclass(message) and message.__dataclass_params__.frozen  # type: ignore[attr-defined]
