@@ -190,7 +190,7 @@ class ThermalErrorEstimate:
     """0..1: the share of the model's weight that rests on sensors with a usable value."""
     imputed: tuple[int, ...]
     """IDs of the sensors that were imputed."""
-    doubt: str = ""
+    inhibit: str = ""
     """Why the model cannot be followed yet, '' when it can."""
     model_id: str
     reference_id: str | None

@@ -8,7 +8,7 @@ from config.schema.base import READ_AHEAD_STOP_PATTERN, KeyPath, KeyProblems, Na
 
 AxisLetter = Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"]
 USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "z": ("Z", 3)}
-"""Address letter and number of the axes whose names leave no doubt."""
+"""Address letter and number of the axes whose names say which axis is meant."""
 PROGRAMS = 5
 """Numbers that the programs take: guard, initialise, request, safe point begins, safe point ends."""
 PROGRAM_LABELS = range(90_000, 91_000)

@@ -52,7 +52,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         else None,
         estimate_age_s=view.now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
         confidence=estimate.confidence if estimate is not None else 0.0,
-        doubt=estimate.doubt if estimate is not None else "",
+        inhibit=estimate.inhibit if estimate is not None else "",
         in_domain=estimate.in_domain if estimate is not None else False,
         reference_id=reference.reference_id if reference is not None else None,
         reference_ended=view.reference.ended,

@@ -221,7 +221,7 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=outcome.confidence,
             imputed=tuple(outcome.imputed),
-            doubt=self.inhibit(),
+            inhibit=self.inhibit(),
             model_id=model.model_id,
             reference_id=reference.reference_id,
             line=temperatures.line,

@@ -44,14 +44,14 @@ class SpindleSpeedOutput:
         configuration: Configuration,
         clock: Clock,
         journal: Journal,
-        permission: Interlocks,
+        interlocks: Interlocks,
         planner: Planner | None,
     ) -> None:
         self.worker = SpeedWorker(planner)
         tuning = configuration.spindle_speed
         self._follower: _Follower | None = None
         if tuning is not None:
-            self._follower = _Follower(configuration, tuning, clock, journal, permission, self.worker)
+            self._follower = _Follower(configuration, tuning, clock, journal, interlocks, self.worker)
 
     @property
     def due(self) -> bool:
@@ -103,10 +103,10 @@ class _Follower:
         tuning: SpindleSpeedConfig,
         clock: Clock,
         journal: Journal,
-        permission: Interlocks,
+        interlocks: Interlocks,
         worker: SpeedWorker,
     ) -> None:
-        self._tuning, self._clock, self._journal, self._permission = tuning, clock, journal, permission
+        self._tuning, self._clock, self._journal, self._interlocks = tuning, clock, journal, interlocks
         self._worker = worker
         self._block = SpeedBlock(tuning.macros)
         self._calls = SpeedCalls(configuration, tuning, self._block)
@@ -173,7 +173,7 @@ class _Follower:
         """Return why nothing may be written: a FAULT, an interlock, or a block that is not ours (a FAULT too)."""
         if self._journal.fault is not None:
             return f"FAULT: {self._journal.fault}"
-        if (inhibit := self._permission.write_inhibit(session.cnc)) is not None:
+        if (inhibit := self._interlocks.write_inhibit(session.cnc)) is not None:
             return str(inhibit)
         if self._fault_raised and not self._block.vacant(found):
             self.writer.acknowledge(found)

@@ -184,7 +184,7 @@ def first_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
 
 def _inhibit_of_estimate(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
     if inputs.confidence < limits.min_confidence:
-        why = inputs.doubt or "sensors missing"
+        why = inputs.inhibit or "sensors missing"
         text = f"confidence {inputs.confidence:.2f} is below {limits.min_confidence:.2f} ({why})"
         return Inhibit(code=InhibitCode.CONFIDENCE, text=text)
     if not inputs.in_domain:

@@ -75,7 +75,7 @@ class OutputInputs:
     """Age of the estimate [s], inf when there is none."""
     confidence: float
     in_domain: bool
-    doubt: str = ""
+    inhibit: str = ""
     """Why confidence is low when no sensor is missing: states that are not filled yet."""
     reference_id: str | None
     """The valid reference; None when there is none."""

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from control_rig import HandClock
-from model_shelf import open_folder
+from model_folder import open_folder
 from other_user import OTHER, as_root, as_user
 from speed_machine import bearing_model, speed_machine
 

@@ -183,8 +183,8 @@ async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it
     await shop.refer()
     await shop.run(2)
     assert shop.latest.confidence < 0.3
-    assert "16.0 h of temperatures and spindle speed" in shop.latest.doubt
-    assert shop.task.inhibit() == shop.latest.doubt
+    assert "16.0 h of temperatures and spindle speed" in shop.latest.inhibit
+    assert shop.task.inhibit() == shop.latest.inhibit
     await shop.end()
 
 
@@ -299,7 +299,7 @@ async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model_wit
     await shop.run(2)
     assert shop.latest.confidence > 0.9
     await shop.run(30, speed=False)
-    assert shop.latest.confidence == 0.0 and "spindle speed" in shop.latest.doubt
+    assert shop.latest.confidence == 0.0 and "spindle speed" in shop.latest.inhibit
     await shop.end()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from control_rig import SENSOR_IDS
-from model_shelf import configured, open_folder
+from model_folder import configured, open_folder
 from thermal_rig import Task
 
 from config.schema.compensation import ReleaseConfig

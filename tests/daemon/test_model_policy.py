@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from control_rig import SENSOR_IDS
-from model_shelf import configured, open_folder, proposal
+from model_folder import configured, open_folder, proposal
 from small_model import model
 
 from config.files import sha256_of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from model_shelf import configured, open_folder, proposal
+from model_folder import configured, open_folder, proposal
 from other_user import OTHER, as_root, as_user, in_child
 from small_model import model
 

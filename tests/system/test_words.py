@@ -9,11 +9,6 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
-STILL_TO_GO = {
-    "doubt",
-    "permission",
-}
-"""Words of the second table that the program still has; this list may only get shorter."""
 
 
 @cache
@@ -69,14 +64,7 @@ def test_the_glossary_is_sorted_and_names_what_exists() -> None:
     assert len(named) > 40 and not named - names()
 
 
-def test_the_words_to_go_are_in_the_glossary() -> None:
-    assert set(RULED_OUT) >= STILL_TO_GO
-
-
 @pytest.mark.parametrize("word", RULED_OUT)
 def test_no_name_has_a_word_that_is_ruled_out(word: str) -> None:
     found = uses(word)
-    if word in STILL_TO_GO:
-        assert found, f"{word} is gone: take it out of STILL_TO_GO"
-    else:
-        assert not found, f"{word} is ruled out by the glossary (docs/glossary.md): {found}"
+    assert not found, f"{word} is ruled out by the glossary (docs/glossary.md): {found}"

@@ -36,7 +36,7 @@ class Truth:
     reference_blind: bool = False
     """Lines were disturbed when the reference was set, so that some labels may count from nothing."""
     model_has_states: bool = False
-    """The model needs hours of history, which its doubt may be about."""
+    """The model needs hours of history; it may still say that it has too little."""
     sensor_was_wrong: bool = False
     """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
 

@@ -217,7 +217,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
                 "kind": fault.kind,
                 "found_after_min": fault.found_after_min,
                 "max_ratio": fault.max_ratio,
-                "excluded_instead": list(fault.blamed_instead),
+                "excluded_instead": list(fault.excluded_instead),
             }
             for o in outcomes
             for fault in o.faults
