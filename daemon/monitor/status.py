@@ -121,7 +121,7 @@ class StatusBoard:
             return None
         picture = asdict(speed)
         del picture["stands_off"]
-        return picture
+        return picture | {"wished_rpm": speed.target_rpm}  # its name in 0.1.0
 
     def _temperatures(self, thermal: ThermalSnapshot) -> dict[str, Any] | None:
         latest = thermal.temperatures

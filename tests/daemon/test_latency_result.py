@@ -237,4 +237,4 @@ def test_moves_come_at_every_phase_of_the_cycle_and_far_apart(switches):
 def test_the_model_of_the_experiment_stays_in_its_domain_over_the_whole_swing():
     model = one_sensor_model(5)
     assert model.sensor_ids == (5,)
-    assert model.lowest_increment_k[0] <= -40.0 and model.highest_increment_k[0] >= 40.0
+    assert model.domain.lowest[0] <= -40.0 and model.domain.highest[0] >= 40.0

@@ -131,7 +131,9 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
             "active": number,
             "releases": [record.model_dump(mode="json") for record in records],
             "proposals": [
-                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "inhibit": p.inhibit} for p in waiting
+                {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "inhibit": p.inhibit}
+                | {"obstacle": p.inhibit}  # its name in 0.1.0
+                for p in waiting
             ],
         },
     )

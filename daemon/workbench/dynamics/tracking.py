@@ -109,11 +109,13 @@ def track_recording(
 
 def tracking_summary(day: TrackedDay) -> dict[str, Any]:
     """Return what `toolpoint dynamics track` prints."""
+    inhibits = [each.inhibit for each in day.dynamics]
     return {
         "model_id": day.dynamics[0].model_id,
         "warnings": list(day.warnings),
         "time_min": day.time_min.tolist(),
-        "inhibit": [each.inhibit for each in day.dynamics],
+        "inhibit": inhibits,
+        "doubt": inhibits,  # its name in 0.1.0
         "axes": {axis: _axis_summary(day, axis) for axis in day.dynamics[0].axes},
     }
 

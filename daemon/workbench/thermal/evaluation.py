@@ -218,6 +218,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
                 "found_after_min": fault.found_after_min,
                 "max_ratio": fault.max_ratio,
                 "excluded_instead": list(fault.excluded_instead),
+                "blamed_instead": list(fault.excluded_instead),  # its name in 0.1.0
             }
             for o in outcomes
             for fault in o.faults
