@@ -62,12 +62,13 @@ ALIVE_PERIOD_S = 10.0
 """The store is told this often that the daemon lives [s of the wall clock]; a restart measures its outage by it."""
 
 
-def load_record(path: Path | None) -> CommissioningRecord | None:
+def load_record(configuration: Configuration) -> CommissioningRecord | None:
     """Return the commissioning record, or None with the reason in the log."""
+    path = configuration.compensation.commissioning_file
     if path is None:
         return None
     try:
-        return load_commissioning(path)
+        return load_commissioning(path, configuration.signatures.public_keys)
     except CommissioningError as error:
         log.error("commissioning.unreadable", problem=str(error))
         return None
@@ -107,7 +108,7 @@ class Daemon:
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
         model, inhibit = self._loaded.model, self._loaded.inhibit
-        record = load_record(configuration.compensation.commissioning_file)
+        record = load_record(configuration)
         axes = tuple(configuration.compensation.axes)
         factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
         self._block = MacroBlock(

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from config.files import write_whole
 from config.schema.base import Section
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
+from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
 from models.errors import RefusedInputError
 
 LEAST_PROOF_UM = 2.0
@@ -98,10 +99,18 @@ def macro_map_digest(macros: MacroMapConfig) -> str:
     return macros.digest
 
 
-def load_commissioning(path: Path) -> CommissioningRecord:
-    """Read a record; raises CommissioningError naming file and key."""
+def load_commissioning(path: Path, trusted: Path | None = None) -> CommissioningRecord:
+    """Read a record; raises CommissioningError naming file and key.
+
+    `trusted` is the folder of the keys by which it must be signed, where there are any.
+    """
     try:
-        return CommissioningRecord.model_validate_json(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        if trusted is not None:
+            TrustedKeys.read(trusted).signer("commissioning record", content, signature_of(path), str(path))
+        return CommissioningRecord.model_validate_json(content.decode("utf-8"))
+    except SigningError as error:
+        raise CommissioningError(str(error)) from error
     except OSError as error:
         raise CommissioningError(f"{path}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
@@ -116,10 +125,15 @@ def commissioning_text(record: CommissioningRecord) -> str:
     return json.dumps(record.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
 
 
-def save_commissioning(record: CommissioningRecord, path: Path) -> None:
+def save_commissioning(record: CommissioningRecord, path: Path, key: SigningKey | None = None) -> None:
     """Write a record whole or not at all; raises CommissioningError, and the old file then stands."""
+    text = commissioning_text(record)
     try:
-        write_whole(path, commissioning_text(record), 0o644)
+        if key is None:
+            signature_beside(path).unlink(missing_ok=True)
+        write_whole(path, text, 0o644)
+        if key is not None:
+            write_whole(signature_beside(path), key.signature("commissioning record", text.encode()), 0o644)
     except OSError as error:
         raise CommissioningError(f"{path}: the record cannot be written ({error.strerror})") from error
 

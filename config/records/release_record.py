@@ -38,8 +38,14 @@ class ReleaseRecordError(Exception):
 
 def load_release_record(path: Path) -> ReleaseRecord:
     """Read a record; raises ReleaseRecordError naming file and key."""
+    return read_release_record(path)[0]
+
+
+def read_release_record(path: Path) -> tuple[ReleaseRecord, bytes]:
+    """Read a record, and the bytes that its signature is of; raises ReleaseRecordError naming file and key."""
     try:
-        return ReleaseRecord.model_validate_json(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        return ReleaseRecord.model_validate_json(content.decode("utf-8")), content
     except OSError as error:
         raise ReleaseRecordError(f"{path}: the release record cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:

@@ -9,7 +9,7 @@ from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
 from config.schema.guard import PROGRAM_LABELS
-from config.schema.service import HistoryConfig, ServiceConfig
+from config.schema.service import HistoryConfig, ServiceConfig, SignaturesConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from config.schema.temperatures import TemperaturesConfig
 
@@ -29,6 +29,8 @@ class Configuration(Section):
     )
     history: HistoryConfig = Field(default_factory=HistoryConfig, description="the store")
     service: ServiceConfig = Field(default_factory=ServiceConfig, description="socket, metrics, log, retry")
+
+    signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 
     @model_validator(mode="after")
     def _cross_check(self) -> "Configuration":

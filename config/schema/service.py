@@ -35,6 +35,16 @@ class HistoryConfig(Section):
     backup: BackupConfig | None = Field(None, description="regular back-ups; none: only those that a person makes")
 
 
+class SignaturesConfig(Section):
+    """Who may answer for releases, commissioning records and back-ups."""
+
+    public_keys: Path = Field(
+        Path("keys"),
+        description="folder of the public keys (*.pub) that count; where it holds one, what is not signed is refused",
+        examples=["/etc/toolpoint/keys"],
+    )
+
+
 class ServiceConfig(Section):
     """The daemon as a service."""
 

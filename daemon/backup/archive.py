@@ -16,6 +16,7 @@ from typing import BinaryIO, Self
 
 from pydantic import ValidationError
 
+from config.signing import SigningError, TrustedKeys
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
@@ -23,9 +24,11 @@ from daemon.backup.manifest import (
     MANIFEST_NAME,
     MODEL_NAME,
     RELEASES_NAME,
+    SIGNATURE_NAME,
     STORE_NAME,
     BackupError,
     Manifest,
+    signature_name,
 )
 
 KIB, MIB = 2**10, 2**20
@@ -36,12 +39,15 @@ LARGEST_EXTENSION = KIB
 MOST_MEMBERS = 20_000
 LARGEST = (
     (re.escape(MANIFEST_NAME), 4 * MIB),
+    (re.escape(SIGNATURE_NAME), 64 * KIB),
     (re.escape(CONFIGURATION_NAME), MIB),
     (re.escape(COMMISSIONING_NAME), MIB),
+    (re.escape(signature_name(COMMISSIONING_NAME)), 64 * KIB),
     (re.escape(LAST_BLOCK_NAME), 64 * KIB),
     (re.escape(MODEL_NAME), 64 * MIB),
     (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/model\.json", 64 * MIB),
     (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/release\.json", MIB),
+    (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/release\.json\.sig", 64 * KIB),
     (re.escape(STORE_NAME), None),
 )
 """What a back-up may hold, and how large it may be [bytes]; the store is as large as the disk allows."""
@@ -82,6 +88,16 @@ class Archive:
     def size_bytes(self) -> int:
         """Everything in it together."""
         return sum(member.size_bytes for member in self._members.values())
+
+    def signer(self, trusted: TrustedKeys) -> str:
+        """Return who has signed the manifest, and with it every file, '' where no key counts; raises BackupError."""
+        told = self._members.get(SIGNATURE_NAME)
+        content = b"".join(self._pieces(self._members[MANIFEST_NAME]))
+        try:
+            signature = None if told is None else b"".join(self._pieces(told))
+            return trusted.signer("back-up", content, signature, f"{self._path}")
+        except SigningError as error:
+            raise BackupError(f"{error}; --accept-unsigned restores it all the same, on your word") from error
 
     def prove(self) -> None:
         """Read every file and compare it with the manifest."""
@@ -162,7 +178,8 @@ class Archive:
             where = ".".join(map(str, first["loc"]))
             raise self._refused(f"{MANIFEST_NAME}: {where}: {first['msg']}; another version made it") from error
         expected = {item.name: item for item in manifest.files}
-        if self._members.keys() - {MANIFEST_NAME} != expected.keys() or len(expected) != len(manifest.files):
+        names = self._members.keys() - {MANIFEST_NAME, SIGNATURE_NAME}
+        if names != expected.keys() or len(expected) != len(manifest.files):
             raise self._refused("holds other files than its manifest names; take another back-up")
         for name, item in expected.items():
             if self._members[name].size_bytes != item.size_bytes:

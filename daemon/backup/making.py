@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from config.files import sha256_of_stream
 from config.schema import Configuration
+from config.signing import SIGNATURE_SUFFIX, SigningError, SigningKey, TrustedKeys, signature_beside
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
@@ -21,11 +22,13 @@ from daemon.backup.manifest import (
     MANIFEST_NAME,
     MODEL_NAME,
     RELEASES_NAME,
+    SIGNATURE_NAME,
     STORE_NAME,
     BackedUpFile,
     BackupError,
     Manifest,
     last_block_beside,
+    signature_name,
 )
 from daemon.backup.names import existing_backups
 from daemon.history.database import HistoryError, schema_version
@@ -57,8 +60,9 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
             store = Path(work) / "history.sqlite"
             copy_store(configuration.history.path, store)
             sources = list(_sources(configuration, config_path, store))
-            manifest = _manifest(configuration, sources)
-            write_archive(partial, manifest, sources)
+            key, unsigned = _key(configuration)
+            manifest = _manifest(configuration, sources, unsigned)
+            write_archive(partial, manifest, sources, key)
         partial.replace(destination)
     except HistoryError as error:
         raise BackupError(str(error)) from error
@@ -104,19 +108,31 @@ def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[t
     record = configuration.compensation.commissioning_file
     if record is not None and record.is_file():
         yield COMMISSIONING_NAME, record
+        if (signature := signature_beside(record)).is_file():
+            yield signature_name(COMMISSIONING_NAME), signature
     model_file = configuration.compensation.model_file
     if model_file is None:
         return
     if model_file.is_file():
         yield MODEL_NAME, Path(os.path.realpath(model_file))
-    for path in sorted((model_file.parent / "releases").glob("[0-9]*/*.json")):
+    releases = model_file.parent / "releases"
+    for path in sorted((*releases.glob("[0-9]*/*.json"), *releases.glob(f"[0-9]*/*{SIGNATURE_SUFFIX}"))):
         yield f"{RELEASES_NAME}/{path.parent.name}/{path.name}", path
 
 
-def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manifest:
+def _key(configuration: Configuration) -> tuple[SigningKey | None, list[str]]:
+    """Return the key of this account, or why the back-up is made without a signature: it is better than none."""
+    try:
+        return SigningKey.of_this_account(TrustedKeys.read(configuration.signatures.public_keys), "back-up"), []
+    except SigningError as error:
+        return None, [f"a signature: {error}"]
+
+
+def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned: Sequence[str]) -> Manifest:
     model_file = configuration.compensation.model_file
     record = released(model_file)[0] if model_file is not None else None
     cnc = configuration.cnc
+    secrets = (f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items())
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,
@@ -124,17 +140,20 @@ def _manifest(configuration: Configuration, sources: Sequence[Source]) -> Manife
         store_schema=schema_version(),
         active_release=record.number if record is not None else None,
         files=[source.described() for source in sources],
-        left_out=[*LEFT_OUT, *(f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items())],
+        left_out=[*LEFT_OUT, *unsigned, *secrets],
     )
 
 
-def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source]) -> None:
+def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source], key: SigningKey | None = None) -> None:
     """Write the tar, the manifest first, and hand it to the disk."""
     content = manifest.model_dump_json(indent=2).encode() + b"\n"
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, BACKUP_MODE)
     with os.fdopen(descriptor, "wb") as file:
         with tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as archive:
             archive.addfile(_entry(MANIFEST_NAME, len(content)), io.BytesIO(content))
+            if key is not None:
+                signature = key.signature("back-up", content)
+                archive.addfile(_entry(SIGNATURE_NAME, len(signature)), io.BytesIO(signature))
             for source, item in zip(sources, manifest.files, strict=True):
                 with source.open() as stream:
                     archive.addfile(_entry(item.name, item.size_bytes), stream)

@@ -6,8 +6,10 @@ from typing import Literal
 from pydantic import Field
 
 from config.schema.base import Section
+from config.signing import SIGNATURE_SUFFIX
 
 MANIFEST_NAME = "manifest.json"
+SIGNATURE_NAME = "manifest.json.sig"
 STORE_NAME = "store/history.sqlite"
 LAST_BLOCK_NAME = "store/last-block"
 CONFIGURATION_NAME = "configuration/toolpoint.yaml"
@@ -49,6 +51,11 @@ class Manifest(Section):
     def release_files(self) -> list[str]:
         """Names of the files of all releases."""
         return [file.name for file in self.files if file.name.startswith(f"{RELEASES_NAME}/")]
+
+
+def signature_name(name: str) -> str:
+    """Return the name of the signature of a file in the back-up."""
+    return f"{name}{SIGNATURE_SUFFIX}"
 
 
 def last_block_beside(store: Path) -> Path:

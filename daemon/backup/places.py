@@ -7,6 +7,7 @@ from pathlib import Path
 
 from config.loader import ConfigurationError, load_configuration
 from config.schema import Configuration
+from config.signing import signature_beside
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
@@ -15,6 +16,7 @@ from daemon.backup.manifest import (
     STORE_NAME,
     BackupError,
     Manifest,
+    signature_name,
 )
 
 OPTIONS = {
@@ -103,6 +105,7 @@ def targets(places: Places, config_path: Path | None) -> Iterator[tuple[str, Pat
         yield STORE_NAME, places.store
     if places.commissioning_file is not None:
         yield COMMISSIONING_NAME, places.commissioning_file
+        yield signature_name(COMMISSIONING_NAME), signature_beside(places.commissioning_file)
     if places.model_file is not None:
         yield RELEASES_NAME, places.model_file.parent / "releases"
         yield MODEL_NAME, places.model_file

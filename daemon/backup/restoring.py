@@ -25,10 +25,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from config.files import sha256_of_stream
-from config.loader import ConfigurationError, parse_yaml_model, with_absolute_paths
+from config.loader import ConfigurationError, load_configuration, parse_yaml_model, with_absolute_paths
 from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
+from config.schema.service import SignaturesConfig
+from config.signing import TrustedKeys
 from daemon.backup.archive import MIB, Archive
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
@@ -77,11 +79,13 @@ def restore(
     replace: bool,
     given: Places | None = None,
     keep_configuration: bool = False,
+    accept_unsigned: bool = False,
 ) -> Restored:
     """Restore a back-up to the places of the installed configuration; raises BackupError with nothing changed.
 
     `config_path` is where the installed configuration stands and that of the back-up goes. `given` are places that
-    a person has named. What is there already is refused, or moved aside when `replace` is set.
+    a person has named. What is there already is refused, or moved aside when `replace` is set. Where keys count, one
+    of them must have signed the back-up, unless a person accepts it without.
     """
     try:
         with Archive(archive_path) as archive:
@@ -91,6 +95,8 @@ def restore(
             places = agreed_places(manifest, archived, wanted, keep_configuration=keep_configuration)
             store = places.store
             assert store is not None, "every back-up holds a store"
+            if not accept_unsigned:
+                archive.signer(_trusted(config_path))
             _refuse_small_disk(archive, store)
             archive.prove()
             with _stopped(store), _private_folder(store.parent) as folder:
@@ -102,6 +108,15 @@ def restore(
                 return _put_in_place(folder, manifest, pieces, store, replace=replace)
     except OSError as error:
         raise BackupError(f"the back-up cannot be restored: {error}") from error
+
+
+def _trusted(config_path: Path) -> TrustedKeys:
+    """Return the keys that count by the installed configuration, or that lie where it would look."""
+    try:
+        folder = load_configuration(config_path).signatures.public_keys
+    except ConfigurationError:
+        folder = config_path.absolute().parent / SignaturesConfig().public_keys
+    return TrustedKeys.read(folder)
 
 
 def _refuse_small_disk(archive: Archive, store: Path) -> None:

@@ -86,7 +86,7 @@ def _record(configuration: Configuration) -> Finding:
             "run `toolpoint commission`",
         )
     try:
-        record = load_commissioning(path)
+        record = load_commissioning(path, configuration.signatures.public_keys)
     except CommissioningError as error:
         return Finding(subject="commissioning", passed=False, detail=str(error))
     axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
@@ -154,7 +154,7 @@ def _other_control(configuration: Configuration, identity: str, guard_version: f
     """Return why the record is not that of this control and guard; '' without a record, which is told apart."""
     path = configuration.compensation.commissioning_file
     try:
-        record = None if path is None else load_commissioning(path)
+        record = None if path is None else load_commissioning(path, configuration.signatures.public_keys)
     except CommissioningError:
         return ""
     if record is None:

@@ -98,6 +98,12 @@ def _thermal() -> ModuleType:
     return group
 
 
+def _keys() -> ModuleType:
+    from daemon.cli.admin import keys
+
+    return keys
+
+
 def _model() -> ModuleType:
     from daemon.cli.admin import model
 
@@ -141,6 +147,7 @@ COMMANDS: Mapping[str, tuple[Callable[[], ModuleType], str]] = {
     "restore": (_backup, "Restore a back-up while the daemon is stopped."),
     "thermal": (_thermal, "Train and evaluate thermal models."),
     "model": (_model, "Release thermal models, and take them back."),
+    "keys": (_keys, "Whose signatures count; sign what stands here."),
     "stability": (_stability, "Stability of milling: lobes and stable speeds."),
     "dynamics": (_dynamics, "Spindle dynamics: modes, responses, bearings."),
 }

@@ -10,11 +10,10 @@ from pathlib import Path
 import structlog
 
 from daemon.history.database import HistoryError, connect_writer
-from daemon.history.identity import Kept, StoreIdentity
 from daemon.history.intake import Entry, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
 from daemon.history.rows import ACKNOWLEDGE
-from daemon.history.store_lock import StoreLostError, WriterLock
+from daemon.history.store_lock import Kept, StoreIdentity, StoreLostError, WriterLock
 
 log = structlog.get_logger(__name__)
 

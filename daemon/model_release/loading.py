@@ -9,9 +9,10 @@ from typing import Generic, Protocol, TypeVar
 from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
+from config.signing import SigningError
 from daemon.model_release.file_access import Account, how_it_could_change
 from daemon.model_release.gate import training_inhibit
-from daemon.model_release.repository import released
+from daemon.model_release.repository import release_signer, released
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
 from models.thermal.family import ThermalModel, model_from_json
@@ -39,6 +40,8 @@ class LoadedModel(Generic[AnyModel]):
     inhibit: str
     record: ReleaseRecord | None = None
     sha256: str = ""
+    signed_by: str = ""
+    """Whose key has signed the release, '' where no key counts."""
     warning: str = ""
     """What `compensation.allow_writable_model_directory` lets pass."""
 
@@ -51,6 +54,7 @@ class LoadedModel(Generic[AnyModel]):
             words += "released by nobody"
         else:
             words += f"release {self.record.number} by {self.record.person} on {self.record.released}"
+            words += f", signed by {self.signed_by}" if self.signed_by else ", its signature not asked for"
         return f"{words}; WARNING: {self.warning}" if self.warning else words
 
     def snapshot(self) -> ModelSnapshot:
@@ -116,6 +120,14 @@ def _loaded(
     if mismatch or (unreleased and not lenient):
         return LoadedModel(model=None, inhibit=mismatch or unreleased, record=record)
     content = real.read_bytes()
+    signed_by = ""
+    if record is not None:
+        try:
+            signed_by = release_signer(path, record, configuration.signatures.public_keys)
+        except SigningError as error:
+            return LoadedModel(model=None, inhibit=str(error), record=record)
+        if sha256_of(content) != record.sha256:
+            return LoadedModel(model=None, inhibit=f"{real}: the model changed while it was read", record=record)
     model, inhibit, refused = read(content, str(real))
     if model is None:
         return LoadedModel(model=None, inhibit=inhibit, record=record)
@@ -124,7 +136,9 @@ def _loaded(
         if not lenient:
             return LoadedModel(model=None, inhibit=unreleased, record=record)
     warning = f"allow_writable_model_directory lets it pass: {unreleased}" if unreleased else ""
-    return LoadedModel(model=model, inhibit="", record=record, sha256=sha256_of(content), warning=warning)
+    return LoadedModel(
+        model=model, inhibit="", record=record, sha256=sha256_of(content), signed_by=signed_by, warning=warning
+    )
 
 
 def _not_released(wanted: WantedModel, path: Path, account: Account, record: ReleaseRecord | None) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from config.files import sha256_of
 from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
+from config.signing import SigningError, SigningKey, TrustedKeys
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
 from daemon.model_release.gate import channels_in_use, gate_inhibit, policy_inhibit
 from daemon.model_release.loading import Named, model_from_text
@@ -89,7 +90,7 @@ def release(
     Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
     """
     kind = kind or THERMAL
-    repository = kind.repository(configuration)
+    repository, key = kind.repository(configuration), _key(configuration)
     content = _content(proposal)
     model, checks = kind.checked(configuration, content, str(proposal))
     with repository.locked():
@@ -111,8 +112,16 @@ def release(
         record = _record(
             repository, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
         )
-        repository.add(record, content)
+        repository.add(record, content, key)
     return record
+
+
+def _key(configuration: Configuration) -> SigningKey | None:
+    """Return the key of this account, before anything is checked; raises ReleaseError where it has none that counts."""
+    try:
+        return SigningKey.of_this_account(TrustedKeys.read(configuration.signatures.public_keys), "release record")
+    except SigningError as error:
+        raise ReleaseError(str(error)) from error
 
 
 def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRecord | None:
@@ -121,6 +130,7 @@ def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRe
         raise ReleaseError(
             "compensation.release.automatic is false: only a person releases a model, by `toolpoint model release FILE`"
         )
+    _key(configuration)
     known = {record.sha256 for record in repository_of(configuration).records()}
     for proposal in reversed(proposals(configuration)):
         if proposal.inhibit or proposal.sha256 in known:
@@ -142,7 +152,7 @@ def rollback(
 ) -> ReleaseRecord:
     """Make an earlier release of a kind (None: thermal) active again, under a new number; raises ReleaseError."""
     kind = kind or THERMAL
-    repository = kind.repository(configuration)
+    repository, key = kind.repository(configuration), _key(configuration)
     with repository.locked():
         active = repository.active()
         _refuse_the_daemons_reach(configuration, repository)
@@ -154,7 +164,7 @@ def rollback(
         record = _record(
             repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
-        repository.add(record, content)
+        repository.add(record, content, key)
     return record
 
 

@@ -19,8 +19,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from config.files import sha256_of, sync_folder
-from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record
+from config.records.release_record import (
+    ReleaseRecord,
+    ReleaseRecordError,
+    load_release_record,
+    read_release_record,
+)
 from config.schema import Configuration
+from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
 
 MODEL_NAME = "model.json"
 RECORD_NAME = "release.json"
@@ -51,6 +57,19 @@ def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
             f"released was {record.sha256[:12]}); release it again, or go back with `toolpoint model rollback`"
         )
     return record, ""
+
+
+def release_signer(model_file: Path, record: ReleaseRecord, trusted: Path) -> str:
+    """Return who has signed the record of the active release, '' where no key counts; raises SigningError."""
+    beside = Path(os.path.realpath(model_file)).with_name(RECORD_NAME)
+    try:
+        found, content = read_release_record(beside)
+        signature = signature_of(beside)
+    except (ReleaseRecordError, OSError) as error:
+        raise SigningError(f"{beside}: its signature cannot be read ({error})") from error
+    if found != record:
+        raise SigningError(f"{beside}: the release record changed while it was read; try again")
+    return TrustedKeys.read(trusted).signer("release record", content, signature, str(beside))
 
 
 class ReleaseRepository:
@@ -119,14 +138,17 @@ class ReleaseRepository:
         """Return the number of the next release."""
         return max((int(folder.name) for folder in self.releases.glob("[0-9]*")), default=0) + 1
 
-    def add(self, record: ReleaseRecord, content: bytes) -> None:
-        """Add a release and make it the active one."""
+    def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:
+        """Put a release into the folder, signed where there is a key, and make it the active one."""
+        text = record.model_dump_json(indent=2).encode() + b"\n"
         folder = self.releases / f"{record.number:04d}"
         try:
             made = Path(tempfile.mkdtemp(prefix=".new-", dir=self.releases))
             try:
                 _write(made / MODEL_NAME, content)
-                _write(made / RECORD_NAME, record.model_dump_json(indent=2).encode() + b"\n")
+                _write(made / RECORD_NAME, text)
+                if key is not None:
+                    _write(signature_beside(made / RECORD_NAME), key.signature("release record", text))
                 made.chmod(READABLE_FOLDER)
                 made.rename(folder)
             finally:

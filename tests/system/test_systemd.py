@@ -76,7 +76,7 @@ def test_secrets_reach_the_daemon_as_credentials() -> None:
     """The lines are commented out because a missing file would keep the service from starting."""
     lines = UNIT.read_text("utf-8").splitlines()
     loaded = dict(line.removeprefix("#LoadCredential=").split(":") for line in lines if "LoadCredential=" in line)
-    assert set(loaded) == {"cnc-password", "toolpoint-key.pem"}
+    assert set(loaded) == {"cnc-password", "toolpoint-key.pem", "backup-key.pem"}
     assert all(path.startswith("/etc/toolpoint/secrets/") for path in loaded.values())
     guide = (SYSTEMD.parent / "docs/how-to/install.md").read_text("utf-8")
     for name in loaded:

@@ -70,6 +70,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 @click.option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
 @click.option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
 @click.option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")
+@click.option("--accept-unsigned", is_flag=True, help="Restore although nobody who counts here has signed it.")
 @click.option("--store", type=click.Path(path_type=Path), help="Where the history goes.")
 @click.option("--commissioning-file", type=click.Path(path_type=Path), help="Where the commissioning record goes.")
 @click.option("--model-file", type=click.Path(path_type=Path), help="Where the model goes, its releases beside it.")
@@ -80,6 +81,7 @@ def restore(
     verify_only: bool,
     replace: bool,
     keep_configuration: bool,
+    accept_unsigned: bool,
     config_path: Path,
     json_path: str | None,
     **places: Path | None,
@@ -110,6 +112,7 @@ def restore(
             replace=replace,
             given=Places(**{name: path and path.absolute() for name, path in places.items()}),
             keep_configuration=keep_configuration,
+            accept_unsigned=accept_unsigned,
         )
     except BackupError as error:
         click.echo(str(error), err=True)

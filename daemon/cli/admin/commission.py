@@ -217,6 +217,7 @@ def _commission(
     consent: bool,
 ) -> int:
     from config.records.commissioning import CommissioningError, save_commissioning
+    from config.signing import SigningError, SigningKey, TrustedKeys
     from daemon.cli.operate.run import parse_simulated_clock
     from daemon.commissioning.dialogue import TerminalDialogue
     from daemon.commissioning.initialising import CommissioningRefusedError
@@ -229,6 +230,7 @@ def _commission(
     configure_logging("warning")
     clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     try:
+        key = SigningKey.of_this_account(TrustedKeys.read(configuration.signatures.public_keys), "commissioning record")
         for path in (record_file, report_path):
             if path is not None:
                 check_destination(path)
@@ -236,11 +238,11 @@ def _commission(
         record = asyncio.run(commission_by(configuration, plan, sources, dialogue, clock, record_file))
         if record is None or record_file is None:
             return 0
-        save_commissioning(record, record_file)
+        save_commissioning(record, record_file, key)
         click.echo(f"Record: {record_file}")
         if report_path is not None:
             _write_report(report_path, report_html(record, configuration))
-    except (CommissioningRefusedError, CommissioningError, DriverError) as error:
+    except (CommissioningRefusedError, CommissioningError, SigningError, DriverError) as error:
         click.echo(f"Not commissioned: {error}", err=True)
         return NOT_DONE
     except asyncio.CancelledError:

@@ -1,0 +1,246 @@
+"""Signatures of what people answer for: release records, commissioning records, back-ups.
+
+Ed25519 over a purpose and a file's bytes, kept beside the file as `NAME.sig`. A person's private key stays with that
+person's account; the public keys that count lie in a folder that the daemon can read and not write. Where that folder
+holds keys, what is not signed by one of them is refused; where it holds none, nothing is checked.
+"""
+
+import base64
+import binascii
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+    load_pem_public_key,
+)
+
+from config.files import write_whole
+from models.errors import RefusedInputError
+
+Purpose = Literal["release record", "commissioning record", "back-up"]
+LIMITS: Mapping[str, Purpose] = {
+    "release": "release record",
+    "commissioning": "commissioning record",
+    "back-up": "back-up",
+}
+"""What the name of a key's file limits it to: what it is for."""
+PUBLIC_SUFFIX = ".pub"
+SIGNATURE_SUFFIX = ".sig"
+KEY_VARIABLE = "TOOLPOINT_SIGNING_KEY"
+"""Environment variable that names the file of the private key."""
+LARGEST_KEY = 64 * 2**10
+
+
+class SigningError(RefusedInputError):
+    """A key or a signature is refused; the text says why and what to do."""
+
+
+def signature_beside(path: Path) -> Path:
+    """Return where the signature of a file lies."""
+    return path.with_name(f"{path.name}{SIGNATURE_SUFFIX}")
+
+
+def signature_of(path: Path) -> bytes | None:
+    """Return the signature beside a file, None where there is none; raises OSError."""
+    try:
+        with signature_beside(path).open("rb") as file:
+            return file.read(LARGEST_KEY)
+    except FileNotFoundError:
+        return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrustedKey:
+    """One public key that counts."""
+
+    name: str
+    """Whose it is: the name of its file up to the first dot."""
+    purposes: tuple[Purpose, ...]
+    key: Ed25519PublicKey
+
+
+@dataclass(frozen=True, slots=True)
+class TrustedKeys:
+    """The public keys that count on this machine: `anna.pub` for everything, `night.release.pub` for releases alone."""
+
+    folder: Path
+    keys: Mapping[str, TrustedKey]
+    """Number of the key: the key."""
+
+    @classmethod
+    def read(cls, folder: Path) -> "TrustedKeys":
+        """Return the keys in a folder, none where it is not there; raises SigningError for what is no key."""
+        try:
+            paths = sorted(path for path in folder.iterdir() if path.suffix == PUBLIC_SUFFIX)
+            found = [trusted_key(path, path.read_bytes()) for path in paths]
+        except FileNotFoundError:
+            return cls(folder, {})
+        except OSError as error:
+            raise SigningError(f"{folder}: the keys that count cannot be read ({error.strerror})") from error
+        return cls(folder, {key_number(trusted.key): trusted for trusted in found})
+
+    def of(self, purpose: Purpose) -> dict[str, TrustedKey]:
+        """Return the keys that count for one purpose."""
+        return {number: key for number, key in self.keys.items() if purpose in key.purposes}
+
+    def signer(self, purpose: Purpose, content: bytes, signature: bytes | None, what: str) -> str:
+        """Return whose key has signed this content, '' where no key counts; raises SigningError for all else."""
+        if not (keys := self.of(purpose)):
+            return ""
+        if signature is None:
+            raise SigningError(
+                f"{what} is not signed, and {self.folder} names who must: look at it, then `toolpoint keys sign`"
+            )
+
+        try:
+            told = json.loads(signature)
+            number, raw = str(told["key"]), base64.b64decode(told["signature"], validate=True)
+        except (ValueError, TypeError, KeyError, RecursionError, binascii.Error) as error:
+            raise SigningError(f"{what}: its signature cannot be read; it counts for nothing") from error
+        if number not in keys:
+            raise SigningError(
+                f"{what} is signed with the key {number[:16]!a}, which {self.folder} does not hold for a {purpose}"
+            )
+        try:
+            keys[number].key.verify(raw, _signed(purpose, content))
+        except InvalidSignature as error:
+            raise SigningError(
+                f"{what} is not what {keys[number].name} has signed: it was changed afterwards, or the signature is of "
+                "something else"
+            ) from error
+        return keys[number].name
+
+
+def trusted_key(path: Path, content: bytes) -> TrustedKey:
+    """Return the key that a file of this name and content is; raises SigningError."""
+    name, *limits = path.stem.split(".")
+    if unknown := [limit for limit in limits if limit not in LIMITS]:
+        raise SigningError(f"{path}: a key is limited to {', '.join(LIMITS)}, not to {unknown[0]!a}; rename it")
+    purposes = tuple(LIMITS[limit] for limit in limits) or tuple(LIMITS.values())
+    return TrustedKey(name=name, purposes=purposes, key=public_key(content, str(path)))
+
+
+def _signed(purpose: Purpose, content: bytes) -> bytes:
+    """Return the bytes that are signed: a signature for one purpose is none for another."""
+    return f"toolpoint {purpose} 1\n".encode() + content
+
+
+def key_number(key: Ed25519PublicKey) -> str:
+    """Return the number by which signatures name their key."""
+    return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:16]
+
+
+def public_key(content: bytes, source: str) -> Ed25519PublicKey:
+    """Return the public key that a file holds; raises SigningError."""
+    try:
+        key = load_pem_public_key(content)
+    except ValueError as error:
+        raise SigningError(f"{source}: this is no public key in PEM form") from error
+    if not isinstance(key, Ed25519PublicKey):
+        raise SigningError(f"{source}: this is no Ed25519 key; `toolpoint keys make` makes one")
+    return key
+
+
+# --- the private key -------------------------------------------------------------------------
+
+
+def private_key_path() -> Path:
+    """Return where this account keeps its private key."""
+    named = os.environ.get(KEY_VARIABLE)
+    return Path(named) if named else Path("~/.config/toolpoint/signing-key.pem").expanduser()
+
+
+class SigningKey:
+    """A person's private key, in the memory of a command of that person."""
+
+    def __init__(self, key: Ed25519PrivateKey) -> None:
+        self._key = key
+
+    @classmethod
+    def make(cls, path: Path) -> "SigningKey":
+        """Make a key and keep it for this account alone; raises SigningError where there is one already."""
+        if path.exists():
+            raise SigningError(f"{path} exists already and is left as it is")
+        key = Ed25519PrivateKey.generate()
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_whole(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), 0o600)
+        return cls(key)
+
+    @classmethod
+    def load(cls, path: Path) -> "SigningKey":
+        """Read a key that not everybody may read; raises SigningError.
+
+        The group may: systemd gives a service its credentials by an access list, which shows as the group's.
+        """
+        try:
+            with path.open("rb") as file:
+                mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+                content = file.read(LARGEST_KEY)
+        except OSError as error:
+            raise SigningError(
+                f"{path}: this account has no key to sign with ({error.strerror}); `toolpoint keys make` makes one"
+            ) from error
+        if mode & (stat.S_IWGRP | stat.S_IRWXO):
+            raise SigningError(f"{path} is open to other users (mode {mode:o}); run: chmod 600 {path}")
+        try:
+            key = load_pem_private_key(content, None)
+        except (ValueError, TypeError) as error:
+            raise SigningError(f"{path}: this is no private key in PEM form") from error
+        if not isinstance(key, Ed25519PrivateKey):
+            raise SigningError(f"{path}: this is no Ed25519 key; `toolpoint keys make` makes one")
+        return cls(key)
+
+    @classmethod
+    def of_this_account(cls, trusted: TrustedKeys, purpose: Purpose) -> "SigningKey | None":
+        """Return the key to sign with; None where no signature is asked for and this account has no key.
+
+        Raises SigningError where a signature is asked for that this account cannot give.
+        """
+        keys = trusted.of(purpose)
+        try:
+            path = private_key_path()
+            there = path.exists()
+        except (OSError, RuntimeError) as error:  # an account without a home, or with somebody else's
+            if keys:
+                raise SigningError(
+                    f"this account has no place for a key to sign with ({error}); set {KEY_VARIABLE}"
+                ) from error
+            return None
+        if not keys and not there:
+            return None
+        key = cls.load(path)
+        if keys and key.number not in keys:
+            raise SigningError(
+                f"the key in {path} ({key.number}) does not count here: {trusted.folder} does not hold it for a "
+                f"{purpose}"
+            )
+        return key
+
+    @property
+    def number(self) -> str:
+        """The number by which signatures name it."""
+        return key_number(self._key.public_key())
+
+    @property
+    def public(self) -> bytes:
+        """The public key in PEM form."""
+        return self._key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+    def signature(self, purpose: Purpose, content: bytes) -> bytes:
+        """Return the content of a signature's file."""
+        raw = self._key.sign(_signed(purpose, content))
+        told = {"key": self.number, "signature": base64.b64encode(raw).decode()}
+        return json.dumps(told).encode() + b"\n"

@@ -1,0 +1,111 @@
+"""`toolpoint keys`: whose signatures count, and signing what stands on the machine already."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from daemon.cli.common import config_option, json_option, read_configuration, write_json
+
+FAILED = 1
+"""Exit status when nothing was made or signed."""
+
+
+@click.group()
+def keys() -> None:
+    """Keys by which people answer for releases, commissioning records and back-ups.
+
+    Where the folder signatures.public_keys holds a key, the daemon refuses releases and commissioning records that
+    none of them has signed, and `toolpoint restore` such back-ups. Without a key nothing is checked.
+    """
+
+
+@keys.command()
+@click.argument("name")
+@config_option
+def make(name: str, config_path: Path) -> None:
+    """Make the key of this account, and let it count as NAME.
+
+    The private key stays in the home of this account (or where TOOLPOINT_SIGNING_KEY names). The public key goes to
+    signatures.public_keys. NAME.release, NAME.commissioning and NAME.back-up count for one purpose alone.
+    """
+    from config.signing import PUBLIC_SUFFIX, SigningKey, private_key_path, trusted_key
+
+    folder, path = read_configuration(config_path).signatures.public_keys, private_key_path()
+    public = folder / f"{name}{PUBLIC_SUFFIX}"
+    try:
+        if public.exists() or public.parent != folder:
+            raise FileExistsError(0, "there is such a key already, or this is no name for one")
+        made = not path.exists()
+        key = SigningKey.make(path) if made else SigningKey.load(path)
+        click.echo(f"private key: {path}{'' if made else ' (was there)'}", err=True)
+        trusted_key(public, key.public)
+        folder.mkdir(parents=True, exist_ok=True)
+        with public.open("xb") as file:
+            file.write(key.public)
+        public.chmod(0o644)
+    except OSError as error:
+        click.echo(f"{public}: the public key cannot be put there ({error.strerror}); somebody who may must", err=True)
+        sys.exit(FAILED)
+    click.echo(f"public key: {public} ({key.number}); keep a copy of both apart", err=True)
+    click.echo("what is not signed is refused from now on: `toolpoint keys sign`", err=True)
+
+
+@keys.command("list")
+@config_option
+@json_option
+def list_command(config_path: Path, json_path: str | None) -> None:
+    """Show whose keys count, and what on this machine is signed by whom."""
+    from config.signing import TrustedKeys
+    from daemon.model_release.resigning import signables
+
+    configuration = read_configuration(config_path)
+    trusted, found = TrustedKeys.read(configuration.signatures.public_keys), signables(configuration)
+    write_json(
+        json_path,
+        {
+            "keys": [
+                {"name": key.name, "number": number, "purposes": list(key.purposes)}
+                for number, key in trusted.keys.items()
+            ],
+            "files": [
+                {"path": str(each.path), "signed_by": each.signed_by or None, "problem": each.problem} for each in found
+            ],
+        },
+    )
+    if json_path is not None:
+        return
+    for number, key in trusted.keys.items():
+        click.echo(f"{number}  {key.name}  {', '.join(key.purposes)}")
+    if not trusted.keys:
+        click.echo(f"no key counts ({trusted.folder}), so no signature is asked for")
+    for each in found:
+        click.echo(f"{each.in_words}: {each.problem or 'signed by ' + (each.signed_by or 'nobody who counts')}")
+
+
+@keys.command()
+@click.option("--yes", is_flag=True, help="Answer for all of it without being asked.")
+@config_option
+def sign(yes: bool, config_path: Path) -> None:
+    """Sign the releases and the commissioning record on this machine that nobody who counts has signed.
+
+    You answer for them as if you had made them: look at each first. So a machine of before there were signatures, or
+    one whose key was lost, is taken over.
+    """
+    from config.signing import SigningKey, private_key_path
+    from daemon.model_release import resigning
+
+    configuration = read_configuration(config_path)
+    waiting = [each for each in resigning.signables(configuration) if not each.signed_by]
+    key = SigningKey.load(private_key_path())
+    for each in waiting:
+        if not yes and not click.confirm(f"{each.in_words} ({each.path}): do you answer for it?", err=True):
+            continue
+        try:
+            resigning.sign(each, key)
+        except OSError as error:
+            click.echo(f"{each.path}: cannot be signed ({error.strerror}) by this account", err=True)
+            sys.exit(FAILED)
+        click.echo(f"signed {each.path}", err=True)
+    if not waiting:
+        click.echo("nothing waits for a signature", err=True)
