@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from config.schema import Configuration
 from drivers.clock import Clock
 from models.align import RollingMean
-from models.cleanse import CleansingRules, CleansingState, age_s, cleanse_cycle, initial_state
+from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
 from models.quality import Quality, Reason
 from models.records import FloatArray, MachineTemperatures, TemperatureCycle
+from models.sensor_levels import BelievedValues, first_levels, renewed_levels, trusted_anew, with_past
 
 
 class Cleansing:
@@ -26,6 +28,12 @@ class Cleansing:
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        names = sorted(set(temperatures.components))
+        self._group = np.array([names.index(each) for each in temperatures.components], dtype=np.intp)
+        self._usable_at_s = np.full(len(position), -np.inf)
+        self._silent = np.ones(len(position), dtype=np.bool_)
+        self.levels = first_levels(len(position))
+        """What every sensor's level counts as; the means hold it, the latest temperatures do not."""
         self._measured = np.full(len(position), np.nan)
         self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
         self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
@@ -49,6 +57,11 @@ class Cleansing:
     def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
         """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
         self._state = initial_state(len(degc), degc, at_s)
+        self.levels = with_past(self.levels, degc, at_s)
+
+    def trust_anew(self) -> None:
+        """Take every sensor's level as it is: a new reference counts from it."""
+        self.levels = trusted_anew(self.levels)
 
     def on_cycle(self, cycle: TemperatureCycle) -> MachineTemperatures:
         """Take a cycle of one line; return the temperatures of the machine after it."""
@@ -57,7 +70,7 @@ class Cleansing:
         result = cleanse_cycle(
             self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
         )
-        self._state = result.state
+        before_degc, self._state = self._state.accepted_degc[indices], result.state
         self._measured[indices] = cycle.degc
         degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
         degc[indices] = result.degc
@@ -68,7 +81,22 @@ class Cleansing:
         degc[stale] = np.nan
         unsaid = stale & (self._quality != Quality.MISSING)
         self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
-        self._mean.add(now_s, degc)
+        usable = (cycle.quality == Quality.GOOD) & np.isfinite(cycle.degc)
+        returned = result.returned & self._after_silence(indices, usable, now_s)
+        jumped = result.new_level & ~returned & np.isfinite(before_degc)
+        self._silent[indices[result.quality == Quality.GOOD]] = False
+        seen = BelievedValues(
+            now_s=now_s,
+            indices=indices,
+            degc=np.where(result.quality == Quality.GOOD, result.degc, np.nan),
+            returned=returned,
+            new_level=result.new_level | ~np.isfinite(before_degc),
+            jump_k=np.where(jumped, result.degc - before_degc, 0.0),
+            stale=stale,
+            at_s=self._state.accepted_at_s,
+        )
+        self.levels = renewed_levels(self.levels, self._group, seen)
+        self._mean.add(now_s, degc - self.levels.shift_k)
         self.latest = MachineTemperatures(
             line=cycle.line,
             measured_degc=self._measured.copy(),
@@ -79,3 +107,9 @@ class Cleansing:
             trace=replace(cycle.trace, cleansed=self._clock.now()),
         )
         return self.latest
+
+    def _after_silence(self, indices: IndexArray, usable: npt.NDArray[np.bool_], now_s: float) -> npt.NDArray[np.bool_]:
+        """Return which sensors of a line have said nothing for too long since they were last believed."""
+        self._silent[indices] |= usable & (now_s - self._usable_at_s[indices] > self._rules.stale_after_s)
+        self._usable_at_s[indices[usable]] = now_s
+        return self._silent[indices].copy()

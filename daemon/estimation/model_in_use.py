@@ -119,6 +119,10 @@ class ModelInUse:
         degc[self.places] = counted
         return replace(reference, degc=degc)
 
+    def level_um(self, doubt_k: FloatArray) -> float:
+        """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
+        return self._online.level_um(doubt_k[self.places])
+
     @property
     def excluded(self) -> dict[int, str]:
         """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""

@@ -12,6 +12,8 @@ from daemon.estimation.model_in_use import ModelInUse
 from models.control.reference_records import LabelOrigin, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
+from models.thermal.fading import Fading, hidden_step
+from models.thermal.family import ThermalModel
 from models.thermal.mean_increment import MeanIncrement, first_mean_increment, renewed_mean_increment
 
 log = structlog.get_logger(__name__)
@@ -35,11 +37,16 @@ class SinceReference:
         """Which sensors must not count until the next reference, and by which sign each was found."""
         self.of_model: dict[str, Any] | None = None
         """What the model keeps of sensors that returned."""
+        self._reference_min = 0.0
+        self._rest: dict[str, Fading] = {}
+        self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
 
     def begin(self, reference: Reference) -> None:
         """Count from a new reference: nobody has been away since, and nobody is excluded."""
         self._reference_id = reference.reference_id
         self._told = None
+        self._reference_min = reference.time.monotonic_s / 60.0
+        self._rest, self._before = {}, None
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
@@ -54,16 +61,45 @@ class SinceReference:
         self.absent = np.isin(self._sensor_ids, kept.absent)
         self.excluded = dict(kept.excluded)
         self.of_model = None if kept.of_model is None else dict(kept.of_model)
+        self._rest = {name: self._fading(rest) for name, rest in kept.rest_um.items()}
         for label, places in self._labels.items():
             found = kept.labels.get(label)
             if found is not None and found.sensor_ids == self._ids(places):
-                self._means[label] = _mean_from(found)
+                self._means[label] = _mean_from(found, self._fading(found.rest_k))
         log.info("sensors.restored", absent=len(kept.absent), excluded=sorted(self.excluded))
 
-    def label_increments(self, degc: FloatArray) -> dict[str, float]:
+    def goes_on_um(
+        self, model: ThermalModel, imputed: tuple[int, ...], now_um: FloatArray, time_min: float
+    ) -> FloatArray:
+        """Return the thermal error, in which no return of a sensor is a step: what it would be fades out [um]."""
+        rest_um = self._rest_um(model.channels, time_min)
+        if self._before is not None:
+            model_id, away, before_um = self._before
+            if model_id == model.model_id and set(away) - set(imputed):
+                steps = zip(model.channels, before_um, now_um, strict=True)
+                self._rest = {
+                    name: hidden_step(np.array([then]), np.array([now]), time_min) for name, then, now in steps
+                }
+                rest_um = before_um - now_um
+        self._before = (model.model_id, imputed, now_um + rest_um)
+        return now_um + rest_um
+
+    def _rest_um(self, channels: Sequence[str], time_min: float) -> FloatArray:
+        nothing = Fading(amount=np.zeros(1))
+        return np.array([self._rest.get(name, nothing).at(time_min)[0] for name in channels])
+
+    def _fading(self, kept: Sequence[float]) -> Fading:
+        """Return what fades, from its amount and the time after the reference [min]."""
+        return Fading(amount=np.array([kept[0]]), since_min=self._reference_min + kept[1])
+
+    def _fading_state(self, rest: Fading) -> tuple[float, float]:
+        return float(rest.amount[0]), rest.since_min - self._reference_min if rest.amount[0] else 0.0
+
+    def label_increments(self, degc: FloatArray, time_min: float) -> dict[str, float]:
         """Renew the mean increment of each label since the reference [degC]; labels without a sensor are left out."""
         self._means = {
-            label: renewed_mean_increment(mean, degc[self._labels[label]]) for label, mean in self._means.items()
+            label: renewed_mean_increment(mean, degc[self._labels[label]], time_min)
+            for label, mean in self._means.items()
         }
         means_k = {label: mean.mean_k for label, mean in self._means.items()}
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
@@ -87,6 +123,7 @@ class SinceReference:
             absent=self._ids(np.flatnonzero(self.absent)),
             excluded={sensor_id: self.excluded[sensor_id] for sensor_id in sorted(self.excluded)},
             of_model=self.of_model,
+            rest_um={name: self._fading_state(rest) for name, rest in self._rest.items()},
             labels={label: self._label_origin(label, mean) for label, mean in self._means.items()},
         )
         if sensors == self._told:
@@ -99,7 +136,7 @@ class SinceReference:
 
     def _label_origin(self, label: str, mean: MeanIncrement) -> LabelOrigin:
         """Return what a label's mean counts from; nothing of it changes while nobody comes or goes."""
-        counts_from = (mean.reference_degc, mean.counted, mean.offset_k)
+        counts_from = (mean.reference_degc, mean.counted, mean.offset_k, mean.rest.amount)
         known = self._origins.get(label)
         if known is not None and all(now is then for now, then in zip(counts_from, known[0], strict=True)):
             return known[1]
@@ -108,6 +145,7 @@ class SinceReference:
             reference_degc=tuple(plain(mean.reference_degc)),
             counted=tuple(mean.counted.tolist()),
             offset_k=tuple(plain(mean.offset_k)),
+            rest_k=self._fading_state(mean.rest),
         )
         self._origins[label] = (counts_from, origin)
         return origin
@@ -117,7 +155,7 @@ def _numbers(values: Sequence[float | None]) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
-def _mean_from(origin: LabelOrigin) -> MeanIncrement:
+def _mean_from(origin: LabelOrigin, rest: Fading) -> MeanIncrement:
     """Return a mean as it was kept; where those that counted are now is told by their next temperatures."""
     counted, offset_k = np.array(origin.counted, dtype=np.bool_), _numbers(origin.offset_k)
     return MeanIncrement(
@@ -125,4 +163,5 @@ def _mean_from(origin: LabelOrigin) -> MeanIncrement:
         counted=counted,
         offset_k=offset_k,
         increment_k=np.full(len(counted), np.nan) if counted.any() else offset_k,
+        rest=rest,
     )

@@ -5,7 +5,7 @@ wants something of it puts a message into `inbox`.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ import structlog
 
 from config.schema import Configuration
 from daemon.estimation.cleansing import Cleansing
+from daemon.estimation.level_memory import LevelMemory
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import SinceReference
@@ -36,6 +37,7 @@ from models.records import (
     TemperatureCycle,
     ThermalErrorEstimate,
 )
+from models.sensor_levels import unshifted
 from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
@@ -45,6 +47,10 @@ Delivery = (
     ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | SensorsSinceReference | MachineTemperatures
 )
 """What it gives."""
+UNSURE_UM = 1.0
+"""An estimate that may be wrong by more since its reference is not followed [um]."""
+NAMED = 3
+"""So many sensors are named in one sentence."""
 
 
 class ThermalTask:
@@ -85,6 +91,9 @@ class ThermalTask:
         self._speed_at_s = -np.inf
         self._online = self._in_use(model)
         self._since = SinceReference(self._sensor_ids, self._labels)
+        self._levels = LevelMemory(history, self._sensor_ids, clock)
+        self._cleansing.levels = self._levels.restored()
+        self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._taken_up_s = -np.inf
 
@@ -162,7 +171,13 @@ class ThermalTask:
         if model is None:
             return None
         past = HistoryBackfill(self._history.path, self._sensor_ids, self._clock)
-        return ModelInUse(model, self._sensor_ids, self._components, past.means)
+
+        def means(from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
+            levels = self._cleansing.levels
+            for time_s, degc, speed_rpm in past.means(from_s, to_s, period_s):
+                yield time_s, unshifted(levels, time_s, degc), speed_rpm
+
+        return ModelInUse(model, self._sensor_ids, self._components, means)
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
@@ -171,6 +186,7 @@ class ThermalTask:
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
         """Hand the estimate on first; the control task writes while the history is."""
         temperatures = self._cleansing.on_cycle(cycle)
+        self._levels.keep(self._cleansing.levels)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
@@ -210,18 +226,21 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
-        since_labels = self._since.label_increments(degc)
+        time_min = now_s / 60.0
+        since_labels = self._since.label_increments(degc, time_min)
+        goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, time_min)
         self._since.update(degc, online)
+        unsure = self._unsure_of_levels(online)
         return ThermalErrorEstimate(
             channels=model.channels,
-            thermal_error_um=outcome.thermal_error_um,
+            thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
             label_degc=self._label_means(degc),
             label_increment_degc=since_labels,
             in_domain=outcome.in_domain,
-            confidence=outcome.confidence,
+            confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),
-            inhibit=self.inhibit(),
+            inhibit=unsure or self.inhibit(),
             model_id=model.model_id,
             reference_id=reference.reference_id,
             line=temperatures.line,
@@ -232,6 +251,21 @@ class ThermalTask:
         """Tell the control task, which keeps it with the reference, when anything has changed."""
         if (changed := self._since.changed()) is not None:
             self._deliver(changed)
+
+    def _unsure_of_levels(self, online: ModelInUse) -> str:
+        """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
+        doubt_k = self._cleansing.levels.doubt_k
+        if not doubt_k.any():
+            return ""
+        unsure_um = online.level_um(doubt_k) + float(np.abs(doubt_k) @ self._tool_um_per_k)
+        if unsure_um <= UNSURE_UM:
+            return ""
+        worst = sorted(np.flatnonzero(doubt_k), key=lambda i: -abs(doubt_k[i]))[:NAMED]
+        named = ", ".join(f"sensor {self._sensor_ids[i]} by {abs(doubt_k[i]):.1f} K" for i in worst)
+        return (
+            f"the level of {named} has changed since the reference and nothing explains it, which may be "
+            f"{unsure_um:.1f} um: position the work again"
+        )
 
     def _waits_for_sensors(self, online: ModelInUse, reference: Reference, now_s: float) -> bool:
         """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
@@ -271,6 +305,7 @@ class ThermalTask:
             power_on_count=request.power_on_count,
         )
         self._reference, self._taken_up_s = reference, -np.inf
+        self._cleansing.trust_anew()
         self._since.begin(reference)
         if self._online is not None:
             self._online.set_reference(reference, now.monotonic_s)
@@ -281,3 +316,18 @@ class ThermalTask:
             self.latest_estimate = first
             self._deliver(first)
             self._deliver_sensors()
+
+
+def _tool_um_per_k(configuration: Configuration) -> FloatArray:
+    """Return by how much the tool term goes with each sensor, of the axis where that is most [um/K]."""
+    labels, count = configuration.temperatures.labels, len(configuration.temperatures.sensor_ids)
+    most = np.zeros(count)
+    for axis in configuration.compensation.axes.values():
+        if (term := axis.tool_term) is None:
+            continue
+        of_axis = np.zeros(count)
+        for label, weight in term.temperatures.items():
+            places = np.array(labels[label])
+            of_axis[places] += abs(term.expansion_um_per_m_k * term.length_mm * 1e-3 * weight) / len(places)
+        most = np.maximum(most, of_axis)
+    return most

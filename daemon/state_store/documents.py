@@ -50,3 +50,34 @@ class SpindleSpeedSwitch:
     """Who has switched the tuning of the spindle speed off; empty while it is on."""
 
     off_by: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorsLeft:
+    """How everything was when some sensors were last believed; lists follow `SensorLevelsDocument.sensor_ids`."""
+
+    away: tuple[int, ...]
+    """IDs of those that are away since."""
+    utc_s: float
+    degc: tuple[float | None, ...]
+    trend_k_per_min: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelChange:
+    """The shift that a sensor had until a time."""
+
+    utc_s: float
+    sensor_id: int
+    shift_k: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorLevelsDocument:
+    """What every sensor's level counts as, see `models.sensor_levels`."""
+
+    sensor_ids: tuple[int, ...]
+    shift_k: Mapping[int, float]
+    doubt_k: Mapping[int, float]
+    left: tuple[SensorsLeft, ...]
+    changes: tuple[LevelChange, ...]

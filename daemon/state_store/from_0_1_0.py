@@ -21,10 +21,14 @@ Old = Callable[[str], Any]
 def from_0_1_0(kind: type, old: Old, now: Instant) -> Any:
     """Return a document from what 0.1.0 kept, None where it kept nothing. Raises DocumentError."""
     try:
-        found = _READERS[kind](old)
+        found = _READERS.get(kind, _nothing)(old)
         return None if found is None else from_json(kind, found, now)
     except (KeyError, TypeError, AttributeError) as error:
         raise DocumentError(f"not as version 0.1.0 wrote it ({error!r})") from None
+
+
+def _nothing(_old: Old) -> Any:
+    return None
 
 
 def _alive(old: Old) -> Any:

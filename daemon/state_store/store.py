@@ -10,6 +10,7 @@ from daemon.state_store.codec import DocumentError, from_json, to_json
 from daemon.state_store.documents import (
     DaemonAlive,
     OutputFault,
+    SensorLevelsDocument,
     SpindleSpeeds,
     SpindleSpeedSwitch,
     WantedAxes,
@@ -27,6 +28,7 @@ KEYS: dict[type, str] = {
     WantedAxes: "wanted",
     OutputFault: "fault",
     ReferenceDocument: "reference",
+    SensorLevelsDocument: "sensor_levels",
     SpindleSpeeds: "spindle_speed",
     SpindleSpeedSwitch: "spindle_speed_off",
 }

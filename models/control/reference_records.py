@@ -92,6 +92,8 @@ class LabelOrigin:
     reference_degc: tuple[float | None, ...]
     counted: tuple[bool, ...]
     offset_k: tuple[float | None, ...]
+    rest_k: tuple[float, ...] = (0.0, 0.0)
+    """The step of the latest return that was not made at once [K], and how long after the reference it was [min]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +106,8 @@ class SensorsSinceReference:
     """Sensors that must not count until the next reference, and the sign by which each was found."""
     of_model: Mapping[str, Any] | None = None
     """What the thermal model keeps of sensors that returned."""
+    rest_um: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    """By channel the step of the latest return that was not made at once [um], how long after the reference [min]."""
     labels: Mapping[str, LabelOrigin] = field(default_factory=lambda: MappingProxyType({}))
 
 

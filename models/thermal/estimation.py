@@ -92,8 +92,13 @@ class OnlineModel(Protocol):
         """Return the thermal error since the reference, and the IDs of sensors that were set anew for it.
 
         Without any usable sensor there is None. `absent` says which sensors have been imputed until now. One that
-        returns counts on from where it was imputed, so that its return moves nothing.
+        returns counts from the reference again, with lags of its own; one that the reference does not know counts
+        on from where it was imputed.
         """
+        ...
+
+    def level_um(self, doubt_k: FloatArray) -> float:
+        """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
         ...
 
     @property

@@ -55,6 +55,8 @@ class ModelState:
     """Since when spindle speed has been known without a longer gap [min]."""
     lagged: FloatArray
     """Lags of temperatures [degC], shape (n_lags, n_sensors)."""
+    known_lagged: FloatArray
+    """Lags of each sensor when it was last known [degC], shape (n_lags, n_sensors)."""
     speed_lagged: FloatArray
     """Lags of the inputs from speed, shape (n_speed_lags, 2)."""
     watch: WatchState | None
@@ -114,6 +116,7 @@ class LinearEstimator:
         filled = np.where(known, degc, model.centre[: model.layout.sensors])
         speed = speed_rpm if np.isfinite(speed_rpm) else 0.0
         inputs = speed_inputs(np.array([speed]), model.speed_scale_rpm)[0]
+        lagged = np.tile(filled, (len(model.layout.lags_min), 1))
         return ModelState(
             time_min=time_min,
             degc=filled,
@@ -124,7 +127,8 @@ class LinearEstimator:
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
             speed_since_min=time_min,
-            lagged=np.tile(filled, (len(model.layout.lags_min), 1)),
+            lagged=lagged,
+            known_lagged=lagged,
             speed_lagged=np.tile(inputs, (len(model.layout.speed_lags_min), 1)),
             watch=None if self._watcher is None else self._watcher.begin(time_min, degc, speed_rpm),
         )
@@ -145,12 +149,13 @@ class LinearEstimator:
         speed_rpm: float = float("nan"),
         *,
         find_faults: bool = True,
+        bridged: bool = False,
     ) -> ModelState:
         """Return the state after a sample.
 
-        Gaps up to `BRIDGE_MIN` are bridged by a straight line. After a longer one the lags of a sensor begin where
-        the other sensors let them be expected; those of spindle speed, and those of sensors that were silent all
-        together, are settled again only after `history_min`. A model without lags has nothing to begin.
+        After a gap longer than `BRIDGE_MIN` the lags of a sensor begin where the other sensors let them be expected;
+        those of spindle speed, and those of sensors that were silent all together, are settled again only after
+        `history_min`. A model without lags has nothing to begin.
 
         Parameters
         ----------
@@ -160,6 +165,9 @@ class LinearEstimator:
             See `begin`. A time that does not lie after the state's changes nothing.
         find_faults
             Whether the watch may exclude sensors; False while history is replayed.
+        bridged
+            Sensors return at a level that their own past explains: their lags go on as if the temperature had gone
+            straight through the gap, however long it was.
 
         """
         self._require(time_min, degc)
@@ -173,17 +181,23 @@ class LinearEstimator:
         speed = float(speed_rpm) if speed_known else state.speed_rpm
         anew = speed_known and time_min - state.speed_known_min > self._bridge_min
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
+        own = known & state.missing & np.isfinite(state.known_min) & bridged
+        if own.any():
+            lagged = self._bridged(state, time_min, filled, own, lagged)
+        alone = returned & own & ~(known & ~returned).any()
+        returned &= ~own
         advanced = ModelState(
             time_min=time_min,
             degc=filled,
             missing=~known,
             known_min=np.where(known, time_min, state.known_min),
             since_min=np.where(returned, time_min, state.since_min),
-            filled_min=state.filled_min,
+            filled_min=np.where(alone, time_min, state.filled_min),
             speed_rpm=speed,
             speed_known_min=time_min if speed_known else state.speed_known_min,
             speed_since_min=time_min if anew else state.speed_since_min,
             lagged=lagged,
+            known_lagged=np.where(known, lagged, state.known_lagged),
             speed_lagged=speed_lagged,
             watch=self._watched(state.watch, time_min, degc, speed_rpm, find_faults),
         )
@@ -206,6 +220,23 @@ class LinearEstimator:
             lagged=self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist()),
             filled_min=np.where(returned, filled_min, state.filled_min),
         )
+
+    def _bridged(
+        self,
+        state: ModelState,
+        time_min: float,
+        degc: FloatArray,
+        own: npt.NDArray[np.bool_],
+        lagged: FloatArray,
+    ) -> FloatArray:
+        """Return the lags, those of sensors that go on from their own past drawn through the gap."""
+        bridged = lagged.copy()
+        for sensor in np.flatnonzero(own):
+            gap_min = time_min - float(state.known_min[sensor])
+            for index, constant_min in enumerate(self.model.layout.lags_min):
+                before, then, now = state.known_lagged[index, sensor], state.degc[sensor], degc[sensor]
+                bridged[index, sensor] = lag_step(before, then, now, gap_min, constant_min)
+        return bridged
 
     def _lags(
         self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float
@@ -233,14 +264,16 @@ class LinearEstimator:
             return watch
         return self._watcher.step(watch, time_min, degc, speed_rpm, find_faults=find_faults)
 
-    def rebuild(self, samples: Iterable[tuple[float, FloatArray, float]]) -> ModelState | None:
+    def rebuild(
+        self, samples: Iterable[tuple[float, FloatArray, float]], *, bridged: bool = False
+    ) -> ModelState | None:
         """Return the state after a history of (time [min], temperatures [degC], speed [1/min]); None when empty."""
         state = None
         for time_min, degc, speed_rpm in samples:
             if state is None:
                 state = self.begin(time_min, degc, speed_rpm)
             else:
-                state = self.advance(state, time_min, degc, speed_rpm, find_faults=False)
+                state = self.advance(state, time_min, degc, speed_rpm, find_faults=False, bridged=bridged)
         return state
 
     def settled(self, state: ModelState) -> float:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from models.model_file import file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
-from models.thermal.estimator import LinearEstimator, ModelState, fault_signs, readmitted, with_faults
+from models.thermal.estimator import LinearEstimator, ModelState, excluded_sensors, fault_signs, readmitted, with_faults
 from models.thermal.features import feature_table
 from models.thermal.model import LinearParameters
 from models.thermal.rebase import StateReference, estimate_since, rebased, resumed, returning, state_reference
@@ -47,6 +47,7 @@ class LinearOnline:
         self._anew: set[int] = set()
         self._left_out: dict[int, str] = {}
         self._speed_rpm = float("nan")
+        self._excluded: tuple[int, ...] = ()
 
     @property
     def history_min(self) -> float:
@@ -68,7 +69,7 @@ class LinearOnline:
     def rebuild(self, history: Samples) -> None:
         """Fill the states from the history; there is nothing to fill in a model without lags."""
         if self.history_min > 0.0:
-            self._state = self._estimator.rebuild(history)
+            self._state = self._estimator.rebuild(history, bridged=True)
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
         """Advance the states when a sample of the training's period is due; temperatures [degC], speed [1/min]."""
@@ -78,7 +79,7 @@ class LinearOnline:
             if np.isfinite(now).any():
                 self._state = self._estimator.begin(time_min, now, speed_rpm)
         elif time_min - self._state.time_min >= self.model.period_min:
-            self._state = self._estimator.advance(self._state, time_min, now, speed_rpm)
+            self._state = self._estimator.advance(self._state, time_min, now, speed_rpm, bridged=True)
 
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
@@ -91,7 +92,7 @@ class LinearOnline:
         if self.history_min <= 0.0:
             state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
         elif reference.history is not None:
-            state = self._estimator.rebuild(reference.history)
+            state = self._estimator.rebuild(reference.history, bridged=True)
         else:
             state = self._now(reference.now_min, reference.degc)
         self._reference = None if state is None else state_reference(self._estimator, state)
@@ -140,8 +141,11 @@ class LinearOnline:
         state = self._now(time_min, self._counted(degc))
         if state is None or self._reference is None:
             return None, ()
-        away = [int(i) for i in np.flatnonzero(absent)]
-        back = returning(self._estimator, state, self._reference, away)
+        known = ~self._reference.state.missing
+        here = returning(self._estimator, state, self._reference, np.flatnonzero(absent & known).tolist())
+        back = tuple(i for i in here if not known[i])
+        if own := [i for i in here if known[i]]:
+            self._state = state = self._estimator.reinitialised(state, own)
         found = rebased(self._estimator, state, self._reference, back) if back else None
         anew: tuple[int, ...] = ()
         if found is not None:
@@ -149,7 +153,12 @@ class LinearOnline:
             state = found[0]
             self._anew |= set(back)
             anew = tuple(self.model.sensor_ids[i] for i in back)
+        self._excluded = excluded_sensors(state, self._reference.state)
         return estimate_since(self._estimator, state, self._reference), anew
+
+    def level_um(self, doubt_k: FloatArray) -> float:
+        """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
+        return self._estimator.left_out.level_um(doubt_k, self._excluded)
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""
@@ -160,7 +169,7 @@ class LinearOnline:
     def _now(self, time_min: float, degc: FloatArray) -> ModelState | None:
         if self._state is None:
             return None
-        return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, find_faults=False)
+        return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, find_faults=False, bridged=True)
 
     def _restore(self, kept: Mapping[str, Any]) -> None:
         """Let sensors that returned before a restart count from where they did."""

@@ -1,16 +1,17 @@
-"""The mean increment of some sensors since a reference, which no coming or going moves."""
+"""The mean increment of some sensors since a reference, in which no coming or going is a step."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
+from models.thermal.fading import Fading, hidden_step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeanIncrement:
-    """What the mean increment of some sensors since a reference counts from, so that no coming or going moves it."""
+    """What the mean increment of some sensors since a reference counts from, so that no coming or going is a step."""
 
     reference_degc: FloatArray
     """What each sensor counts from [degC], shape (n_sensors,); NaN without a value yet."""
@@ -20,11 +21,17 @@ class MeanIncrement:
     """How far each sensor that is away is imputed above the mean of those that count [K]; NaN for those."""
     increment_k: FloatArray
     """Increment that each sensor counted with at the latest renewal [K]; NaN where it is not known."""
+    rest: Fading = field(default_factory=lambda: Fading(amount=np.zeros(1)))
+    """What is left of the step that the latest return would have been [K], shape (1,)."""
+    time_min: float = 0.0
+    """Of the latest renewal [min]."""
 
     @property
     def mean_k(self) -> float:
         """Mean increment since the reference [K]; NaN while no sensor has a temperature."""
-        return float(self.increment_k.mean()) if self.counted.any() else float("nan")
+        if not self.counted.any():
+            return float("nan")
+        return float(self.increment_k.mean() + self.rest.at(self.time_min)[0])
 
 
 def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
@@ -47,11 +54,12 @@ def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
     )
 
 
-def renewed_mean_increment(before: MeanIncrement, degc: FloatArray) -> MeanIncrement:
+def renewed_mean_increment(before: MeanIncrement, degc: FloatArray, time_min: float = 0.0) -> MeanIncrement:
     """Return the mean increment with new temperatures.
 
     A sensor that leaves is imputed from there on by the change of the mean increment of the others, or held where
-    none is left; one that returns counts on from where it was imputed. Neither moves the mean.
+    none is left; one that returns counts from the reference again, and the step that this would be fades out. One
+    without a value at the reference counts on from where it was imputed.
 
     Parameters
     ----------
@@ -59,23 +67,31 @@ def renewed_mean_increment(before: MeanIncrement, degc: FloatArray) -> MeanIncre
         As it was. Increments that are not known (after a restart) are taken for the mean of the others.
     degc : shape (n_sensors,)
         Temperatures now [degC], NaN where there is none.
+    time_min
+        Of now [min].
 
     """
     known = np.isfinite(degc)
     if known.all() and before.counted.all():  # nobody comes or goes: the usual case
-        return replace(before, increment_k=degc - before.reference_degc)
+        return replace(before, increment_k=degc - before.reference_degc, time_min=time_min)
     stayed, left = known & before.counted, before.counted & ~known
     if not stayed.any() and np.isnan(before.increment_k[left]).any():
         return before  # nothing is left to impute from, and where these were is not known
     offset_k = _offsets_without(before, stayed, left)
-    increment_k = np.where(stayed, degc - before.reference_degc, _mean(degc - before.reference_degc, stayed) + offset_k)
+    imputed_k = np.where(stayed, degc - before.reference_degc, _mean(degc - before.reference_degc, stayed) + offset_k)
     if (known == before.counted).all():
-        return replace(before, increment_k=increment_k)
+        return replace(before, increment_k=imputed_k, time_min=time_min)
+    reference_degc = np.where(known & np.isnan(before.reference_degc), degc - imputed_k, before.reference_degc)
+    increment_k = np.where(known, degc - reference_degc, imputed_k)
+    goes_on_k = np.array([imputed_k.mean()]) + before.rest.at(time_min)
+    back = bool((known & ~before.counted).any()) and bool(np.isfinite(goes_on_k).all())
     return MeanIncrement(
-        reference_degc=np.where(known & ~before.counted, degc - increment_k, before.reference_degc),
+        reference_degc=reference_degc,
         counted=known,
         offset_k=np.where(known, np.nan, increment_k - _mean(increment_k, known)),
         increment_k=increment_k,
+        rest=hidden_step(goes_on_k, np.array([increment_k.mean()]), time_min) if back else before.rest,
+        time_min=time_min,
     )
 
 

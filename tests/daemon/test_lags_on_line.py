@@ -247,13 +247,14 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
     await shop.run(16.3 * 60)
     reference = await shop.refer()
     await shop.run(10)
-    shop.degc[int(shop.minute) + 1 : int(shop.minute) + 26, 0] = np.nan
-    shop.degc[int(shop.minute) + 26 :, 0] += 3.0
-    await shop.run(25)
+    shop.degc[int(shop.minute) + 1 : int(shop.minute) + 6, 0] = np.nan
+    shop.degc[int(shop.minute) + 6 :, 0] += 8.0
+    await shop.run(5)
     gone = shop.latest
     assert gone.imputed == (1,) and gone.confidence > 0.7
-    await shop.run(3)
-    assert shop.latest.imputed == () and shop.latest.confidence > 0.9
+    await shop.run(6)
+    assert shop.latest.imputed == ()
+    assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.doubt, "nobody knows where it stands"
     assert shop.latest.thermal_error_um == pytest.approx(gone.thermal_error_um, abs=1.5), "some minutes of a warm-up"
     assert shop.task.inhibit() == "", "one silent sensor does not empty the states"
     await shop.run(5)
@@ -270,6 +271,26 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
     shop.degc[int(shop.minute) :, 0] = np.nan
     await shop.run(3)
     assert shop.latest.imputed == (1,)
+    await shop.end()
+
+
+@pytest.mark.parametrize("offset_k", [0.0, 2.5])
+async def test_a_sensor_that_returns_within_what_its_past_explains_counts_as_before_or_is_doubted(
+    tmp_path, model, offset_k
+):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    await shop.refer()
+    await shop.run(10)
+    shop.degc[int(shop.minute) + 1 : int(shop.minute) + 5, 0] = np.nan
+    shop.degc[int(shop.minute) + 5 :, 0] += offset_k
+    await shop.run(10)
+    assert shop.latest.imputed == ()
+    if offset_k:
+        assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.doubt
+    else:
+        assert shop.latest.confidence > 0.9 and shop.latest.doubt == ""
     await shop.end()
 
 

@@ -1,0 +1,237 @@
+"""Whether a sensor that returns counts on from its own past, or from where its neighbours let it be expected.
+
+A sensor that was away is expected to have gone on as before, but for what those beside it did otherwise. One that
+its own past explains counts as before. One at another level is another sensor, or it is wrong: its distance is taken
+off from then on (`shift_k`), and when it jumps back the shift is undone. Where neither past nor neighbours prove a
+level, `doubt_k` says by how much it may be wrong until the next reference.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from models.records import FloatArray
+
+OWN_K = 0.5
+"""So near to where it is expected a sensor that returns is itself [K]."""
+OWN_SHARE = 0.5
+"""And by this share of what those beside it did otherwise than before."""
+LEAST_BESIDE = 2
+"""So many on its component tell what is expected of a sensor; with fewer of them all others do."""
+ALONE_K_PER_MIN = 1.0
+"""By so much a sensor with fewer others may have departed [K/min]."""
+TREND_S = 300.0
+"""How a sensor was going is seen over so long before it left [s]."""
+SHORTEST_TREND_S = 120.0
+MOMENT_S = 10.0
+"""Moments that are remembered lie so far apart [s]."""
+CHANGES_KEPT = 200
+"""So many changes of shifts are remembered."""
+
+Changes = tuple[tuple[float, int, float], ...]
+"""Time [s], index of a sensor, and its shift before that [K]."""
+BoolArray = npt.NDArray[np.bool_]
+GroupArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Left:
+    """All temperatures when some sensors were last believed."""
+
+    at_s: float
+    degc: FloatArray
+    """Without shifts [degC], shape (n_sensors,); NaN where there was none."""
+    trend_k_per_min: FloatArray
+    """How each was going before that; 0 where it is not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorLevels:
+    """What every sensor's level counts as; one entry per sensor of the machine."""
+
+    shift_k: FloatArray
+    """Taken off what it reads [K]."""
+    doubt_k: FloatArray
+    """By how much its level since the reference may be wrong, with sign [K]."""
+    degc: FloatArray
+    """Latest believed temperatures, shifts taken off [degC]; NaN where there is none or it is too old."""
+    left: Mapping[int, Left] = field(default_factory=lambda: MappingProxyType({}))
+    """By index of each sensor that is away: how everything was when it was last believed."""
+    recent: tuple[tuple[float, FloatArray], ...] = ()
+    """Time [s] and `degc` of the last moments, oldest first."""
+    changes: Changes = ()
+    """How shifts have changed, oldest first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BelievedValues:
+    """What cleansing believes of one cycle of a line; arrays in the cycle's order."""
+
+    now_s: float
+    indices: GroupArray
+    degc: FloatArray
+    """As measured [degC]; NaN where nothing is believed in this cycle."""
+    returned: BoolArray
+    """First values, and values after a silence; a level that took long to be believed is none."""
+    new_level: BoolArray
+    """Values farther from the sensor's past than the elapsed time explains."""
+    jump_k: FloatArray
+    """Change of values at a level that the elapsed time does not explain [K]; 0 for all others."""
+    stale: BoolArray
+    """Which sensors of the machine have no value that is new enough, shape (n_sensors,)."""
+    at_s: FloatArray
+    """When each was last believed [s], shape (n_sensors,)."""
+
+
+def first_levels(sensor_count: int) -> SensorLevels:
+    """Return the levels before any value: nothing is shifted and nothing doubted."""
+    return SensorLevels(
+        shift_k=np.zeros(sensor_count), doubt_k=np.zeros(sensor_count), degc=np.full(sensor_count, np.nan)
+    )
+
+
+def with_past(levels: SensorLevels, degc: FloatArray, at_s: FloatArray) -> SensorLevels:
+    """Return the levels after a restart: what was read last [degC] and when [s], NaN where nothing."""
+    known = np.flatnonzero(np.isfinite(degc))
+    if not len(known):
+        return levels
+    then = Left(at_s=float(at_s[known].max()), degc=degc - levels.shift_k, trend_k_per_min=np.zeros(len(degc)))
+    left = {int(i): then for i in known} | dict(levels.left)
+    return replace(levels, left=MappingProxyType(left))
+
+
+def trusted_anew(levels: SensorLevels) -> SensorLevels:
+    """Return the levels at a new reference, which holds every sensor as it is: nothing is doubted."""
+    return replace(levels, doubt_k=np.zeros_like(levels.doubt_k))
+
+
+def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues) -> SensorLevels:
+    """Return the levels after a cycle.
+
+    Parameters
+    ----------
+    levels
+        Before it.
+    group : shape (n_sensors,)
+        Number of the component of each sensor of the machine.
+    seen
+        What is believed of the cycle.
+
+    """
+    believed = np.isfinite(seen.degc)
+    degc = np.where(seen.stale, np.nan, levels.degc)
+    degc[seen.indices[believed]] = seen.degc[believed] - levels.shift_k[seen.indices[believed]]
+    levels = _with_leaving(levels, seen)
+    judged = believed & (seen.returned | (seen.jump_k != 0.0))
+    if judged.any():
+        levels, degc = _judged(levels, group, seen, judged, degc)
+    if levels.left:
+        here = set(seen.indices[believed].tolist())
+        if not here.isdisjoint(levels.left):
+            left = {index: then for index, then in levels.left.items() if index not in here}
+            levels = replace(levels, left=MappingProxyType(left))
+    levels = replace(levels, degc=degc)
+    if levels.recent and 0.0 <= seen.now_s - levels.recent[-1][0] < MOMENT_S:
+        return levels
+    kept = tuple(then for then in levels.recent if seen.now_s - 2.0 * TREND_S < then[0] < seen.now_s)
+    return replace(levels, recent=(*kept, (seen.now_s, degc)))
+
+
+def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray) -> FloatArray:
+    """Return temperatures of a time in the past [degC] without the shifts of then.
+
+    Parameters
+    ----------
+    levels
+        Of now.
+    time_s
+        On the clock of the cycles [s].
+    degc : shape (n_sensors,)
+        As they were read [degC].
+
+    """
+    shift_k = levels.shift_k
+    if levels.changes:
+        shift_k = shift_k.copy()
+        for changed_s, index, before_k in reversed(levels.changes):
+            if changed_s > time_s:
+                shift_k[index] = before_k
+    return degc - shift_k
+
+
+def _with_leaving(levels: SensorLevels, seen: BelievedValues) -> SensorLevels:
+    """Remember for those that are too old from now on how everything was when they were last believed."""
+    leaving = np.flatnonzero(seen.stale & np.isfinite(levels.degc))
+    if not len(leaving):
+        return levels
+    left, moments = dict(levels.left), {}
+    for index in leaving.tolist():
+        after = (k for k, then in enumerate(levels.recent) if then[0] >= seen.at_s[index])
+        moment = next(after, None)
+        if moment not in moments:
+            moments[moment] = _left_at(levels, moment, seen.now_s)
+        left[index] = moments[moment]
+    return replace(levels, left=MappingProxyType(left))
+
+
+def _left_at(levels: SensorLevels, moment: int | None, now_s: float) -> Left:
+    """Return how everything was, and how it was going, at one of the recent moments."""
+    if moment is None:
+        return Left(at_s=now_s, degc=levels.degc, trend_k_per_min=np.zeros_like(levels.degc))
+    at_s, degc = levels.recent[moment]
+    before = next((then for then in levels.recent if at_s - then[0] <= TREND_S), (at_s, degc))
+    if (elapsed_s := at_s - before[0]) < SHORTEST_TREND_S:
+        return Left(at_s=at_s, degc=degc, trend_k_per_min=np.zeros_like(degc))
+    return Left(at_s=at_s, degc=degc, trend_k_per_min=np.nan_to_num((degc - before[1]) * 60.0 / elapsed_s))
+
+
+def _judged(
+    levels: SensorLevels, group: GroupArray, seen: BelievedValues, judged: BoolArray, degc: FloatArray
+) -> tuple[SensorLevels, FloatArray]:
+    shift_k, doubt_k, changes = levels.shift_k.copy(), levels.doubt_k.copy(), list(levels.changes)
+    counted = degc.copy()
+    for place in np.flatnonzero(judged):
+        index = int(seen.indices[place])
+        off_k, spread_k, near_k = float(seen.jump_k[place]), np.inf, OWN_K
+        if (then := levels.left.get(index)) is not None:
+            off_k, spread_k, near_k = _departure(index, then, group, degc, (seen.now_s - then.at_s) / 60.0)
+        elif seen.returned[place]:
+            continue
+        before_k = shift_k[index]
+        if abs(off_k) <= near_k:
+            continue
+        if before_k != 0.0 and abs(before_k + off_k) <= near_k:
+            shift_k[index], doubt_k[index] = 0.0, 0.0
+        elif not seen.returned[place] and abs(doubt_k[index] + off_k) <= near_k:
+            doubt_k[index] = 0.0
+        elif not (seen.returned[place] and seen.new_level[place]):
+            doubt_k[index] += off_k
+        else:
+            shift_k[index] += off_k
+            doubt_k[index] += np.copysign(min(max(spread_k, near_k), abs(off_k)), off_k)
+        if shift_k[index] != before_k:
+            changes.append((seen.now_s, index, float(before_k)))
+            counted[index] = seen.degc[place] - shift_k[index]
+    found = replace(levels, shift_k=shift_k, doubt_k=doubt_k, changes=tuple(changes[-CHANGES_KEPT:]))
+    return found, counted
+
+
+def _departure(
+    index: int, then: Left, group: GroupArray, degc: FloatArray, away_min: float
+) -> tuple[float, float, float]:
+    """Return how far a sensor is from where it is expected, how far those beside it are, and how near is near [K]."""
+    change_k = degc - then.degc - then.trend_k_per_min * away_min
+    own_k = float(change_k[index])
+    known = np.isfinite(change_k)
+    known[index] = False
+    beside_k = change_k[known & (group == group[index])]
+    if len(beside_k) < LEAST_BESIDE:
+        beside_k = change_k[known]
+    expected_k = float(np.median(beside_k)) if len(beside_k) else 0.0
+    spread_k = ALONE_K_PER_MIN * max(away_min, 0.0)
+    if len(beside_k) >= LEAST_BESIDE:
+        spread_k = float(np.abs(beside_k - expected_k).max())
+    return own_k - expected_k, spread_k, OWN_K + OWN_SHARE * abs(expected_k)

@@ -1,0 +1,84 @@
+"""After bad input has passed, what is applied is what an undisturbed twin applies, or the output holds and says why.
+
+Frames of both lines go through the parser, the thermal task, the control task and the guard's text, on the clock of
+the test; the twin hears the same machine without any disturbance.
+"""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import structlog
+from bad_input import KINDS
+from small_model import model
+from twin_loop import TwinLoop, some_places
+from whole_loop import lagged_model
+
+from models.records import FloatArray, OutputState
+from models.thermal.family import ThermalModel
+
+AFTER = 60
+"""Moments of ten seconds after the bad input within which the output must be right again."""
+WITHIN_UM = 1.0
+ROUNDED_UM = 0.1
+"""The control rounds what it applies to this on both."""
+MODELS: dict[str, ThermalModel] = {"increments": model("increments"), "lagged": lagged_model("lagged")}
+_twins: dict[tuple[object, ...], FloatArray] = {}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quiet() -> Iterator[None]:
+    """Thousands of moments would fill the log."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
+    yield
+    structlog.reset_defaults()
+
+
+def outcome(directory: Path, kind: str, name: str, profile: str, seed: int) -> tuple[float, OutputState]:
+    """Return how far from its twin a loop ends [um], and in which state."""
+    rng = np.random.default_rng(seed)
+    places, bad = some_places(rng), KINDS[kind](rng)
+    key = (name, seed, bad.passed, bad.pauses)
+    if key not in _twins:
+        twin = TwinLoop(directory / f"twin{len(_twins)}", MODELS[name], places, "checked", pauses=bad.pauses)
+        asyncio.run(twin.run(bad.passed + AFTER))
+        _twins[key] = twin.applied_um[-1]
+    loop = TwinLoop(
+        directory / f"{kind}-{name}-{profile}-{seed}",
+        MODELS[name],
+        places,
+        profile,
+        disturbance=bad.disturbance,
+        seed=seed,
+        pauses=bad.pauses,
+        restarting=True,
+    )
+    asyncio.run(loop.run(bad.passed + AFTER))
+    return float(np.abs(loop.applied_um[-1] - _twins[key]).max()), loop.states[-1]
+
+
+def judge(directory: Path, kind: str, name: str, profile: str, seeds: range) -> None:
+    wrong = {}
+    for seed in seeds:
+        off_um, state = outcome(directory, kind, name, profile, seed)
+        if off_um > WITHIN_UM + ROUNDED_UM and state is OutputState.ACTIVE:
+            wrong[seed] = off_um
+    assert not wrong, f"ended more than {WITHIN_UM:g} um from the twin without a word: {wrong}"
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_after_bad_input_the_tool_stands_where_the_twin_s_does_or_the_output_holds(
+    tmp_path: Path, kind: str, name: str
+) -> None:
+    judge(tmp_path, kind, name, "bare", range(2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", ["bare", "checked"])
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_histories_of_bad_input_end_where_the_twin_is(tmp_path: Path, kind: str, name: str, profile: str) -> None:
+    judge(tmp_path, kind, name, profile, range(2, 30))

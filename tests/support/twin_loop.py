@@ -1,0 +1,152 @@
+"""A whole loop that hears real frames, and what may happen to them: judged by a twin to which nothing happens."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from control_rig import SENSOR_IDS
+from whole_loop import MOMENT_S, WholeLoop
+
+from drivers.latsis.cycle import CycleAssembler
+from drivers.latsis.frames import sum8
+from models.control.state import OperatorRequest
+from models.records import CncRun, FloatArray, OutputState
+from models.thermal.family import ThermalModel
+from models.units import TMP102_DEGC_PER_LSB
+
+CHAIN = {"spindle": (0, 1, 2), "column": (3, 4)}
+"""Index of each sensor by line, in the order of the chain."""
+BEFORE = 96
+"""Moments before anything happens."""
+
+Frames = list[bytes]
+Disturbance = Callable[["TwinLoop", int, str, Frames, np.random.Generator], Frames]
+"""Loop, moment, line, its frames in the order of the wire -> what arrives."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """How the temperature of a sensor's place goes: a warm-up with its own height and time constant."""
+
+    rise_k: FloatArray
+    constant_s: FloatArray
+
+    def degc(self, elapsed_s: float) -> FloatArray:
+        """Return the temperatures [degC]."""
+        return 20.0 + self.rise_k * (1.0 - np.exp(-elapsed_s / self.constant_s))
+
+
+def some_places(rng: np.random.Generator) -> Place:
+    """The head warms by up to eight kelvin, the column by less and later."""
+    return Place(
+        rise_k=np.concatenate([rng.uniform(4.0, 8.0, 3), rng.uniform(1.0, 3.0, 2)]),
+        constant_s=np.concatenate([rng.uniform(900.0, 1800.0, 3), rng.uniform(1800.0, 3600.0, 2)]),
+    )
+
+
+@dataclass
+class TwinLoop:
+    """Everything between the bytes of two lines and the tool, on the clock of the test."""
+
+    directory: Path
+    model: ThermalModel
+    places: Place
+    profile: str
+    disturbance: Disturbance | None = None
+    seed: int = 0
+    pauses: tuple[int, ...] = ()
+    """Moments before which 20 s pass in which nobody does anything."""
+    restarting: bool = False
+    """In every pause the daemon dies, and starts again."""
+    loop: WholeLoop = field(init=False)
+    applied_um: list[FloatArray] = field(init=False, default_factory=list)
+    states: list[OutputState] = field(init=False, default_factory=list)
+    silent: dict[int, int] = field(init=False, default_factory=dict)
+    """Sensor -> the moment until which it is silent."""
+    offset_k: FloatArray = field(init=False, default_factory=lambda: np.zeros(len(SENSOR_IDS)))
+
+    def __post_init__(self) -> None:
+        self.directory.mkdir()
+        self.rng = np.random.default_rng(self.seed)
+        self.loop = WholeLoop(self.directory, self.model)
+        temperatures = self.loop.configuration.temperatures
+        lines = [line.model_copy(update={"profile": self.profile}) for line in temperatures.lines]
+        self.loop.configuration = self.loop.configuration.model_copy(
+            update={"temperatures": temperatures.model_copy(update={"lines": lines})}
+        )
+        self.loop._speak = self._speak  # type: ignore[method-assign]
+        self._listen()
+
+    def _listen(self) -> None:
+        temperatures = self.loop.configuration.temperatures
+        self.assemblers = {line.name: CycleAssembler(line, temperatures.sensors) for line in temperatures.lines}
+
+    async def _speak(self, line: str, _part: slice) -> None:
+        loop, count = self.loop, len(CHAIN[line])
+        degc = self.places.degc(loop.clock.monotonic_s - 1000.0) + self.offset_k
+        frames = []
+        for place in reversed(range(count)):
+            sensor = CHAIN[line][place]
+            if self.silent.get(sensor, -1) <= self.moment:
+                frames.append(self.frame(place + 1, round(degc[sensor] / TMP102_DEGC_PER_LSB)))
+        if self.disturbance is not None and self.moment >= BEFORE:
+            frames = self.disturbance(self, self.moment - BEFORE, line, frames, self.rng)
+        now = loop.clock.now()
+        assembler = self.assemblers[line]
+        cycles = assembler.feed(b"".join(frames), now)
+        later = replace(now, monotonic_s=now.monotonic_s + 0.6 * MOMENT_S, real_s=now.real_s + 0.6 * MOMENT_S)
+        for cycle in (*cycles, *assembler.poll(later)):
+            await loop.thermal._take(cycle)
+
+    def frame(self, wire_id: int, code: int) -> bytes:
+        """Return a node's frame."""
+        if self.profile == "bare":
+            return b"%02X%03X\r\n" % (wire_id, code & 0xFFF)
+        body = b"%03X,%03X,00" % (wire_id, code & 0xFFF)
+        return b":%b*%02X\r\n" % (body, sum8(body))
+
+    async def run(self, moments: int) -> None:
+        """Warm up, position the work, and go on for so many moments."""
+        loop = self.loop
+        self.moment = 0
+        await self._start()
+        try:
+            for self.moment in range(BEFORE + moments):
+                await self._program()
+                if self.moment - BEFORE in self.pauses:
+                    await self._pause()
+                await loop.moment()
+                loop.nc.safe_point()
+                if self.moment >= BEFORE:
+                    self.applied_um.append(loop.applied_um.copy())
+                    memory = loop.rig.control.memory
+                    self.states.append(OutputState.OFF if memory is None else memory.state)
+        finally:
+            await loop.end()
+
+    async def _program(self) -> None:
+        nc, control = self.loop.nc, self.loop.rig.control
+        if self.moment == 60:
+            control.request(OperatorRequest(enable=frozenset({"y", "z"})), "a person")
+        if self.moment == 70:
+            nc.run, nc.sequence_number = CncRun.START, 100
+        if self.moment == 72:
+            nc.run, nc.sequence_number = CncRun.STOP, 900
+
+    async def _pause(self) -> None:
+        if self.restarting:
+            await self.loop.rig.history.flushed()
+            await self.loop.end()
+        self.loop.clock.monotonic_s += 20.0
+        if self.restarting:
+            self._listen()
+            await self._start()
+
+    async def _start(self) -> None:
+        """Start the daemon as `ThermalTask.run` does."""
+        await self.loop.start()
+        thermal = self.loop.thermal
+        await thermal.recall()
+        assert thermal._online is not None
+        thermal._online.prepare(self.loop.clock.now().monotonic_s)
