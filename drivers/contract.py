@@ -30,6 +30,10 @@ class FatalDriverError(RefusedInputError, DriverError):
     """Trying again cannot help: wrong configuration, refused credentials, unknown device."""
 
 
+class NotSentError(FatalDriverError):
+    """A write was refused before anything was sent: the control holds what it held. Other errors leave that open."""
+
+
 class TemperatureSource(Protocol):
     """One LATSIS line."""
 
@@ -87,8 +91,9 @@ class Cnc(Protocol):
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Write groups of (macro, value), each group only after the previous one was accepted.
 
-        Raises LinkError on a lost link, FatalDriverError when the control refuses a value (naming the macro) or
-        `refuse_forbidden` does, before anything is sent. Never retries.
+        Raises LinkError on a lost link; NotSentError where `refuse_forbidden` does, before anything is sent; another
+        FatalDriverError (naming the macro) when the control refuses a value, after what came before it, and perhaps
+        what came with it, has arrived. Never retries.
         """
         ...
 
@@ -98,14 +103,12 @@ class Cnc(Protocol):
 
 
 def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncConfig, security: Security) -> None:
-    """Refuse, before anything is sent, what no driver may write; raises FatalDriverError."""
+    """Refuse, before anything is sent, what no driver may write; raises NotSentError."""
     if security == "insecure" and not config.allow_insecure_writes:
-        raise FatalDriverError(
-            f"nothing is written over an unencrypted, anonymous connection: {config.insecure_advice}"
-        )
+        raise NotSentError(f"nothing is written over an unencrypted, anonymous connection: {config.insecure_advice}")
     for group in groups:
         for number, value in group:
             if number not in config.macros.allowed:
-                raise FatalDriverError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
+                raise NotSentError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
             if not math.isfinite(value):
-                raise FatalDriverError(f"{value} must not be written to macro variable #{number}; nothing was sent")
+                raise NotSentError(f"{value} must not be written to macro variable #{number}; nothing was sent")

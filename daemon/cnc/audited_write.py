@@ -13,7 +13,7 @@ from daemon.cnc.macro_block import MacroBlock
 from daemon.history.writer import HistoryWriter, WriteId
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
-from drivers.contract import Cnc, FatalDriverError
+from drivers.contract import Cnc, FatalDriverError, NotSentError
 from models.records import CompensationCommand, Receipt, Trace, WriteOutcome
 
 MacroValues = Mapping[int, float | None]
@@ -22,11 +22,11 @@ Expected = Mapping[int, tuple[float | None, ...]]
 """Per macro what may stand in it; None: it may be vacant."""
 
 
-class ForeignValueError(FatalDriverError):
+class ForeignValueError(NotSentError):
     """Something that is not ours stands in a macro that was to be written; nothing was sent."""
 
 
-class AuditError(FatalDriverError):
+class AuditError(NotSentError):
     """The audit did not take the intent in time; nothing was sent."""
 
 
@@ -75,15 +75,18 @@ class AuditedWriter:
     async def write(self, write: MacroWrite) -> Receipt:
         """Compare, write, read back; intent and outcome are in the audit however it ends.
 
-        Raises ForeignValueError with nothing sent, and what the driver raises.
+        Raises ForeignValueError with nothing sent, and what the driver raises. Only what was refused before anything
+        was sent is REFUSED in the audit; after any other error each macro may hold the old or the new value.
         """
         macros, trace = write.macros, write.trace
         intent = self._history.write_intent(write.command, macros, write.cause, write.person)
         self.last_write_id = int(intent)
+        unsent = True
         try:
             if write.commit_s is not None:
                 await self._committed(intent, write.commit_s)
             write.sending(await self._compare(write.expected))
+            unsent = False
             await self.cnc.write_macros(write.groups)
             trace = replace(trace, written=self.clock.now())
             found = await self.cnc.read_macros(
@@ -91,8 +94,11 @@ class AuditedWriter:
             )
             trace = replace(trace, read_back=self.clock.now())
         except BaseException as error:
-            outcome = WriteOutcome.REFUSED if isinstance(error, FatalDriverError) else WriteOutcome.FAILED
-            self._conclude(write, intent, outcome, str(error) or type(error).__name__, {}, trace)
+            refused = isinstance(error, NotSentError) or (unsent and isinstance(error, FatalDriverError))
+            detail = str(error) or type(error).__name__
+            if not refused and isinstance(error, FatalDriverError):
+                detail += "; other values of this write may have arrived"
+            self._conclude(write, intent, WriteOutcome.REFUSED if refused else WriteOutcome.FAILED, detail, {}, trace)
             raise
         problems = self.block.differences({number: (value,) for number, value in macros}, found)
         problems += write.judge(found)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import structlog
 from control_rig import (
+    BLOCK,
     ENABLE,
     SEQUENCE_A,
     SEQUENCE_B,
@@ -97,6 +98,26 @@ async def test_a_refused_write_is_a_fault_and_counted(rig, bench):
     rig.control.request(ACKNOWLEDGE, "p")
     await rig.follow(0.0, -5.0, 30)
     assert rig.state == "ACTIVE"
+
+
+@pytest.mark.parametrize("refuses", [SEQUENCE_A, Z, ENABLE, SEQUENCE_B])
+async def test_what_arrived_before_the_control_refused_is_known_as_ours_after_a_restart(bench, refuses):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -5.0, 10)
+        bench.nc.refuses = refuses
+        await rig.turn(rig.estimate(0.0, -8.0))
+        held = {number: bench.nc.macros.get(number) for number in BLOCK}
+        await rig.history.flushed()
+        with HistoryReader(rig.history.path) as reader:
+            record = reader.writes(0.0, 2.0**40)[-1]
+            possible = reader.last_written_macros()
+        assert record.outcome is WriteOutcome.FAILED
+        assert f"#{refuses}" in record.detail and "may have arrived" in record.detail
+        assert all(value in possible[number] for number, value in held.items())
+    async with running(bench.rig()) as again:
+        await again.turn(safe=False)
+        assert "was refused" in again.control.journal.fault and "we wrote" not in again.control.journal.fault
 
 
 async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, bench):

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 from config.schema.cnc import CncConfig
 from daemon.simulation.faults.virtual_time import VirtualClock
 from daemon.simulation.faults.virtual_world import VirtualWorld
-from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, Security
+from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, NotSentError, Security
 from drivers.sim.nc.nc import ModeCode, RunCode
 from models.records import CncMode, CncRun, CncSample
 
@@ -82,7 +82,7 @@ class VirtualCnc:
         """Write groups one after the other; refuses what is not allow-listed before anything is sent."""
         for number, value in (pair for group in groups for pair in group):
             if number not in self._config.macros.allowed or not math.isfinite(value):
-                raise FatalDriverError(f"macro variable #{number} = {value} must not be written; nothing was sent")
+                raise NotSentError(f"macro variable #{number} = {value} must not be written; nothing was sent")
         left = [tuple((number, float(value)) for number, value in group) for group in groups if group]
         while left:
             taken, shown = await self._ask("write", tuple(left))
