@@ -1,6 +1,7 @@
 """From packed or raw rows of the audit to records."""
 
 import json
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,27 @@ STAGES = ("cleansed", "estimated", "written", "read_back")
 def write_records(frame: Frame) -> list[WriteRecord]:
     """Return each row of the audit as a record."""
     return [_record(frame, index) for index in range(frame.rows)]
+
+
+def possible_macros(newest_first: Iterable[WriteRecord], of: Sequence[int]) -> dict[int, tuple[float, ...]]:
+    """Return per macro what it may hold by the audit, as `HistoryReader.last_written_macros` says."""
+    since_verified: list[WriteRecord] = []
+    for record in newest_first:
+        written = {number for number, _ in record.macros}
+        if of and not written & set(of):
+            continue
+        since_verified.append(record)
+        whole = written >= set(of) if of else record.state is not None
+        if record.outcome is WriteOutcome.VERIFIED and whole:
+            break  # a whole block; answers to the NC program and the like carry no state
+    possible: dict[int, tuple[float, ...]] = {}
+    for record in reversed(since_verified):
+        if record.outcome is WriteOutcome.REFUSED:
+            continue
+        for number, value in record.macros:
+            before = () if record.outcome is WriteOutcome.VERIFIED else possible.get(number, ())
+            possible[number] = before if value in before else (*before, value)
+    return possible
 
 
 def _record(frame: Frame, index: int) -> WriteRecord:

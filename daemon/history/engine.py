@@ -64,7 +64,7 @@ class Engine:
         *,
         on_acknowledged: Callable[[str, int], None],
         on_problem: Callable[[str], None],
-        on_lost: Callable[[str], None],
+        on_lost: Callable[[str], object],
         kept: Callable[[], Kept],
     ) -> None:
         """`on_lost` hears that the store was lost and is begun anew; `kept` returns the states that a new one gets."""
@@ -155,7 +155,10 @@ class Engine:
             else:
                 break
         self._recover()
-        self._acknowledge(records)
+        for entry in records:
+            entry.commit.resolve()
+            if entry.acknowledges:
+                self._call(self._on_acknowledged, *entry.acknowledges[:2])
         for job in jobs:
             self._run_job(job)
 
@@ -193,12 +196,6 @@ class Engine:
         if busy:
             raise StoreLostError("has lost its log (-wal)")
         self._call(self._on_lost, f"{log_path} was deleted while the daemon wrote it; nothing of it is lost")
-
-    def _acknowledge(self, records: list[Entry]) -> None:
-        for entry in records:
-            entry.commit.resolve()
-            if entry.acknowledges:
-                self._call(self._on_acknowledged, *entry.acknowledges[:2])
 
     def _run_job(self, job: Entry) -> None:
         try:
@@ -269,27 +266,14 @@ class Engine:
     def _lose(self, error: StoreLostError) -> None:
         """Give the file up that is no longer the store; what was not acknowledged goes to the one in its place."""
         self._lost = str(error)
-        self._take_log_along()
+        if self._connection is not None:
+            _take_log_along(self._connection, self._path, self._log_inode)
         self._close()
         self._not_before_s = time.monotonic() + RETRY_FIRST_S
         self.report(
             f"{self._path}: the store {error} while the daemon writes it. Records wait in memory until it is found or "
             "begun anew; compensation goes on"
         )
-
-    def _take_log_along(self) -> None:
-        """Bring the log into the file that is given up: SQLite would take it for the log of the one in its place."""
-        if self._connection is None:
-            return
-        try:
-            if self._connection.in_transaction:
-                self._connection.execute("ROLLBACK")
-            (busy, _, _) = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-            log_path = Path(f"{self._path}-wal")
-            if busy and log_path.exists() and log_path.stat().st_ino == self._log_inode:
-                log_path.rename(f"{log_path}.lost")
-        except (sqlite3.Error, OSError) as error:
-            log.error("history.log_left", path=str(self._path), problem=str(error))
 
     def _recover(self) -> None:
         if not self._problem:
@@ -310,9 +294,22 @@ class Engine:
             self._problem = sentence
             self._call(self._on_problem, sentence)
 
-    def _call(self, callback: Callable[..., None], *arguments: object) -> None:
+    def _call(self, callback: Callable[..., object], *arguments: object) -> None:
         """Call back; whatever goes wrong there must not end this thread."""
         try:
             callback(*arguments)
         except Exception:
             log.exception("history.callback", path=str(self._path))
+
+
+def _take_log_along(connection: sqlite3.Connection, path: Path, inode: int | None) -> None:
+    """Bring the log into the file that is given up: SQLite would take it for the log of the one in its place."""
+    try:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        (busy, _, _) = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        log_path = Path(f"{path}-wal")
+        if busy and log_path.exists() and log_path.stat().st_ino == inode:
+            log_path.rename(f"{log_path}.lost")
+    except (sqlite3.Error, OSError) as error:
+        log.error("history.log_left", path=str(path), problem=str(error))

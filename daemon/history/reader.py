@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from daemon.history.audit import write_records
+from daemon.history.audit import possible_macros, write_records
 from daemon.history.columns.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
 from daemon.history.columns.joining import (
     in_order,
@@ -34,7 +34,7 @@ from daemon.history.series import (
     TemperatureHistory,
     WriteRecord,
 )
-from models.records import ProbeSample, Reference, WriteOutcome
+from models.records import ProbeSample, Reference
 
 TABLES = {TEMPERATURES: CYCLES.table, **{kind.name: kind.table for kind in KINDS.values()}, "events": "events"}
 """Table of each kind of record that can be counted and listed."""
@@ -207,23 +207,7 @@ class HistoryReader:
         Of the compensation's block and what was written since; or `of` these macros, as far as hours that are not
         packed tell. None when the audit says nothing of them.
         """
-        since_verified: list[WriteRecord] = []
-        for record in self._writes_backwards(packed=not of):
-            written = {number for number, _ in record.macros}
-            if of and not written & set(of):
-                continue
-            since_verified.append(record)
-            whole = written >= set(of) if of else record.state is not None
-            if record.outcome is WriteOutcome.VERIFIED and whole:
-                break  # a whole block; answers to the NC program and the like carry no state
-        possible: dict[int, tuple[float, ...]] = {}
-        for record in reversed(since_verified):
-            if record.outcome is WriteOutcome.REFUSED:
-                continue
-            for number, value in record.macros:
-                before = () if record.outcome is WriteOutcome.VERIFIED else possible.get(number, ())
-                possible[number] = before if value in before else (*before, value)
-        return possible or None
+        return possible_macros(self._writes_backwards(packed=not of), of) or None
 
     def _writes_backwards(self, *, packed: bool) -> Iterator[WriteRecord]:
         columns = ", ".join(WRITES.names)

@@ -92,7 +92,7 @@ class HistoryWriter:
             self._lock,
             on_acknowledged=on_acknowledged,
             on_problem=on_problem,
-            on_lost=self._tell_loss,
+            on_lost=lambda sentence: self.event("history", sentence, "daemon"),
             kept=self._kept_states,
         )
         self._state: dict[str, str] = {}
@@ -223,9 +223,6 @@ class HistoryWriter:
         text, time_ms = json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
         self._state[key] = text
         return self._audit("states", rows.PUT_STATE, lambda: (key, text, time_ms))
-
-    def _tell_loss(self, sentence: str) -> None:
-        self.event("history", sentence, "daemon")
 
     def _kept_states(self) -> list[tuple[str, str, int]]:
         """Return the states of this run, for a store that is begun anew."""

@@ -14,6 +14,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
 FOLDERS = {*PACKAGES, "systemd", "tests", "docs", ".ci"}
 LONGEST_FUNCTION = 80
+LONGEST_CLASS = 250
+MOST_PARAMETERS = 8
 
 
 def sources(*folders: str) -> Iterator[Path]:
@@ -42,6 +44,28 @@ def test_no_function_is_longer_than_a_screen_or_two() -> None:
         if (size := (function.end_lineno or 0) - function.lineno + 1) > LONGEST_FUNCTION
     }
     assert not long
+
+
+def classes() -> Iterator[tuple[str, ast.ClassDef]]:
+    for path in sources(*PACKAGES):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node
+
+
+def test_no_class_is_too_long_to_be_read_at_once() -> None:
+    sizes = {where: (node.end_lineno or 0) - node.lineno + 1 for where, node in classes()}
+    assert not {where: size for where, size in sizes.items() if size > LONGEST_CLASS}
+
+
+def test_no_constructor_takes_more_than_a_few_parameters() -> None:
+    counts = {
+        where: len([*member.args.posonlyargs, *member.args.args, *member.args.kwonlyargs]) - 1
+        for where, node in classes()
+        for member in node.body
+        if isinstance(member, ast.FunctionDef) and member.name == "__init__"
+    }
+    assert not {where: count for where, count in counts.items() if count > MOST_PARAMETERS}
 
 
 def public_definitions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:

@@ -1,7 +1,6 @@
 """A fault campaign from a machine's description to its result."""
 
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,6 @@ from daemon.simulation.faults.script import Happening, campaign
 from daemon.simulation.processes import write_simulation_configuration
 from drivers.sim.nc.program import RETREAT
 
-EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
-"""Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
 POLL_S = 2.0
 """The CNC is polled this often; a safe point lasts 5 s [s]."""
 TICK_S = 3.0
@@ -48,7 +45,6 @@ def run_campaign(
         directory,
         days=days,
         seed=seed,
-        epoch_utc_s=EPOCH_UTC_S,
         progress=progress,
         script=happenings,
         models=models,

@@ -4,12 +4,15 @@ import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from enum import StrEnum
 
 from config.schema.temperatures import LineConfig
 from drivers.sim.faults import Fault, FaultKind
 
 DAY_S = 86400.0
+EPOCH_UTC_S = datetime(2026, 1, 5, 6, tzinfo=UTC).timestamp()
+"""Every campaign begins on this Monday morning, so that the same seed gives the same days [s]."""
 FIRST_S = 900.0
 """The first scripted incident; the machine has positioned its first part long before [s]."""
 SPACING_S = 900.0

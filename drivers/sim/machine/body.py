@@ -65,12 +65,11 @@ class MachineBody:
         program: PartProgram,
         sensors: Sequence[SensorConfig],
         *,
-        structure: Structure | None = None,
         machine_seed: int = 1,
         rotation_jump: RotationJump | None = None,
     ) -> None:
         self.program = program
-        self.structure = structure or Structure.on(day)
+        self.structure = Structure.on(day)
         self.sensors = SensorArray(sensors, machine_seed=machine_seed, noise_seed=day.seed)
         self.time_s = 0.0
         self._seed = day.seed

@@ -19,8 +19,7 @@ from config.schema.temperatures import SensorConfig
 from drivers.sim.contract import AxisTruth
 from drivers.sim.machine.body import MachineBody
 from drivers.sim.machine.day import Day
-from drivers.sim.machine.sensors import RotationJump
-from drivers.sim.machine.structure import CHANNELS, Structure
+from drivers.sim.machine.structure import CHANNELS
 from drivers.sim.nc.nc import NumericalControl, RunCode
 from drivers.sim.nc.nc_programs import NcPrograms
 from drivers.sim.nc.program import PartProgram
@@ -30,7 +29,7 @@ from models.records import FloatArray
 
 CHANNEL_AXES = {channel: channel[0].lower() for channel in CHANNELS}
 """Axis along which each displacement channel measures."""
-TOOL_LENGTH_MM = 150.0
+TOOL_LENGTH_M = 0.15
 MOTOR_PERIOD_S = 5.0
 """The control looks at the spindle motor's temperature this often [s]."""
 TOOL_EXPANSION_UM_PER_M_K = 11.0
@@ -49,25 +48,13 @@ class CfrpMachine:
         axes: Mapping[str, AxisConfig],
         guard: GuardConfig | None = None,
         *,
-        machine_seed: int = 1,
-        tool_length_mm: float = TOOL_LENGTH_MM,
-        tool_expansion_um_per_m_k: float = TOOL_EXPANSION_UM_PER_M_K,
-        structure: Structure | None = None,
-        rotation_jump: RotationJump | None = None,
         wiring: Wiring = STRAIGHT,
     ) -> None:
         if unknown := sorted(set(axes) - set(AXES)):
             raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
-        self.body = MachineBody(
-            day,
-            program,
-            sensors,
-            structure=structure,
-            machine_seed=machine_seed,
-            rotation_jump=rotation_jump,
-        )
+        self.body = MachineBody(day, program, sensors)
         self.time_s = 0.0
-        rng = np.random.default_rng([machine_seed, 31])
+        rng = np.random.default_rng([1, 31])
         self._nc = NumericalControl(
             program=program.number,
             clock_s=float(rng.uniform(2000.0, 50000.0)),
@@ -78,8 +65,6 @@ class CfrpMachine:
         self.guard = SafePointApplication(macro_map, axes, guard)
         self._programs = NcPrograms(self.guard, self._nc)
         self._motor_due_s = 0.0
-        self._tool_m = tool_length_mm * 1e-3
-        self._tool_um_per_m_k = tool_expansion_um_per_m_k
         self._wiring = wiring
         self._zero: tuple[FloatArray, dict[str, float]] | None = None
         self.initialise_macros()
@@ -136,7 +121,7 @@ class CfrpMachine:
         return truth
 
     def _tool_point_um(self) -> FloatArray:
-        return self.body.structure.tool_point_um(self.body.thermal_nodes(), self._tool_m, self._tool_um_per_m_k)
+        return self.body.structure.tool_point_um(self.body.thermal_nodes(), TOOL_LENGTH_M, TOOL_EXPANSION_UM_PER_M_K)
 
     def _entered(self) -> None:
         block = self.body.block

@@ -1,0 +1,188 @@
+"""What a fault campaign watches: the machine's side of each moment, and what the daemon says of itself then."""
+
+from collections.abc import Callable, Sequence
+
+from config.schema import Configuration
+from daemon.simulation.faults.invariants import Claims, WriteWatch
+from daemon.simulation.faults.models import CampaignModels
+from daemon.simulation.faults.operations_check import HeartbeatWatch, OperationsWatch, Request
+from daemon.simulation.faults.recovery import GoodInput, RecoveryWatch
+from daemon.simulation.faults.result import Result
+from daemon.simulation.faults.script import EPOCH_UTC_S, Happening, Incident
+from daemon.simulation.faults.truth import TruthKeeper
+from daemon.simulation.faults.world import CampaignWorld
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.program import campaign_program
+
+NAMES = (
+    *WriteWatch.NAMES,
+    *OperationsWatch.NAMES,
+    "state_after_fault",
+    "fault_is_latched",
+    "changes_of_state_known",
+    "heartbeat",
+    "acknowledged_cycles_kept",
+    "audit_complete",
+    "audit_has_every_block",
+    "displacements_once",
+    "probes_kept",
+    "nothing_unexpected",
+    "memory_growth",
+)
+KEPT_BLOCKS = 100_000
+
+
+class Observer:
+    """The world of a campaign and all watches in it; implements `daemon.simulation.faults.world.Watcher`."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        script: Sequence[Happening],
+        models: CampaignModels,
+        result: Result,
+        *,
+        begun: Callable[[float, Happening], None],
+        ended: Callable[[Happening], None],
+    ) -> None:
+        """`begun` and `ended` do what an incident does to the daemon's process, its files and a person."""
+        self._begun, self._ended = begun, ended
+        self._models = models
+        self._result = result
+        self._map = configuration.cnc.macros
+        machine = CfrpMachine(
+            Day.draw(result.seed, start="cold"),
+            campaign_program(),
+            configuration.temperatures.sensors,
+            self._map,
+            configuration.compensation.axes,
+            configuration.cnc.guard,
+        )
+        self.world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=EPOCH_UTC_S, seed=result.seed)
+        ledger = result.ledger
+        self._writes = WriteWatch(configuration, ledger)
+        self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
+        self.operations = OperationsWatch(ledger, self._map.request)
+        self._truth = TruthKeeper(configuration, self.world, self.operations, models)
+        self._heart = HeartbeatWatch(self._map, ledger)
+        self._good_input = GoodInput([line.name for line in configuration.temperatures.lines])
+        self.claims: Claims | None = None
+        self._heard_at_s = 0.0
+        self._case_kinds: set[str] = set()
+        self.follows_since_s: float | None = None
+        """Since when this life of the daemon has followed the CNC; None before it does."""
+        self.blocks: list[float] = []
+        """Sequence numbers of the blocks that the CNC has taken in this life."""
+        self.acknowledging = False
+        """A person has acknowledged in this life, and no FAULT was left since."""
+
+    def restarted(self, time_s: float) -> None:
+        """A daemon begins to live."""
+        self.operations.restarted(time_s)
+        self._heart.disturbed(time_s)
+        self._writes.restarted(time_s)
+        self.follows_since_s = None
+        self.acknowledging = False
+        self.blocks = []
+
+    def finish(self) -> None:
+        """Bring what was measured into the result."""
+        self._result.recovery_s = self._recovery.times_s
+        self._result.not_judged = self._recovery.disturbed
+
+    # --- what the machine sees --------------------------------------------------------------
+
+    def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
+        """Take the end of a pass."""
+        self._result.cycles += 1
+        self._truth.cycle(time_s, whole=whole, heard=heard)
+        if whole:
+            self._good_input.cycle(line)
+            self._note_good_input(time_s)
+
+    def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
+        """Take what the NC applies."""
+        self._writes.applied(time_s, applied_um, cutting=cutting)
+
+    def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
+        """Take a request of the NC program."""
+        self.operations.asked(Request(time_s=time_s, counter=counter, kind=kind, axis=axis, value_mm=value_mm))
+
+    def begun(self, time_s: float, happening: Happening) -> None:
+        """Take the begin of an incident."""
+        self.operations.begun(time_s, happening)
+        self._truth.begun(happening)
+        self._heart.disturbed(happening.end_s)
+        self._result.incidents[happening.kind.value] += 1
+        self._recovery.begun(happening.kind.value)
+        self._case_kinds.add(happening.kind.value)
+        self._begun(time_s, happening)
+
+    def ended(self, time_s: float, happening: Happening) -> None:
+        """Take its end."""
+        self._ended(happening)
+        self.operations.ended(happening)
+        self._good_input.after(happening)
+        if not self.world.active:
+            self._recovery.over(self._case_kinds)
+            self._case_kinds = set()
+
+    def polled(self, time_s: float) -> None:
+        """Take an answered poll of the CNC."""
+        self.operations.polled(time_s, retreat_block=self._truth.at_retreat_block)
+        self._good_input.cnc()
+        self._note_good_input(time_s)
+
+    def group(self, group: tuple[tuple[int, float], ...], *, taken: bool) -> None:
+        """Take one group of a block that reached the CNC."""
+        time_s = self.world.time_s
+        self._writes.group(time_s, group, self.claims, taken=taken)
+        if taken and group[0][0] == self._map.sequence_a:
+            self._result.blocks += 1
+            self.blocks.append(group[0][1])
+            del self.blocks[:-KEPT_BLOCKS]
+        request = self._map.request
+        if taken and request is not None and group[0][0] == request.acknowledge:
+            self._writes.mark(time_s, self.operations.answered(time_s, group[0][1]))
+
+    # --- what the daemon says ---------------------------------------------------------------
+
+    def round(self, time_s: float) -> None:
+        """Look at the heartbeat, and at the sensors that are wrong."""
+        self.operations.round(time_s, self.claims)
+        if self.claims is None:
+            return
+        self._heart.look(time_s, self.claims, self.world.machine.nc)
+        if self._models.is_watching(self.claims.model):
+            for happening in (h for h in self.world.active if h.kind is Incident.WRONG_SENSOR):
+                self.operations.wrong_sensor(time_s, happening, self.claims)
+
+    def hear(self, time_s: float, claims: Claims | None) -> None:
+        """Take what the daemon says of itself at a time; count how long it was in its state."""
+        state = self.claims.state if self.claims is not None else "not running"
+        states_s = self._result.states_s
+        states_s[state] = states_s.get(state, 0.0) + max(0.0, time_s - self._heard_at_s)
+        self._heard_at_s = max(time_s, self._heard_at_s)
+        before = self.claims
+        self.claims = claims
+        if claims is None:
+            return
+        if self.follows_since_s is None:
+            self.follows_since_s = time_s
+        if before is not None and before.state == "FAULT" and claims.state != "FAULT":
+            self.world.cnc.forgiven()
+            self._recovery.left_fault(time_s, acknowledged=self.acknowledging)
+            self.acknowledging = False
+        self._writes.heard(time_s, claims)
+        self._truth.heard(time_s, claims)
+        self.operations.heard(time_s, claims, self._truth.applied_um)
+        self._writes.input_is(time_s, good=self._truth.temperatures(time_s), echo_known=self._truth.echo_known)
+        self._note_good_input(time_s)
+        if self._recovery.open:
+            self._recovery.look(time_s, self._truth.at(time_s, claims), claims)
+
+    def _note_good_input(self, time_s: float) -> None:
+        """Begin to count when the first good input has arrived; what the daemon claims is still from before it."""
+        if self.claims is not None and self._recovery.waiting and self._good_input.there:
+            self._recovery.good_input(time_s, self.claims)
