@@ -25,16 +25,6 @@ CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 Command = TypeVar("Command", bound=Callable[..., Any])
-config_option = click.option(
-    "--config",
-    "-c",
-    "config_path",
-    type=click.Path(path_type=Path),
-    default=DEFAULT_CONFIGURATION,
-    show_default=True,
-    envvar=CONFIGURATION_VARIABLE,
-    help="Configuration file.",
-)
 
 
 class FiniteFloat(click.FloatRange):
@@ -46,6 +36,33 @@ class FiniteFloat(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+FILE = click.Path(path_type=Path)
+EXISTING = click.Path(path_type=Path, exists=True)
+EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+NOT_A_FOLDER = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
+POSITIVE = FiniteFloat(min=0.0, min_open=True)
+NOT_NEGATIVE = FiniteFloat(min=0.0)
+PLACE = click.Choice(["nose", "holder", "tool"])
+LOBES_METHOD = click.Choice(["zoa", "sdm"])
+
+
+def option(*names: str, **settings: Any) -> Callable[[Command], Command]:
+    """Return an option whose default, where it has one, stands in its help."""
+    return click.option(*names, **{"show_default": "default" in settings, **settings})
+
+
+config_option = option(
+    "--config",
+    "-c",
+    "config_path",
+    type=FILE,
+    default=DEFAULT_CONFIGURATION,
+    envvar=CONFIGURATION_VARIABLE,
+    help="Configuration file.",
+)
 
 
 def _writable(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -62,12 +79,11 @@ def _writable(ctx: click.Context, param: click.Parameter, value: str | None) -> 
     return value
 
 
-json_option = click.option(
+json_option = option(
     "--json",
     "json_path",
     metavar="FILE",
     callback=_writable,
-    default=None,
     help="Write the result as JSON to FILE, '-' for standard output.",
 )
 
@@ -126,7 +142,7 @@ def parse_hours(ctx: click.Context, param: click.Parameter, value: str | None) -
 
 def hours_option(name: str, help: str) -> Callable[[Command], Command]:  # noqa: A002
     """Return an option that takes hours such as 0-32."""
-    return click.option(name, metavar="A-B", callback=parse_hours, help=help)
+    return option(name, metavar="A-B", callback=parse_hours, help=help)
 
 
 class ProgressBar:
@@ -154,15 +170,17 @@ class ProgressBar:
         self._progress.update(self._tasks[what], completed=done, total=total)
 
 
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
 PICTURE_LIBRARIES = {".png": "matplotlib", ".html": "plotly"}
-spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=click.Path(path_type=Path))
-rotary_option = click.option(
+directory_option = option(
+    "--directory", type=FOLDER, help="Where all files of the run go, and stay (default: a folder that is removed)."
+)
+spindle_argument = click.argument("spindle_path", metavar="SPINDLE.yaml", type=FILE)
+rotary_option = option(
     "--rotary",
     type=click.Choice(["correct", "published"]),
     help="Rotary inertia of a segment's rigid rotation: correct, or as published. Without: what the file says.",
 )
-trust_option = click.option(
+trust_option = option(
     "--trust-units",
     is_flag=True,
     help="Take the units as stated (m/N over Hz), although the file's structure cannot have such a response.",
@@ -190,18 +208,18 @@ def _destination(ctx: click.Context, param: click.Parameter, value: Path | None)
     return value
 
 
-csv_option = click.option(
+csv_option = option(
     "--csv",
     "csv_path",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=FILE,
     callback=_destination,
     help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
 )
-picture_option = click.option(
+picture_option = option(
     "--picture",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=FILE,
     callback=_picture,
     help="Draw the result: .png (still) or .html (to zoom into, complete in one file).",
 )

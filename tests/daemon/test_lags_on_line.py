@@ -254,7 +254,7 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
     assert gone.imputed == (1,) and gone.confidence > 0.7
     await shop.run(6)
     assert shop.latest.imputed == ()
-    assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.doubt, "nobody knows where it stands"
+    assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.inhibit, "nobody knows where it stands"
     assert shop.latest.thermal_error_um == pytest.approx(gone.thermal_error_um, abs=1.5), "some minutes of a warm-up"
     assert shop.task.inhibit() == "", "one silent sensor does not empty the states"
     await shop.run(5)
@@ -288,9 +288,9 @@ async def test_a_sensor_that_returns_within_what_its_past_explains_counts_as_bef
     await shop.run(10)
     assert shop.latest.imputed == ()
     if offset_k:
-        assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.doubt
+        assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.inhibit
     else:
-        assert shop.latest.confidence > 0.9 and shop.latest.doubt == ""
+        assert shop.latest.confidence > 0.9 and shop.latest.inhibit == ""
     await shop.end()
 
 

@@ -17,7 +17,7 @@ def toolpoint(*arguments: object) -> Result:
 
 def test_the_list_says_of_every_command_in_one_line_what_it_does() -> None:
     listed = toolpoint("--help").output
-    for name, (_, summary) in COMMANDS.items():
+    for name, summary in COMMANDS.items():
         assert f"  {name} " in listed and f"{summary}\n" in listed, name
         assert summary.endswith(".")
     assert "..." not in listed.split("Commands:")[1]

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, write_json
 
 FAILED = 1
 """Exit status when a back-up or restoration is refused or fails."""
 
 
 @click.command()
-@click.argument("destination", required=False, type=click.Path(path_type=Path))
-@click.option(
+@click.argument("destination", required=False, type=FILE)
+@option(
     "--keep",
     type=click.IntRange(min=1),
     help="DESTINATION is a folder; afterwards remove all but its newest N back-ups.",
@@ -66,14 +66,14 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 
 
 @click.command()
-@click.argument("archive", type=click.Path(path_type=Path))
-@click.option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
-@click.option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
-@click.option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")
-@click.option("--accept-unsigned", is_flag=True, help="Restore although nobody who counts here has signed it.")
-@click.option("--store", type=click.Path(path_type=Path), help="Where the history goes.")
-@click.option("--commissioning-file", type=click.Path(path_type=Path), help="Where the commissioning record goes.")
-@click.option("--model-file", type=click.Path(path_type=Path), help="Where the model goes, its releases beside it.")
+@click.argument("archive", type=FILE)
+@option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
+@option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
+@option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")
+@option("--accept-unsigned", is_flag=True, help="Restore although nobody who counts here has signed it.")
+@option("--store", type=FILE, help="Where the history goes.")
+@option("--commissioning-file", type=FILE, help="Where the commissioning record goes.")
+@option("--model-file", type=FILE, help="Where the model goes, its releases beside it.")
 @config_option
 @json_option
 def restore(

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING
 import click
 
 from config.files import sha256_of
-from daemon.cli.common import BAD_USAGE, FiniteFloat, config_option, read_configuration, refuse
+from daemon.cli.common import (
+    BAD_USAGE,
+    EXISTING_FILE,
+    FILE,
+    POSITIVE,
+    FiniteFloat,
+    config_option,
+    option,
+    read_configuration,
+    refuse,
+)
 
 if TYPE_CHECKING:
     from config.schema import Configuration
@@ -52,22 +62,18 @@ def _readings(
 
 @click.command()
 @config_option
-@click.option(
+@option(
     "--axis",
     "axes",
     multiple=True,
     help="Commission this axis (repeatable; default: every axis that has a model, its `estimate`).",
 )
-@click.option(
-    "--offset-um",
-    type=FiniteFloat(min=-1000, max=1000),
-    default=5.0,
-    show_default=True,
-    help="Offset that each axis is moved by [um].",
+@option(
+    "--offset-um", type=FiniteFloat(min=-1000, max=1000), default=5.0, help="Offset that each axis is moved by [um]."
 )
-@click.option("--person", default=None, help="Who reads the instrument and signs (else asked).")
-@click.option("--instrument", default=None, help="What is read, with its number (else asked).")
-@click.option(
+@option("--person", help="Who reads the instrument and signs (else asked).")
+@option("--instrument", help="What is read, with its number (else asked).")
+@option(
     "--channel",
     "channels",
     metavar="AXIS=NAME",
@@ -75,8 +81,8 @@ def _readings(
     callback=_pairs,
     help="Read this axis from a displacement channel of the configuration (repeatable).",
 )
-@click.option("--samples", type=click.IntRange(min=2), default=10, show_default=True, help="Samples of a channel.")
-@click.option(
+@option("--samples", type=click.IntRange(min=2), default=10, help="Samples of a channel.")
+@option(
     "--reading",
     "readings",
     metavar="AXIS[/SEEN]=BEFORE,WITH,AFTER",
@@ -85,50 +91,33 @@ def _readings(
     help="Readings [um] that are to be seen while AXIS is commanded, of AXIS or of another axis SEEN (repeatable); "
     "each is confirmed at its moment, so not with --yes.",
 )
-@click.option(
-    "--patience-s",
-    type=FiniteFloat(min=0, min_open=True),
-    default=300.0,
-    show_default=True,
-    help="Wait this long for the guard to be called [s].",
-)
-@click.option("--yes", is_flag=True, help="Agree to every step beforehand; foreign values are not covered.")
-@click.option("--overwrite-foreign", is_flag=True, help="Set our variables to 0 though they hold strangers' values.")
-@click.option("--accept-reversed", multiple=True, metavar="AXIS", help="Record a reversed sign (repeatable).")
-@click.option("--accept-scale", multiple=True, metavar="AXIS", help="Record a scale that is not 1 (repeatable).")
-@click.option(
+@option("--patience-s", type=POSITIVE, default=300.0, help="Wait this long for the guard to be called [s].")
+@option("--yes", is_flag=True, help="Agree to every step beforehand; foreign values are not covered.")
+@option("--overwrite-foreign", is_flag=True, help="Set our variables to 0 though they hold strangers' values.")
+@option("--accept-reversed", multiple=True, metavar="AXIS", help="Record a reversed sign (repeatable).")
+@option("--accept-scale", multiple=True, metavar="AXIS", help="Record a scale that is not 1 (repeatable).")
+@option(
     "--guard-program",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    default=None,
+    type=EXISTING_FILE,
     help="Text of the guard program that is loaded in the control; its digest goes into the record.",
 )
-@click.option(
+@option(
     "--secrets",
     "secrets_path",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=None,
     help="Folder of the CNC's password and key files, when the service's credentials are not there.",
 )
-@click.option(
-    "--record",
-    "record_path",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="Where the record goes (default: compensation.commissioning_file).",
-)
-@click.option(
+@option("--record", "record_path", type=FILE, help="Where the record goes (default: compensation.commissioning_file).")
+@option(
     "--report",
     "report_path",
     type=click.Path(path_type=Path, dir_okay=False, writable=True),
     metavar="FILE.html",
-    default=None,
     help="Write the report to sign.",
 )
-@click.option("--initialise-only", is_flag=True, help="Initialise the macro variables and end.")
-@click.option("--check", "only_check", is_flag=True, help="Say what the record covers, without touching the CNC.")
-@click.option(
-    "--simulated-clock", metavar="REAL:UTC:SPEED", default=None, help="Run on the clock of a simulated machine."
-)
+@option("--initialise-only", is_flag=True, help="Initialise the macro variables and end.")
+@option("--check", "only_check", is_flag=True, help="Say what the record covers, without touching the CNC.")
+@option("--simulated-clock", metavar="REAL:UTC:SPEED", help="Run on the clock of a simulated machine.")
 def commission(
     config_path: Path,
     axes: tuple[str, ...],

@@ -5,22 +5,15 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import refuse
+from daemon.cli.common import NOT_A_FOLDER, option, refuse
 
-output_option = click.option(
-    "--output",
-    "-o",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=None,
-    help="Write to this new file instead of standard output.",
-)
+output_option = option("--output", "-o", type=NOT_A_FOLDER, help="Write to this new file instead of standard output.")
 
 
 @click.command("sample-config")
-@click.option(
+@option(
     "--machine",
     metavar="NAME",
-    default=None,
     help="Print a shipped machine description (such as cfrpmt) instead of the sample of all keys.",
 )
 @output_option

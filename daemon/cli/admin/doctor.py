@@ -11,6 +11,7 @@ from daemon.cli.common import (
     DEFAULT_CONFIGURATION,
     config_option,
     json_option,
+    option,
     read_with_warnings,
     show_finding,
     write_json,
@@ -39,7 +40,12 @@ def doctor(config_path: Path, json_path: str | None) -> None:
 
 @click.command()
 @config_option
-@click.option("--devices/--no-devices", default=True, help="Also open the ports, the files and the CNC (read only).")
+@option(
+    "--devices/--no-devices",
+    default=True,
+    help="Also open the ports, the files and the CNC (read only).",
+    show_default=False,
+)
 @json_option
 def check(config_path: Path, devices: bool, json_path: str | None) -> None:
     """Check the configuration and everything it names.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.admin.configuration import deliver, output_option
-from daemon.cli.common import config_option, read_configuration, refuse
+from daemon.cli.common import NOT_A_FOLDER, config_option, option, read_configuration, refuse
 
 if TYPE_CHECKING:
     from config.schema import Configuration
@@ -14,23 +14,19 @@ if TYPE_CHECKING:
 
 @click.command("guard")
 @config_option
-@click.option(
+@option(
     "--policy",
     type=click.Choice(["keep", "zero"]),
-    default=None,
     help="What an expired block does at a safe point (default: cnc.guard.on_expiry).",
 )
-@click.option(
-    "--program", metavar="NUMBER", type=int, default=None, help="O number of the guard (default: cnc.guard.program)."
-)
+@option("--program", metavar="NUMBER", type=int, help="O number of the guard (default: cnc.guard.program).")
 @output_option
-@click.option(
+@option(
     "--sheet",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=None,
+    type=NOT_A_FOLDER,
     help="Write the commissioning sheet to this new file (.html or .md) instead of printing the programs.",
 )
-@click.option("--speed", is_flag=True, help="Print the speed program (spindle_speed) instead.")
+@option("--speed", is_flag=True, help="Print the speed program (spindle_speed) instead.")
 def guard(
     config_path: Path, policy: str | None, program: int | None, output: Path | None, sheet: Path | None, speed: bool
 ) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.cli.common import NOT_A_FOLDER, config_option, json_option, option, read_configuration, refuse, write_json
 
 if TYPE_CHECKING:
     from config.records.release_record import ReleaseRecord
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 REFUSED = 1
 """Exit status when a model is refused."""
-note_option = click.option("--note", default="", help="Why, for the record.")
-bearings_option = click.option(
+note_option = option("--note", default="", help="Why, for the record.", show_default=False)
+bearings_option = option(
     "--bearings", is_flag=True, help="The bearing model of the spindle speed, not the thermal model."
 )
 
@@ -39,8 +39,8 @@ def model() -> None:
 
 
 @model.command("release")
-@click.argument("proposal", required=False, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
+@click.argument("proposal", required=False, type=NOT_A_FOLDER)
+@option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
 @bearings_option
 @note_option
 @config_option
@@ -78,7 +78,7 @@ def release_command(
 
 
 @model.command()
-@click.option("--to", "number", type=click.IntRange(min=1), help="The release to go back to (else the one before).")
+@option("--to", "number", type=click.IntRange(min=1), help="The release to go back to (else the one before).")
 @bearings_option
 @note_option
 @config_option

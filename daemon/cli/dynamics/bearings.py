@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import Command, FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import FILE, Command, FiniteFloat, json_option, option, refuse, write_json
 
 if TYPE_CHECKING:
     from models.thermomechanics.regression import AxisRegression
@@ -21,37 +21,39 @@ PLACES = {"ir": "spindle nose, infrared", "a": "housing, rear", "f": "front cove
 def _temperature_options(command: Command) -> Command:
     """Add four temperatures, their changes, and the changes over 4 minutes."""
     options: list[Callable[[Command], Command]] = [
-        click.option(f"--t-{name}", type=DEGC, required=True, help=f"T_{label} [degC] ({PLACES[name]}).")
+        option(f"--t-{name}", type=DEGC, required=True, help=f"T_{label} [degC] ({PLACES[name]}).")
         for name, label in SIGNALS.items()
     ]
     for name, label in SIGNALS.items():
         sentence = f"Change of T_{label} over each property's own interval (10 min; X: kt_34, kt_5 4 min) [K]."
         options.append(
-            click.option(f"--d-{name}", f"--d-t-{name}", f"d_{name}", type=KELVIN, default=0.0, help=sentence)
+            option(
+                f"--d-{name}", f"--d-t-{name}", f"d_{name}", type=KELVIN, default=0.0, help=sentence, show_default=False
+            )
         )
     for name, label in SIGNALS.items():
         sentence = f"Change of T_{label} over 4 min, where it differs from --d-{name} [K]."
-        options.append(click.option(f"--d4-{name}", type=KELVIN, default=None, help=sentence))
-    for option in reversed(options):
-        command = option(command)
+        options.append(option(f"--d4-{name}", type=KELVIN, help=sentence))
+    for each in reversed(options):
+        command = each(command)
     return command
 
 
 @click.command()
-@click.option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis that the regressions are for.")
+@option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis that the regressions are for.")
 @_temperature_options
-@click.option(
+@option(
     "--model",
     "model_path",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Model of a campaign (JSON) in place of the published tables; its signals must be IR, A, F and Room.",
 )
-@click.option(
+@option(
     "--bounds",
     "bounds_path",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Physical bounds (YAML) for the published tables, in place of the shipped ones.",
 )
 @json_option

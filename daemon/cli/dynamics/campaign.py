@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.common import (
+    FILE,
+    PLACE,
     POSITIVE,
     FiniteFloat,
     json_option,
+    option,
     refuse,
     rotary_option,
     show_warnings,
@@ -19,8 +22,6 @@ from daemon.cli.common import (
 
 if TYPE_CHECKING:
     from config.machine.spindle import Rotary
-
-FILE = click.Path(path_type=Path)
 
 
 def _writable(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
@@ -40,7 +41,7 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
 
 @click.command()
 @click.argument("folders", metavar="FRFS...", nargs=-1, required=True, type=FILE)
-@click.option(
+@option(
     "--temperatures",
     "recordings",
     metavar="RECORDING",
@@ -49,7 +50,7 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
     type=FILE,
     help="Recording of the temperatures (CSV), one for each folder.",
 )
-@click.option(
+@option(
     "--spindle",
     "spindle_path",
     metavar="SPINDLE.yaml",
@@ -57,24 +58,24 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
     help="Spindle that was hit: a file or a shipped name. Without: spindle.yaml in the first folder.",
 )
 @rotary_option
-@click.option(
+@option(
     "--config",
     "-c",
     "config_path",
     type=FILE,
     help="Configuration whose labels name the sensors T1, T2 ...; without: the columns themselves are the signals.",
 )
-@click.option("--signals", metavar="A,B,...", help="Signals to regress on. Without: chosen by correlation.")
-@click.option("--from-hz", type=POSITIVE, help="Lowest frequency used [Hz].")
-@click.option("--to-hz", type=POSITIVE, help="Highest frequency used [Hz]; up to where the beam model holds.")
+@option("--signals", metavar="A,B,...", help="Signals to regress on. Without: chosen by correlation.")
+@option("--from-hz", type=POSITIVE, help="Lowest frequency used [Hz].")
+@option("--to-hz", type=POSITIVE, help="Highest frequency used [Hz]; up to where the beam model holds.")
 @trust_option
-@click.option("--bounds", "bounds_path", metavar="FILE", type=FILE, help="Physical bounds (YAML).")
-@click.option(
+@option("--bounds", "bounds_path", metavar="FILE", type=FILE, help="Physical bounds (YAML).")
+@option(
     "--least-squares", is_flag=True, help="Plain least squares on all thirteen variables, as published; no penalty."
 )
-@click.option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
-@click.option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
-@click.option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")
+@option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
+@option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
+@option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")
 @json_option
 def campaign(
     folders: tuple[Path, ...],
@@ -148,17 +149,8 @@ def campaign(
 
 @click.command("simulate-campaign")
 @click.argument("folder", metavar="FOLDER", type=FILE)
-@click.option(
-    "--day", type=click.IntRange(0, 2**32 - 1), default=3, show_default=True, help="Seed of the simulated day."
-)
-@click.option(
-    "--df",
-    "step_hz",
-    type=FiniteFloat(min=0.1, max=50.0),
-    default=3.125,
-    show_default=True,
-    help="Step between frequencies [Hz].",
-)
+@option("--day", type=click.IntRange(0, 2**32 - 1), default=3, help="Seed of the simulated day.")
+@option("--df", "step_hz", type=FiniteFloat(min=0.1, max=50.0), default=3.125, help="Step between frequencies [Hz].")
 def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
     """Write an impact campaign on the simulated machine into FOLDER: responses, recording, spindle file."""
     from daemon.simulation.impact_campaign import write_campaign
@@ -171,22 +163,16 @@ def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
 
 @click.command()
 @click.argument("recording", metavar="RECORDING", type=FILE)
-@click.option("--model", "model_path", metavar="FILE", type=FILE, help="Model of a campaign. Without: the published.")
-@click.option("--spindle", "spindle_path", metavar="SPINDLE.yaml", type=FILE, required=True, help="Spindle with tool.")
-@click.option(
-    "--spindle-y", "spindle_y_path", metavar="SPINDLE.yaml", type=FILE, help="Spindle along Y where it differs."
-)
+@option("--model", "model_path", metavar="FILE", type=FILE, help="Model of a campaign. Without: the published.")
+@option("--spindle", "spindle_path", metavar="SPINDLE.yaml", type=FILE, required=True, help="Spindle with tool.")
+@option("--spindle-y", "spindle_y_path", metavar="SPINDLE.yaml", type=FILE, help="Spindle along Y where it differs.")
 @rotary_option
-@click.option("--axis", type=click.Choice(["x", "y", "both"]), default="both", show_default=True, help="Machine axes.")
-@click.option(
-    "--at", type=click.Choice(["nose", "holder", "tool"]), default="tool", show_default=True, help="Where to look."
-)
-@click.option("--config", "-c", "config_path", type=FILE, help="Configuration whose labels name T1, T2 ...")
-@click.option("--near-hz", type=POSITIVE, help="Follow the resonance nearest to this [Hz]. Without: the highest.")
-@click.option(
-    "--every-min", type=FiniteFloat(min=0.0, min_open=True), default=1.0, show_default=True, help="Results apart [min]."
-)
-@click.option(
+@option("--axis", type=click.Choice(["x", "y", "both"]), default="both", help="Machine axes.")
+@option("--at", type=PLACE, default="tool", help="Where to look.")
+@option("--config", "-c", "config_path", type=FILE, help="Configuration whose labels name T1, T2 ...")
+@option("--near-hz", type=POSITIVE, help="Follow the resonance nearest to this [Hz]. Without: the highest.")
+@option("--every-min", type=POSITIVE, default=1.0, help="Results apart [min].")
+@option(
     "--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write the curves over time (HTML)."
 )
 @json_option

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.common import (
+    PLACE,
     POSITIVE,
     csv_option,
     json_option,
+    option,
     picture_option,
     refuse,
     rotary_option,
@@ -33,7 +35,7 @@ def dynamics() -> None:
 @dynamics.command()
 @spindle_argument
 @rotary_option
-@click.option("--count", type=click.IntRange(1, 100), default=6, show_default=True, help="How many modes.")
+@option("--count", type=click.IntRange(1, 100), default=6, help="How many modes.")
 @picture_option
 @json_option
 def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path | None, json_path: str | None) -> None:
@@ -60,17 +62,16 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
 @dynamics.command()
 @spindle_argument
 @rotary_option
-@click.option(
+@option(
     "--at",
-    type=click.Choice(["nose", "holder", "tool"]),
+    type=PLACE,
     default="nose",
-    show_default=True,
     help="nose: of the spindle alone; holder: its front, without tool; tool: the tip.",
 )
-@click.option("--from-hz", type=POSITIVE, default=300.0, show_default=True, help="First frequency [Hz].")
-@click.option("--to-hz", type=POSITIVE, default=2500.0, show_default=True, help="Last frequency [Hz].")
-@click.option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
-@click.option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
+@option("--from-hz", type=POSITIVE, default=300.0, help="First frequency [Hz].")
+@option("--to-hz", type=POSITIVE, default=2500.0, help="Last frequency [Hz].")
+@option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
+@option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
 @csv_option
 @picture_option
 @json_option

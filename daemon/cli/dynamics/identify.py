@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from daemon.cli.common import (
+    FILE,
     POSITIVE,
     FiniteFloat,
     json_option,
+    option,
     picture_option,
     refuse,
     rotary_option,
@@ -22,19 +24,16 @@ if TYPE_CHECKING:
     from config.machine.spindle import Rotary
     from models.dynamics.identification import Method
 
-measured_argument = click.argument(
-    "measured", metavar="MEASURED...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-method_option = click.option(
+measured_argument = click.argument("measured", metavar="MEASURED...", nargs=-1, required=True, type=FILE)
+method_option = option(
     "--method",
     type=click.Choice(["lm", "nelder-mead"]),
     default="lm",
-    show_default=True,
     help="lm: least squares of the logarithm; nelder-mead: the simplex on the published sum of errors.",
 )
-from_option = click.option("--from-hz", type=POSITIVE, help="Use no lower frequencies [Hz].")
-to_option = click.option("--to-hz", type=POSITIVE, help="Use no higher frequencies [Hz].")
-coherence_option = click.option(
+from_option = option("--from-hz", type=POSITIVE, help="Use no lower frequencies [Hz].")
+to_option = option("--to-hz", type=POSITIVE, help="Use no higher frequencies [Hz].")
+coherence_option = option(
     "--least-coherence", type=FiniteFloat(min=0.0, max=1.0), help="Use only frequencies with at least this coherence."
 )
 
@@ -43,19 +42,17 @@ coherence_option = click.option(
 @spindle_argument
 @measured_argument
 @rotary_option
-@click.option(
+@option(
     "--parameters",
     type=click.Choice(["5", "7", "12"]),
     default="5",
-    show_default=True,
     help="How many bearing parameters are varied; the others are kept.",
 )
 @method_option
-@click.option(
+@option(
     "--fixed",
     type=click.Choice(["auto", "source", "file"]),
     default="auto",
-    show_default=True,
     help="Kept parameters: source, the published values; file, SPINDLE's; auto, published unless only SPINDLE's fit.",
 )
 @from_option
@@ -109,13 +106,13 @@ def identify(
 @spindle_argument
 @measured_argument
 @rotary_option
-@click.option(
+@option(
     "--joint",
     type=click.Choice(["spindle-holder", "holder-tool", "shaft"]),
     required=True,
     help="Measured at the holder's front, at the tool's tip, or at the nose of the shaft.",
 )
-@click.option("--after-segment", type=click.IntRange(1), help="Segment in front of a joint in the shaft, from 1.")
+@option("--after-segment", type=click.IntRange(1), help="Segment in front of a joint in the shaft, from 1.")
 @method_option
 @from_option
 @to_option

@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.common import (
+    FILE,
+    PLACE,
     POSITIVE,
     FiniteFloat,
     json_option,
+    option,
     picture_option,
     rotary_option,
     show_warnings,
@@ -23,14 +26,13 @@ if TYPE_CHECKING:
 @click.command()
 @spindle_argument
 @rotary_option
-@click.option(
+@option(
     "--percent",
     type=FiniteFloat(min=0.0, max=90.0, min_open=True),
     default=5.0,
-    show_default=True,
     help="By how much the moduli are off, up and down [%].",
 )
-@click.option("--count", type=click.IntRange(1, 100), default=2, show_default=True, help="How many modes.")
+@option("--count", type=click.IntRange(1, 100), default=2, help="How many modes.")
 @picture_option
 @json_option
 def sensitivity(
@@ -65,18 +67,12 @@ def sensitivity(
 
 
 @click.command()
-@click.argument("spindle_paths", metavar="SPINDLE.yaml...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("spindle_paths", metavar="SPINDLE.yaml...", nargs=-1, required=True, type=FILE)
 @rotary_option
-@click.option(
-    "--at",
-    type=click.Choice(["nose", "holder", "tool"]),
-    default="nose",
-    show_default=True,
-    help="Where the responses are compared.",
-)
-@click.option("--from-hz", type=POSITIVE, default=300.0, show_default=True, help="First frequency [Hz].")
-@click.option("--to-hz", type=POSITIVE, default=2500.0, show_default=True, help="Last frequency [Hz].")
-@click.option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
+@option("--at", type=PLACE, default="nose", help="Where the responses are compared.")
+@option("--from-hz", type=POSITIVE, default=300.0, help="First frequency [Hz].")
+@option("--to-hz", type=POSITIVE, default=2500.0, help="Last frequency [Hz].")
+@option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
 @picture_option
 @json_option
 def compare(

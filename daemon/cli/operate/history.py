@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, write_json
 from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, sensor_list, view
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
@@ -21,12 +21,7 @@ from models.records import ProbeSample
 
 KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
 KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
-store_option = click.option(
-    "--store",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="The store's file (else the configuration's history.path).",
-)
+store_option = option("--store", type=FILE, help="The store's file (else the configuration's history.path).")
 
 
 @contextmanager
@@ -41,8 +36,8 @@ def open_history(store: Path | None, config_path: Path) -> Iterator[HistoryReade
 @click.argument("what", type=click.Choice(KINDS_SHOWN), default="summary")
 @config_option
 @store_option
-@click.option("--last", "last_s", callback=duration, default="1h", show_default=True, help="How far back to look.")
-@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows shown, newest kept.")
+@option("--last", "last_s", callback=duration, default="1h", help="How far back to look.")
+@option("--limit", type=click.IntRange(min=1), default=50, help="Rows shown, newest kept.")
 @json_option
 def history(what: str, config_path: Path, store: Path | None, last_s: float, limit: int, json_path: str | None) -> None:
     """Show what the daemon recorded: WHAT is summary, writes, events, probes, estimates or cnc."""
@@ -165,15 +160,13 @@ def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int)
 @click.command()
 @config_option
 @store_option
-@click.option("--what", type=click.Choice(KINDS_EXPORTED), required=True, help="Which records.")
-@click.option(
-    "--from", "from_utc_s", callback=moment, required=True, help="Start: ISO 8601 (UTC without offset) or -24h."
-)
-@click.option("--to", "to_utc_s", callback=moment, default="now", show_default=True, help="End, not included.")
-@click.option("--sensors", callback=sensor_list, default=None, help="Sensor IDs, such as 1-5,7 (temperatures only).")
-@click.option("--quality", is_flag=True, help="Add quality and reason of every temperature.")
-@click.option("--format", "format_", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
-@click.option(
+@option("--what", type=click.Choice(KINDS_EXPORTED), required=True, help="Which records.")
+@option("--from", "from_utc_s", callback=moment, required=True, help="Start: ISO 8601 (UTC without offset) or -24h.")
+@option("--to", "to_utc_s", callback=moment, default="now", help="End, not included.")
+@option("--sensors", callback=sensor_list, help="Sensor IDs, such as 1-5,7 (temperatures only).")
+@option("--quality", is_flag=True, help="Add quality and reason of every temperature.")
+@option("--format", "format_", type=click.Choice(["csv", "parquet"]), default="csv")
+@option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True), required=True, help="File; '-': CSV to stdout."
 )
 def export(

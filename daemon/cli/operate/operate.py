@@ -8,20 +8,14 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, write_json
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
 
 NOT_DONE = 1
 """Exit status when the daemon refused or could not be reached."""
 
-socket_option = click.option(
-    "--socket",
-    "socket_path",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="Socket of the daemon (else the configuration's).",
-)
-speed_option = click.option(
+socket_option = option("--socket", "socket_path", type=FILE, help="Socket of the daemon (else the configuration's).")
+speed_option = option(
     "--spindle-speed", is_flag=True, help="Not the compensation: the tuning of the spindle speed, and nothing else."
 )
 
@@ -116,7 +110,7 @@ def enable(config_path: Path, socket_path: Path | None, spindle_speed: bool, axe
 @click.command()
 @config_option
 @socket_option
-@click.option("--zero", is_flag=True, help="Disable every axis and retreat to zero, not to the reference's baseline.")
+@option("--zero", is_flag=True, help="Disable every axis and retreat to zero, not to the reference's baseline.")
 @speed_option
 @click.argument("axes", nargs=-1)
 def disable(

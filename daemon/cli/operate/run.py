@@ -9,7 +9,7 @@ import click
 import structlog
 
 from daemon.app import Daemon
-from daemon.cli.common import config_option, read_with_warnings
+from daemon.cli.common import config_option, option, read_with_warnings
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.registry import import_drivers
@@ -44,10 +44,9 @@ async def _live(daemon: Daemon) -> None:
 
 @click.command()
 @config_option
-@click.option(
+@option(
     "--simulated-clock",
     metavar="REAL:UTC:SPEED",
-    default=None,
     help="Run on a scaled clock beside a simulated machine; any other CNC is then refused.",
 )
 def run(config_path: Path, simulated_clock: str | None) -> None:

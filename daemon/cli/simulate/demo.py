@@ -12,7 +12,7 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import FiniteFloat, json_option, write_json
+from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
 from daemon.simulation.processes import (
@@ -27,31 +27,12 @@ LIVE_PERIOD_S = 0.25
 
 
 @click.command()
-@click.option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
-@click.option(
-    "--minutes", type=FiniteFloat(min=0, min_open=True), default=None, help="Simulated minutes (headless: 60)."
-)
-@click.option(
-    "--speed",
-    type=FiniteFloat(min=0, min_open=True, max=600),
-    default=60.0,
-    show_default=True,
-    help="Simulated seconds per second.",
-)
-@click.option(
-    "--directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=None,
-    help="Where wires, logs and store go, and stay (default: a folder that is removed).",
-)
-@click.option(
-    "--faults",
-    "faults_path",
-    type=click.Path(path_type=Path, exists=True),
-    default=None,
-    help="Fault script (YAML) for the simulated machine.",
-)
-@click.option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
+@option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
+@option("--minutes", type=POSITIVE, help="Simulated minutes (headless: 60).")
+@option("--speed", type=FiniteFloat(min=0, min_open=True, max=600), default=60.0, help="Simulated seconds per second.")
+@directory_option
+@option("--faults", "faults_path", type=EXISTING, help="Fault script (YAML) for the simulated machine.")
+@option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
 @json_option
 def demo(
     headless: bool,

@@ -5,31 +5,24 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, write_json
+from daemon.cli.common import FiniteFloat, directory_option, json_option, option, write_json
 from daemon.cli.simulate.demo import simulation_folder
 
 
 @click.command()
-@click.option(
+@option(
     "--days",
     type=FiniteFloat(min=0.01, max=366),
     default=1.0,
-    show_default=True,
     help="Simulated days, about two minutes each. Every kind of fault has come once after the first.",
 )
-@click.option(
+@option(
     "--seed",
     type=click.IntRange(min=0, max=2**31 - 1),
     default=1,
-    show_default=True,
     help="Day, faults and their times; the same seed gives the same.",
 )
-@click.option(
-    "--directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=None,
-    help="Where configuration, log and store go, and stay (default: a folder that is removed).",
-)
+@directory_option
 @json_option
 def faults(days: float, seed: int, directory: Path | None, json_path: str | None) -> None:
     """Run the daemon beside a simulated machine on which everything goes wrong, and check what must hold.

@@ -7,7 +7,15 @@ from typing import Any, cast
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import (
+    NOT_A_FOLDER,
+    FiniteFloat,
+    directory_option,
+    json_option,
+    option,
+    refuse,
+    write_json,
+)
 from daemon.cli.simulate.demo import simulation_folder
 
 PLOTS = (".html", ".png", ".svg")
@@ -29,48 +37,38 @@ def _plottable(ctx: click.Context, param: click.Parameter, value: Path | None) -
 
 
 @click.command()
-@click.option(
+@option(
     "--switches",
     type=click.IntRange(min=1, max=200),
     default=10,
-    show_default=True,
     help="How often the sensor is moved between the hot and the ice pack.",
 )
-@click.option(
+@option(
     "--speed",
     type=FiniteFloat(min=0, min_open=True, max=600),
     default=60.0,
-    show_default=True,
     help="Simulated seconds per second; it does not change the delays.",
 )
-@click.option(
+@option(
     "--mode",
     type=click.Choice(["temperature", "compensation"]),
     default="temperature",
-    show_default=True,
     help="temperature: the value itself goes to a macro, as published; compensation: the whole chain.",
 )
-@click.option(
+@option(
     "--cleansing",
     type=click.Choice(["on", "off"]),
     default="off",
-    show_default=True,
     help="Whether the cleansing rule, which holds such a step back, stands before the macro.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the random phases.")
-@click.option(
+@option("--seed", type=click.IntRange(min=0), default=1, help="Of the random phases.")
+@option(
     "--plot",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=NOT_A_FOLDER,
     callback=_plottable,
-    default=None,
     help="Draw both distributions and the moves into FILE (.html, .png or .svg).",
 )
-@click.option(
-    "--directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=None,
-    help="Where wires, logs and store go, and stay (default: a folder that is removed).",
-)
+@directory_option
 @json_option
 def latency(
     switches: int,

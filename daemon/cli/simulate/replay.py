@@ -6,7 +6,16 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import (
+    EXISTING_FILE,
+    FOLDER,
+    NOT_NEGATIVE,
+    POSITIVE,
+    json_option,
+    option,
+    refuse,
+    write_json,
+)
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
@@ -19,36 +28,19 @@ FASTEST = 600.0
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option(
-    "--map",
-    "map_path",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    default=None,
-    help="Which columns are what (YAML; default: the usual names).",
-)
-@click.option(
+@click.argument("recording", type=EXISTING_FILE)
+@option("--map", "map_path", type=EXISTING_FILE, help="Which columns are what (YAML; default: the usual names).")
+@option(
     "--model",
     "model_path",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=EXISTING_FILE,
     required=True,
     help="Thermal model (JSON) from `toolpoint thermal train`.",
 )
-@click.option(
-    "--speed",
-    type=FiniteFloat(min=0, min_open=True),
-    default=FASTEST,
-    show_default=True,
-    help="Simulated seconds per second; more than 600 is taken as 600.",
-)
-@click.option("--from-hours", type=FiniteFloat(min=0), default=None, help="Begin here [h].")
-@click.option("--to-hours", type=FiniteFloat(min=0), default=None, help="End here [h].")
-@click.option(
-    "--directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=None,
-    help="Where wires, logs and store go, and stay.",
-)
+@option("--speed", type=POSITIVE, default=FASTEST, help="Simulated seconds per second; more than 600 is taken as 600.")
+@option("--from-hours", type=NOT_NEGATIVE, help="Begin here [h].")
+@option("--to-hours", type=NOT_NEGATIVE, help="End here [h].")
+@option("--directory", type=FOLDER, help="Where wires, logs and store go, and stay.")
 @json_option
 def replay(
     recording: Path,

@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, config_option, read_configuration, refuse
+from daemon.cli.common import (
+    EXISTING,
+    NOT_NEGATIVE,
+    POSITIVE,
+    config_option,
+    option,
+    read_configuration,
+    refuse,
+)
 from daemon.cli.operate.run import parse_simulated_clock
 from daemon.simulation.replaying import map_of, parse_hours
 from daemon.simulation.simulation import packed_simulation, recorded_simulation, simulated_day
@@ -18,60 +26,39 @@ from drivers.contract import DriverError
 
 @click.command()
 @config_option
-@click.option(
+@option(
     "--directory",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     required=True,
     help="Where the serial lines (NAME.tty) and the displacement file go.",
 )
-@click.option(
+@option(
     "--simulated-clock",
     metavar="REAL:UTC:SPEED",
     required=True,
     help="Monotonic and calendar second at which simulated time is 0, and its speed.",
 )
-@click.option("--day", type=int, default=None, help="Seed of the simulated day (default: the demo's).")
-@click.option(
-    "--standing", is_flag=True, help="Stand at a safe point, spindle off, and call the guard again and again."
-)
-@click.option(
+@option("--day", type=int, help="Seed of the simulated day (default: the demo's).")
+@option("--standing", is_flag=True, help="Stand at a safe point, spindle off, and call the guard again and again.")
+@option(
     "--recording",
-    type=click.Path(path_type=Path, exists=True),
-    default=None,
+    type=EXISTING,
     help="Play this recording instead of the simulated machine (prepared by `toolpoint replay`).",
 )
-@click.option(
-    "--map",
-    "map_path",
-    type=click.Path(path_type=Path, exists=True),
-    default=None,
-    help="Map of the recording's columns (YAML).",
-)
-@click.option(
+@option("--map", "map_path", type=EXISTING, help="Map of the recording's columns (YAML).")
+@option(
     "--packs",
     "packs_path",
-    type=click.Path(path_type=Path, exists=True),
-    default=None,
+    type=EXISTING,
     help="Script (YAML) of a sensor that is moved between two packs (prepared by `toolpoint latency`).",
 )
-@click.option("--hours", default=None, metavar="A-B", help="Play these hours of the recording only.")
-@click.option(
-    "--faults", "faults_path", type=click.Path(path_type=Path, exists=True), default=None, help="Fault script (YAML)."
-)
-@click.option(
-    "--until-s", type=FiniteFloat(min=0), default=None, help="Send no cycle that would begin after this time [s]."
-)
-@click.option(
-    "--report-s",
-    type=FiniteFloat(min=0, min_open=True),
-    default=10.0,
-    show_default=True,
-    help="Time between reports [s].",
-)
-@click.option(
+@option("--hours", metavar="A-B", help="Play these hours of the recording only.")
+@option("--faults", "faults_path", type=EXISTING, help="Fault script (YAML).")
+@option("--until-s", type=NOT_NEGATIVE, help="Send no cycle that would begin after this time [s].")
+@option("--report-s", type=POSITIVE, default=10.0, help="Time between reports [s].")
+@option(
     "--server-key",
-    type=click.Path(path_type=Path, exists=True),
-    default=None,
+    type=EXISTING,
     help="Private key of the simulated CNC; it then demands what cnc.opcua.security says.",
 )
 def simulate(

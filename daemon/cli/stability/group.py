@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+from daemon.cli.common import (
+    FILE,
+    LOBES_METHOD,
+    NOT_NEGATIVE,
+    POSITIVE,
+    FiniteFloat,
+    json_option,
+    option,
+    picture_option,
+    refuse,
+    write_json,
+)
 from daemon.cli.stability.recordings import chatter, roughness
 from daemon.cli.stability.studies import coefficients, compare, modes
 from daemon.cli.stability.warm_up import warm_up
@@ -17,7 +28,6 @@ from models.json_values import finite_or_none
 if TYPE_CHECKING:
     from models.stability.lobes import StabilityLobes
 
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
 FASTEST_RPM, DEEPEST_MM = 1e6, 1e4
 """Beyond these a number is a slip of the pen."""
 SPEED = FiniteFloat(min=0.0, min_open=True, max=FASTEST_RPM)
@@ -51,23 +61,22 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
 
 
 @stability.command()
-@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
-@click.option(
+@click.argument("case_path", metavar="CASE.yaml", type=FILE)
+@option(
     "--method",
-    type=click.Choice(["zoa", "sdm"]),
+    type=LOBES_METHOD,
     default="zoa",
-    show_default=True,
     help="zoa: zeroth-order solution; sdm: semi-discretisation, which also shows flip lobes.",
 )
-@click.option("--from-rpm", type=SPEED, default=2000.0, show_default=True, help="First spindle speed [1/min].")
-@click.option("--to-rpm", type=SPEED, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
-@click.option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 100 (sdm).")
-@click.option(
+@option("--from-rpm", type=SPEED, default=2000.0, help="First spindle speed [1/min].")
+@option("--to-rpm", type=SPEED, default=14000.0, help="Last spindle speed [1/min].")
+@option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 100 (sdm).")
+@option(
     "--max-depth-mm",
     type=DEPTH,
     help="Look no deeper than this [mm]; a speed that is stable up to there shows this depth and no frequency.",
 )
-@click.option(
+@option(
     "--at",
     "at",
     metavar="RPM:DEPTH_MM",
@@ -75,7 +84,7 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     callback=_points,
     help="Spectral radius at this speed and depth (sdm; may be repeated); without the lobes.",
 )
-@click.option("--steps", type=click.IntRange(8, 2000), help="Steps per tooth passing (sdm). Without: 200 for --at.")
+@option("--steps", type=click.IntRange(8, 2000), help="Steps per tooth passing (sdm). Without: 200 for --at.")
 @picture_option
 @json_option
 def lobes(
@@ -165,12 +174,10 @@ def _show_radii(content: dict[str, Any]) -> None:
 
 
 @stability.command()
-@click.option("--resonance-hz", type=POSITIVE, required=True, help="Tracked resonance f_r [Hz].")
-@click.option(
-    "--offset-hz", type=FiniteFloat(), default=20.0, show_default=True, help="Signed offset f_o below it [Hz]."
-)
-@click.option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
-@click.option("--lobe", type=click.IntRange(1), default=1, show_default=True, help="Lobe number; 1 is the fastest.")
+@option("--resonance-hz", type=POSITIVE, required=True, help="Tracked resonance f_r [Hz].")
+@option("--offset-hz", type=FiniteFloat(), default=20.0, help="Signed offset f_o below it [Hz].")
+@option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
+@option("--lobe", type=click.IntRange(1), default=1, help="Lobe number; 1 is the fastest.")
 @json_option
 def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_path: str | None) -> None:
     """Spindle speed from a resonance: 60 (f_r - f_o) / (teeth x lobe)."""
@@ -191,42 +198,26 @@ def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_pat
 
 
 @stability.command()
-@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
-@click.option("--programmed-rpm", type=SPEED, required=True, help="Programmed spindle speed [1/min].")
-@click.option("--depth-mm", type=DEPTH, required=True, help="Programmed axial depth of cut [mm].")
-@click.option("--min-rpm", type=SPEED, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min].")
-@click.option(
-    "--max-rpm", type=SPEED, default=14000.0, show_default=True, help="Highest speed of machine and tool [1/min]."
-)
-@click.option(
-    "--max-change-percent",
-    type=POSITIVE,
-    default=20.0,
-    show_default=True,
-    help="Greatest change against the programmed speed [%].",
-)
-@click.option(
+@click.argument("case_path", metavar="CASE.yaml", type=FILE)
+@option("--programmed-rpm", type=SPEED, required=True, help="Programmed spindle speed [1/min].")
+@option("--depth-mm", type=DEPTH, required=True, help="Programmed axial depth of cut [mm].")
+@option("--min-rpm", type=SPEED, default=1000.0, help="Lowest speed of the machine [1/min].")
+@option("--max-rpm", type=SPEED, default=14000.0, help="Highest speed of machine and tool [1/min].")
+@option("--max-change-percent", type=POSITIVE, default=20.0, help="Greatest change against the programmed speed [%].")
+@option(
     "--margin-percent",
-    type=FiniteFloat(min=0.0),
+    type=NOT_NEGATIVE,
     default=20.0,
-    show_default=True,
     help="The limiting depth exceeds the programmed one by this much [%].",
 )
-@click.option(
+@option(
     "--tolerance-percent",
     type=FiniteFloat(min=0.0, max=40.0),
     default=1.0,
-    show_default=True,
     help="It does so this far to both sides of the speed [%].",
 )
-@click.option("--feed-mm-min", type=POSITIVE, help="Programmed feed [mm/min], to be changed with the speed.")
-@click.option(
-    "--method",
-    type=click.Choice(["zoa", "sdm"]),
-    default="zoa",
-    show_default=True,
-    help="zoa: zeroth-order solution; sdm: semi-discretisation.",
-)
+@option("--feed-mm-min", type=POSITIVE, help="Programmed feed [mm/min], to be changed with the speed.")
+@option("--method", type=LOBES_METHOD, default="zoa", help="zoa: zeroth-order solution; sdm: semi-discretisation.")
 @json_option
 def choose(
     case_path: Path,

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+from daemon.cli.common import FILE, POSITIVE, FiniteFloat, json_option, option, picture_option, refuse, write_json
 
 if TYPE_CHECKING:
     from daemon.workbench.stability.recordings import Passage
 
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
 SCALE = FiniteFloat(min=1e-6, max=1e6)
 
 
@@ -31,10 +30,10 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
 
 
 @click.command()
-@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
-@click.option("--speed-rpm", type=POSITIVE, required=True, help="Spindle speed [1/min], to within 0.5 %.")
-@click.option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
-@click.option(
+@click.argument("recording_path", metavar="RECORDING", type=FILE)
+@option("--speed-rpm", type=POSITIVE, required=True, help="Spindle speed [1/min], to within 0.5 %.")
+@option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
+@option(
     "--passage",
     "passages",
     metavar="FROM_S:TO_S:DEPTH_MM",
@@ -42,7 +41,7 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
     callback=_passages,
     help="A part of the recording cut at one depth (may be repeated); without, the whole is judged.",
 )
-@click.option("--full-scale-m-s2", type=SCALE, help="What full scale of a WAV file means [m/s^2].")
+@option("--full-scale-m-s2", type=SCALE, help="What full scale of a WAV file means [m/s^2].")
 @picture_option
 @json_option
 def chatter(
@@ -91,8 +90,8 @@ def _show(part: dict[str, Any]) -> None:
 
 
 @click.command()
-@click.argument("profile_path", metavar="PROFILE.csv", type=click.Path(path_type=Path))
-@click.option("--cutoff-mm", type=POSITIVE, help="Cut-off of the Gaussian filter [mm]; without, the mean line only.")
+@click.argument("profile_path", metavar="PROFILE.csv", type=FILE)
+@option("--cutoff-mm", type=POSITIVE, help="Cut-off of the Gaussian filter [mm]; without, the mean line only.")
 @json_option
 def roughness(profile_path: Path, cutoff_mm: float | None, json_path: str | None) -> None:
     """Roughness per depth of cut from a surface PROFILE (CSV with position_mm,height_um and, if any, depth_mm)."""

@@ -6,26 +6,27 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+from daemon.cli.common import (
+    FILE,
+    LOBES_METHOD,
+    POSITIVE,
+    json_option,
+    option,
+    picture_option,
+    refuse,
+    write_json,
+)
 from models.json_values import finite_or_none
-
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
 
 
 @click.command()
-@click.argument("case_paths", metavar="CASE.yaml...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--from-rpm", type=POSITIVE, default=2000.0, show_default=True, help="First spindle speed [1/min].")
-@click.option("--to-rpm", type=POSITIVE, default=14000.0, show_default=True, help="Last spindle speed [1/min].")
-@click.option("--points", type=click.IntRange(2, 20000), default=400, show_default=True, help="Number of speeds.")
-@click.option(
-    "--method",
-    type=click.Choice(["zoa", "sdm"]),
-    default="zoa",
-    show_default=True,
-    help="zoa: zeroth-order solution; sdm: semi-discretisation.",
-)
-@click.option("--programmed-rpm", type=POSITIVE, help="Programmed speed [1/min]; with --depth-mm a speed is chosen.")
-@click.option("--depth-mm", type=POSITIVE, help="Programmed axial depth of cut [mm].")
+@click.argument("case_paths", metavar="CASE.yaml...", nargs=-1, required=True, type=FILE)
+@option("--from-rpm", type=POSITIVE, default=2000.0, help="First spindle speed [1/min].")
+@option("--to-rpm", type=POSITIVE, default=14000.0, help="Last spindle speed [1/min].")
+@option("--points", type=click.IntRange(2, 20000), default=400, help="Number of speeds.")
+@option("--method", type=LOBES_METHOD, default="zoa", help="zoa: zeroth-order solution; sdm: semi-discretisation.")
+@option("--programmed-rpm", type=POSITIVE, help="Programmed speed [1/min]; with --depth-mm a speed is chosen.")
+@option("--depth-mm", type=POSITIVE, help="Programmed axial depth of cut [mm].")
 @picture_option
 @json_option
 def compare(
@@ -82,7 +83,7 @@ def compare(
 
 
 @click.command()
-@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
+@click.argument("case_path", metavar="CASE.yaml", type=FILE)
 @picture_option
 @json_option
 def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
@@ -112,9 +113,9 @@ def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
 
 
 @click.command()
-@click.argument("forces_path", metavar="[FORCES.csv]", required=False, type=click.Path(path_type=Path))
-@click.option("--case", "case_path", type=click.Path(path_type=Path), help="The case that was cut (tool, engagement).")
-@click.option("--depth-mm", type=POSITIVE, help="Axial depth of cut of the measurement [mm].")
+@click.argument("forces_path", metavar="[FORCES.csv]", required=False, type=FILE)
+@option("--case", "case_path", type=FILE, help="The case that was cut (tool, engagement).")
+@option("--depth-mm", type=POSITIVE, help="Axial depth of cut of the measurement [mm].")
 @json_option
 def coefficients(
     forces_path: Path | None, case_path: Path | None, depth_mm: float | None, json_path: str | None

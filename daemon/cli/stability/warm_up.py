@@ -4,79 +4,70 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, picture_option, refuse, write_json
+from daemon.cli.common import (
+    FILE,
+    LOBES_METHOD,
+    POSITIVE,
+    FiniteFloat,
+    json_option,
+    option,
+    picture_option,
+    refuse,
+    write_json,
+)
 
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
 PERCENT = FiniteFloat(min=0.0, max=40.0)
 
 
 @click.command("warm-up")
-@click.argument("case_path", metavar="CASE.yaml", type=click.Path(path_type=Path))
-@click.option("--programmed-rpm", type=POSITIVE, required=True, help="Programmed spindle speed [1/min].")
-@click.option("--depth-mm", type=POSITIVE, required=True, help="Programmed axial depth of cut [mm].")
-@click.option("--minutes", type=click.IntRange(5, 600), default=60, show_default=True, help="Time of milling [min].")
-@click.option(
-    "--feed-per-tooth-mm", type=POSITIVE, default=0.05, show_default=True, help="Programmed feed per tooth [mm]."
-)
-@click.option(
-    "--min-rpm", type=POSITIVE, default=1000.0, show_default=True, help="Lowest speed of the machine [1/min]."
-)
-@click.option(
+@click.argument("case_path", metavar="CASE.yaml", type=FILE)
+@option("--programmed-rpm", type=POSITIVE, required=True, help="Programmed spindle speed [1/min].")
+@option("--depth-mm", type=POSITIVE, required=True, help="Programmed axial depth of cut [mm].")
+@option("--minutes", type=click.IntRange(5, 600), default=60, help="Time of milling [min].")
+@option("--feed-per-tooth-mm", type=POSITIVE, default=0.05, help="Programmed feed per tooth [mm].")
+@option("--min-rpm", type=POSITIVE, default=1000.0, help="Lowest speed of the machine [1/min].")
+@option(
     "--max-rpm",
     type=FiniteFloat(min=0.0, min_open=True, max=12000.0),
     default=12000.0,
-    show_default=True,
     help="Highest speed; the simulated machine's own is 12000 [1/min].",
 )
-@click.option(
-    "--max-change-percent", type=POSITIVE, default=20.0, show_default=True, help="Greatest change of the speed [%]."
-)
-@click.option(
+@option("--max-change-percent", type=POSITIVE, default=20.0, help="Greatest change of the speed [%].")
+@option(
     "--margin-percent",
     type=PERCENT,
     default=20.0,
-    show_default=True,
     help="The limiting depth exceeds the programmed one by this much [%].",
 )
-@click.option(
-    "--tolerance-percent",
-    type=PERCENT,
-    default=2.0,
-    show_default=True,
-    help="It does so this far to both sides of the speed [%].",
-)
-@click.option(
+@option("--tolerance-percent", type=PERCENT, default=2.0, help="It does so this far to both sides of the speed [%].")
+@option(
     "--offset-hz",
     type=FiniteFloat(),
     default=20.0,
-    show_default=True,
     help="The published rule keeps the tooth-passing frequency this far below the resonance [Hz].",
 )
-@click.option(
+@option(
     "--rule-axis", type=click.Choice(["x", "y"]), help="Axis that the rule follows. Without: the softer at resonance."
 )
-@click.option(
+@option(
     "--method",
-    type=click.Choice(["zoa", "sdm"]),
+    type=LOBES_METHOD,
     default="zoa",
-    show_default=True,
     help="Lobes that the tuning uses: zeroth-order solution, or semi-discretisation.",
 )
-@click.option(
+@option(
     "--verify-with-sdm/--no-verify-with-sdm",
     default=True,
-    show_default=True,
     help="Verify a chosen speed by semi-discretisation (SDM) too.",
 )
-@click.option(
+@option(
     "--dynamics",
     type=click.Choice(["spindle", "case"]),
     default="spindle",
-    show_default=True,
     help="spindle: finite elements of the simulated machine with its end mill of 10 or 16 mm; case: the CASE's modes.",
 )
-@click.option("--machine", "machine_seed", type=click.IntRange(0), default=1, show_default=True, help="Which machine.")
-@click.option("--day", "day_seed", type=click.IntRange(0), default=1, show_default=True, help="Which day.")
+@option("--machine", "machine_seed", type=click.IntRange(0), default=1, help="Which machine.")
+@option("--day", "day_seed", type=click.IntRange(0), default=1, help="Which day.")
 @picture_option
 @json_option
 def warm_up(

@@ -4,18 +4,18 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import ProgressBar, json_option, refuse, write_json
+from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, write_json
 
 STEPS = 1000
 
 
 @click.command()
-@click.argument("folder", metavar="OUT", type=click.Path(path_type=Path))
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True, help="Which hall.")
-@click.option(
+@click.argument("folder", metavar="OUT", type=FILE)
+@option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, help="Which hall.")
+@option(
     "--programme",
     "programme_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Operations (YAML). Without: the published programme of twenty data sets.",
 )
 @json_option

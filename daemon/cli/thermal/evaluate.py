@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import click
 
-from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, write_json
+from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, write_json
 
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
@@ -42,17 +42,15 @@ def parse_fault(text: str) -> "Fault":
 
 
 @click.command()
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
-@click.option("--model", type=click.Choice(MODELS), default="default", show_default=True, help="Family of models.")
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
+@option("--model", type=click.Choice(MODELS), default="default", help="Family of models.")
 @hours_option("--train-hours", help="Train on these hours of each recording.")
 @hours_option("--test-hours", help="Test these hours of each recording, as one run with one reference at its start.")
-@click.option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")
-@click.option("--leave-out-runs", is_flag=True, help="Test each recording on a model of the others.")
-@click.option(
-    "--probe-minutes", type=FiniteFloat(min=0.0, min_open=True), help="A probe resets the offset so often [min]."
-)
-@click.option(
+@option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")
+@option("--leave-out-runs", is_flag=True, help="Test each recording on a model of the others.")
+@option("--probe-minutes", type=POSITIVE, help="A probe resets the offset so often [min].")
+@option(
     "--fault",
     "faults",
     multiple=True,

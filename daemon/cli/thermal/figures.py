@@ -5,20 +5,14 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import ProgressBar, json_option, refuse, write_json
+from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, write_json
 
 
 @click.command()
-@click.argument("folder", metavar="CAMPAIGN", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for report and pictures.")
-@click.option("--b0/--no-b0", "intercept", default=True, show_default=True, help="Fit a drift with time.")
-@click.option(
-    "--repeats",
-    type=click.IntRange(1, 100),
-    default=5,
-    show_default=True,
-    help="Random orders in which sensors are removed.",
-)
+@click.argument("folder", metavar="CAMPAIGN", type=FILE)
+@option("-o", "--output", required=True, type=FILE, help="Folder for report and pictures.")
+@option("--b0/--no-b0", "intercept", default=True, help="Fit a drift with time.")
+@option("--repeats", type=click.IntRange(1, 100), default=5, help="Random orders in which sensors are removed.")
 @json_option
 def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path: str | None) -> None:
     """Draw every figure of the published study of thermal errors from the recordings of a CAMPAIGN.

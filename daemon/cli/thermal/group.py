@@ -5,7 +5,16 @@ from typing import Any, Literal
 
 import click
 
-from daemon.cli.common import FiniteFloat, ProgressBar, hours_option, json_option, refuse, write_json
+from daemon.cli.common import (
+    FILE,
+    POSITIVE,
+    ProgressBar,
+    hours_option,
+    json_option,
+    option,
+    refuse,
+    write_json,
+)
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal.figures import figures
@@ -41,27 +50,21 @@ thermal.add_command(sensors)
 
 
 @thermal.command()
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
-@click.option(
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
+@option(
     "--model",
     "family",
     type=click.Choice(MODELS),
     help="Family of models. Without: increments, as the options below say.",
 )
 @hours_option("--hours", help="Train on these hours of each recording only.")
-@click.option(
-    "--interval-min",
-    type=FiniteFloat(min=0.0, min_open=True),
-    default=1.0,
-    show_default=True,
-    help="Interval of the increments [min].",
-)
-@click.option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
-@click.option("--b0/--no-b0", "intercept", default=False, show_default=True, help="Fit a drift with time.")
-@click.option("--channels", help="Displacement channels, separated by commas. Without: all.")
-@click.option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The model's file.")
+@option("--interval-min", type=POSITIVE, default=1.0, help="Interval of the increments [min].")
+@option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
+@option("--b0/--no-b0", "intercept", default=False, help="Fit a drift with time.")
+@option("--channels", help="Displacement channels, separated by commas. Without: all.")
+@option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
+@option("-o", "--output", required=True, type=FILE, help="The model's file.")
 @json_option
 def train(
     recordings: tuple[Path, ...],

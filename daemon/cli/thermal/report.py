@@ -6,38 +6,41 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FiniteFloat, json_option, refuse, write_json
+from daemon.cli.common import (
+    FILE,
+    NOT_A_FOLDER,
+    NOT_NEGATIVE,
+    POSITIVE,
+    json_option,
+    option,
+    refuse,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from models.thermal.family import ThermalModel
     from models.thermal.training.energy import Process
 
-POSITIVE = FiniteFloat(min=0.0, min_open=True)
-NOT_NEGATIVE = FiniteFloat(min=0.0)
-
 
 @click.command()
-@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
-@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
-@click.option("--model", "model_path", type=click.Path(path_type=Path), help="Model to report with compensation.")
-@click.option("--ahead-min", type=POSITIVE, default=15.0, show_default=True, help="Drift counts over this time [min].")
-@click.option("--tolerance-um", type=POSITIVE, default=2.0, show_default=True, help="Largest drift over it [um].")
-@click.option(
+@click.argument("recording_path", metavar="RECORDING", type=FILE)
+@option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
+@option("--model", "model_path", type=FILE, help="Model to report with compensation.")
+@option("--ahead-min", type=POSITIVE, default=15.0, help="Drift counts over this time [min].")
+@option("--tolerance-um", type=POSITIVE, default=2.0, help="Largest drift over it [um].")
+@option(
     "--settled-hours",
     type=NOT_NEGATIVE,
     default=4.0,
-    show_default=True,
     help="Standstill after a rotation that does not count for the environment [h].",
 )
-@click.option("--standing", is_flag=True, help="The spindle stood all the time; for recordings without speed.")
-@click.option("--ambient", help="Temperatures of the air: names or patterns, separated by commas.")
-@click.option("--chiller-kw", type=NOT_NEGATIVE, default=1.2, show_default=True, help="Power of the chiller [kW].")
-@click.option(
-    "--cut-kwh", type=NOT_NEGATIVE, help="Energy that cutting one part takes [kWh], for the energy efficiency."
-)
-@click.option("--motor-kwh", type=POSITIVE, help="Energy of the motors for one part [kWh].")
-@click.option("--process-min", type=POSITIVE, help="Time of one part [min], for the productivity.")
-@click.option("--html", "html_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a page to this file.")
+@option("--standing", is_flag=True, help="The spindle stood all the time; for recordings without speed.")
+@option("--ambient", help="Temperatures of the air: names or patterns, separated by commas.")
+@option("--chiller-kw", type=NOT_NEGATIVE, default=1.2, help="Power of the chiller [kW].")
+@option("--cut-kwh", type=NOT_NEGATIVE, help="Energy that cutting one part takes [kWh], for the energy efficiency.")
+@option("--motor-kwh", type=POSITIVE, help="Energy of the motors for one part [kWh].")
+@option("--process-min", type=POSITIVE, help="Time of one part [min], for the productivity.")
+@option("--html", "html_path", type=NOT_A_FOLDER, help="Write a page to this file.")
 @json_option
 def report(
     recording_path: Path,

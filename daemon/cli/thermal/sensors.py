@@ -5,23 +5,22 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import ProgressBar, hours_option, json_option, write_json
+from daemon.cli.common import FILE, ProgressBar, hours_option, json_option, option, write_json
 
 METHODS = ("forward", "lasso", "clusters")
 
 
 @click.command()
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--map", "map_path", type=click.Path(path_type=Path), help="What the columns mean (YAML).")
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
 @hours_option("--hours", help="Look at these hours of each recording only.")
-@click.option(
+@option(
     "--method",
     type=click.Choice(METHODS),
     default="forward",
-    show_default=True,
     help="Order of the sensors: forward selection, path of the LASSO, or one of each cluster.",
 )
-@click.option("--most", type=click.IntRange(min=1), default=8, show_default=True, help="At most so many sensors.")
+@option("--most", type=click.IntRange(min=1), default=8, help="At most so many sensors.")
 @json_option
 def sensors(
     recordings: tuple[Path, ...],
