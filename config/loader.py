@@ -9,12 +9,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from config.knobs import knob_at, section_at
-from config.problems import ConfigurationError, Problem
-from config.renamed import RENAMED, move_renamed_keys
 from config.schema import Configuration
-from config.schema.base import FORMS, KeyProblems, Section
+from config.schema.base import FORMS, ConfigurationError, KeyProblems, Problem, Section
 from config.schema.cnc import CHECK_MISSING
-from config.yaml_document import Fault, KeyPath, Position, YamlDocument, read_yaml
+from config.yaml_document import RENAMED, Fault, KeyPath, Position, YamlDocument, move_renamed_keys, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -19,8 +19,7 @@ from config.machine.spindle import (
     shipped_spindles,
     spindle_folder,
 )
-from config.problems import ConfigurationError, Problem
-from config.schema.base import KeyPath
+from config.schema.base import ConfigurationError, KeyPath, Problem
 from config.yaml_document import YamlDocument, read_yaml
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.beam import Segment

@@ -1,9 +1,12 @@
-"""Common base of all configuration sections."""
+"""Common base of all configuration sections, and what is said when a file is refused."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from models.errors import RefusedInputError
 
 KeyPath = tuple[str | int, ...]
 
@@ -43,3 +46,29 @@ Seconds = Annotated[float, Field(gt=0)]
 Days = Annotated[float, Field(gt=0)]
 MacroNumber = Annotated[int, Field(ge=1, le=99999)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=40)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """One thing that is wrong in a file. Lines and columns count from 1; 0 stands for the file as a whole."""
+
+    file: str
+    line: int
+    column: int
+    key: str
+    """Path of the key, such as `cnc.macros.values.y`; empty for the file as a whole."""
+    sentence: str
+    """What was refused, why, and what the person can do."""
+
+    def __str__(self) -> str:
+        """Return `file:line:column: key.path: sentence`, without what is not known."""
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        return f"{place}: {self.key}: {self.sentence}" if self.key else f"{place}: {self.sentence}"
+
+
+class ConfigurationError(RefusedInputError):
+    """A configuration file is refused; `problems` holds everything that is wrong, sorted by position."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(sorted(problems, key=lambda problem: (problem.line, problem.column, problem.key)))
+        super().__init__("\n".join(str(problem) for problem in self.problems))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import click
 
 from config.loader import load_with_warnings
-from config.problems import Problem
 from config.schema import Configuration
+from config.schema.base import Problem
 
 if TYPE_CHECKING:
     from daemon.checkup.machine import Finding

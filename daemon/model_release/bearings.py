@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from config.problems import ConfigurationError
 from config.schema import Configuration
+from config.schema.base import ConfigurationError
 from daemon.model_release.bearing_loading import bearings_from_text, load_released_bearings
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import LoadedModel

@@ -7,7 +7,7 @@ from typing import Protocol
 from pydantic import TypeAdapter
 
 from daemon.snapshots import ModelSnapshot
-from models.spindle_speed.plan import SpeedPlan
+from models.spindle_speed.tuning import SpeedPlan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

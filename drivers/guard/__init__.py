@@ -1,11 +1,11 @@
 """The programs on the NC side: their text, filled in for one machine, and the sheet of their commissioning."""
 
-from drivers.guard.check import block_check
 from drivers.guard.text import (
     GUARD_VERSION,
     GuardPrograms,
     GuardStatus,
     GuardTextError,
+    block_check,
     guard_axes,
     guard_digest,
     guard_program,

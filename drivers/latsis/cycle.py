@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.frames import Frame, FrameError, FrameFault, FrameParser, frame_bytes
-from drivers.latsis.line_pass import Arrival, LinePass
-from drivers.latsis.numbering import Numbering, NumberingWatch
+from drivers.latsis.line_pass import Arrival, LinePass, Numbering, NumberingWatch
 from drivers.latsis.values import ChainDecoder, ChainValues
 from models.records import Instant, TemperatureCycle, Trace
 

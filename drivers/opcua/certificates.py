@@ -1,4 +1,4 @@
-"""Certificates of OPC UA applications: making a self-signed one, and reading what is there.
+"""Certificates of OPC UA applications: making a self-signed one, and reading what is there, with the user and password.
 
 OPC UA identifies an application by a URI that must stand in the certificate's subject alternative
 name, equal to the URI that the application calls itself.
@@ -6,6 +6,8 @@ name, equal to the URI that the application calls itself.
 
 import hashlib
 import os
+import stat
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from asyncua.crypto.cert_gen import (
@@ -19,6 +21,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
 
 DEFAULT_DAYS = 3650
@@ -113,3 +116,56 @@ def _write_new(path: Path, content: bytes, mode: int) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpcUaCredentials:
+    """User, keys and the one server certificate that is accepted."""
+
+    user_name: str
+    password: str = field(repr=False)
+    application_uri: str
+    certificate: x509.Certificate
+    private_key: rsa.RSAPrivateKey = field(repr=False)
+    server_certificate: x509.Certificate
+
+
+def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
+    """Read all files of the security section; raises FatalDriverError that names the file and what to do."""
+    certificate = load_certificate(config.certificate)
+    uri = application_uri(certificate)
+    if uri is None:
+        raise FatalDriverError(
+            f"the certificate {config.certificate} carries no application URI in its subject alternative name, so "
+            "OPC UA servers refuse it; make a new one"
+        )
+    private_key = load_private_key(config.private_key)
+    _refuse_readable_by_others(config.private_key, "private key")
+    return OpcUaCredentials(
+        user_name=config.user_name,
+        password=_read_password(config.password_file),
+        application_uri=uri,
+        certificate=certificate,
+        private_key=private_key,
+        server_certificate=load_certificate(config.server_certificate),
+    )
+
+
+def _read_password(path: Path) -> str:
+    content = read_file(path, "password file")
+    _refuse_readable_by_others(path, "password file")
+    try:
+        password = content.decode("utf-8").rstrip("\r\n")
+    except UnicodeDecodeError as error:
+        raise FatalDriverError(f"the password file {path} is not UTF-8 text (byte {error.start})") from error
+    if not password:
+        raise FatalDriverError(f"the password file {path} is empty")
+    return password
+
+
+def _refuse_readable_by_others(path: Path, what: str) -> None:
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & stat.S_IRWXO:
+        raise FatalDriverError(
+            f"the {what} {path} is open to every user of this computer (mode {mode:o}); run: chmod o-rwx {path}"
+        )

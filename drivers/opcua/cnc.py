@@ -22,8 +22,7 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import Clock
 from drivers.contract import DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
-from drivers.opcua.certificates import chain_thumbprint, thumbprint
-from drivers.opcua.credentials import OpcUaCredentials, load_credentials
+from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.variables import Variables
 from models.records import CncSample

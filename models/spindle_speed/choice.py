@@ -8,7 +8,7 @@ import numpy as np
 
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.spindle_speed.plan import SpeedChoice
+from models.spindle_speed.tuning import SpeedChoice
 from models.stability.lobes import StabilityLobes
 
 SLOWEST_RPM, FASTEST_RPM = 1e-3, 1e7

@@ -17,8 +17,8 @@ from models.spindle_speed.choice import (
     rule_candidates_rpm,
     stable_range_rpm,
 )
-from models.spindle_speed.plan import SpeedChoice, SpeedPlan
 from models.spindle_speed.tool_point import EstimatedToolPoint
+from models.spindle_speed.tuning import SpeedChoice, SpeedPlan
 from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes import StabilityLobes
 from models.stability.response import ToolPointResponse

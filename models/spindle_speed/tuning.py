@@ -1,4 +1,4 @@
-"""When the spindle speed may change, as a pure step: safe blocks, hysteresis, dwell, one pair of S and F.
+"""A planned spindle speed, and when it may be commanded: safe blocks, hysteresis, dwell, one pair of S and F.
 
 `step` takes what is known now and what was remembered, and returns the command and the new memory.
 It knows neither clock nor wire. Within a cut nothing changes, whatever happens to the data.
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from models.records import Phase
-from models.spindle_speed.plan import SpeedChoice
 
 
 class SpeedTuningError(ValueError):
@@ -70,6 +69,35 @@ class SpeedTuningSettings:
                 f"one step of a sensor moves the speed by {change_per_step_rpm:.3g} 1/min and the hysteresis is "
                 f"{self.hysteresis_rpm:g}: the speed would hunt; set the hysteresis above {2 * change_per_step_rpm:.3g}"
             )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedChoice:
+    """The chosen speed, or the programmed one and an alarm."""
+
+    speed_rpm: float
+    limiting_depth_mm: float
+    """At that speed [mm]; inf where no lobe limits it, NaN where it is not known."""
+    pocket_rpm: tuple[float, float]
+    """The stable range that holds the chosen speed [1/min]; the same number twice with an alarm."""
+    alarm: str | None = None
+    """Why no stable speed was found."""
+    margin_met: bool = True
+    """The demand is met with its margin; without, this is the deepest speed, stable to the depth itself."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether the demand is met."""
+        return self.alarm is None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedPlan:
+    """The speed that the dynamics of now ask for."""
+
+    choice: SpeedChoice
+    flagged_span_rpm: float
+    """How far it moves over the physical ranges of flagged properties [1/min]; inf where a mode is lost there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

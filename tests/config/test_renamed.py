@@ -8,10 +8,9 @@ import yaml
 
 from config.knobs import knob_at
 from config.loader import ConfigurationError, load_configuration, load_with_warnings
-from config.renamed import RENAMED, move_renamed_keys
 from config.sample import sample_configuration
 from config.schema import Configuration
-from config.yaml_document import read_yaml
+from config.yaml_document import RENAMED, move_renamed_keys, read_yaml
 
 
 def written(tmp_path: Path, **cnc: Any) -> Path:

@@ -15,8 +15,8 @@ from other_user import OTHER, as_root, as_user
 from speed_machine import bearing_model, speed_machine
 
 from config.loader import load_configuration
-from config.problems import ConfigurationError
 from config.schema import Configuration
+from config.schema.base import ConfigurationError
 from daemon.checkup.machine import preflight
 from daemon.cli import main
 from daemon.model_release.bearings import BEARINGS, open_planning

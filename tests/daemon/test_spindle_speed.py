@@ -10,8 +10,8 @@ from speed_machine import MACROS, bearing_model, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from config.loader import parse_yaml_model
-from config.problems import ConfigurationError
 from config.schema import Configuration
+from config.schema.base import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader

@@ -11,7 +11,7 @@ from latsis_line import BYTE_S, PERIOD_S, Line, instant, only
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.contract import FatalDriverError
 from drivers.latsis.cycle import SILENT_AFTER_CYCLES, CycleAssembler
-from drivers.latsis.numbering import RELEASED_AFTER_CYCLES
+from drivers.latsis.line_pass import RELEASED_AFTER_CYCLES
 from models.quality import Reason
 from models.records import Instant
 

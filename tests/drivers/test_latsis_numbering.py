@@ -3,7 +3,7 @@
 import numpy as np
 from latsis_line import Line, only
 
-from drivers.latsis.numbering import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
+from drivers.latsis.line_pass import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
 from models.quality import Reason
 
 

@@ -16,7 +16,7 @@ from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.contract import FatalDriverError, LinkError, TemperatureSource
 from drivers.latsis import source as latsis_serial
-from drivers.latsis.serial_port import SerialPort, StopSignal
+from drivers.latsis.reader import SerialPort, StopSignal
 from drivers.latsis.source import LatsisSerialSource
 from models.records import TemperatureCycle
 
@@ -213,7 +213,7 @@ async def test_unknown_kind_of_port_is_fatal() -> None:
 FORBIDDEN = """
 import os, sys
 sys.path.insert(0, sys.argv[2])
-from drivers.latsis.serial_port import SerialPort, StopSignal
+from drivers.latsis.reader import SerialPort, StopSignal
 if os.geteuid() == 0:  # root may open everything
     os.setgroups([])
     os.setgid(65534)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.problems import ConfigurationError
 from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
+from config.schema.base import ConfigurationError
 from drivers.files.recording_csv import (
     RecordingFileError,
     read_header,

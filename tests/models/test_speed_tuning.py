@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
-from models.spindle_speed.plan import SpeedChoice
 from models.spindle_speed.tuning import (
+    SpeedChoice,
     SpeedState,
     SpeedTuningError,
     SpeedTuningInputs,

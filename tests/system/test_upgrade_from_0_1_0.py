@@ -19,8 +19,8 @@ from whole_loop import WholeLoop
 
 from config.loader import load_configuration, load_with_warnings
 from config.records.commissioning import commissioning_inhibit, load_commissioning, macro_map_digest
-from config.renamed import RENAMED
 from config.schema import Configuration
+from config.yaml_document import RENAMED
 from daemon.cli import main
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.estimation.model_in_use import ModelInUse

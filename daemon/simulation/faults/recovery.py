@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from daemon.simulation.faults.invariants import Claims, Ledger
 from daemon.simulation.faults.script import RESTARTS, Happening, Incident
 from daemon.simulation.faults.state_oracle import Situation, resting_state
-from drivers.latsis.numbering import RELEASED_AFTER_CYCLES
+from drivers.latsis.line_pass import RELEASED_AFTER_CYCLES
 from drivers.sim.faults import FaultKind
 
 WITHIN_S = 15.0

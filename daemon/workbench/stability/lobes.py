@@ -9,7 +9,7 @@ from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
 from daemon.workbench.stability.case_files import modal_response_of, response_of
 from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed
-from models.spindle_speed.plan import SpeedChoice
+from models.spindle_speed.tuning import SpeedChoice
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes

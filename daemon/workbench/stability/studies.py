@@ -16,7 +16,7 @@ from models.dynamics.measurement import Measurement
 from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.choice import SpeedDemand, choose_speed
-from models.spindle_speed.plan import SpeedChoice
+from models.spindle_speed.tuning import SpeedChoice
 from models.stability.cutting_coefficients import CoefficientFit, fit_mean_forces
 from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.lobes import StabilityLobes
