@@ -15,15 +15,12 @@ class RollingMean:
     may arrive slightly out of order, because lines that overlap complete in another order than
     they begin; a clock that went back by more than the window starts the mean anew.
 
+    Raises ValueError when the window is not positive.
+
     Parameters
     ----------
     window_s
         Length of the window [s].
-
-    Raises
-    ------
-    ValueError
-        When the window is not positive.
 
     """
 
@@ -37,17 +34,14 @@ class RollingMean:
     def add(self, time_s: float, values: FloatArray) -> None:
         """Take one vector into the mean.
 
+        Raises ValueError when the time is not finite or the number of sensors changes.
+
         Parameters
         ----------
         time_s
             Its time [s].
         values : shape (n_sensors,)
             NaN where a sensor has no value. Kept by reference: hand over an array of its own.
-
-        Raises
-        ------
-        ValueError
-            When the time is not finite or the number of sensors changes.
 
         """
         if not np.isfinite(time_s):
@@ -65,11 +59,7 @@ class RollingMean:
     def mean(self) -> FloatArray:
         """Return the mean per sensor, shape (n_sensors,); NaN where the window holds no value.
 
-        Raises
-        ------
-        ValueError
-            Before the first vector.
-
+        Raises ValueError before the first vector.
         """
         if not self._samples:
             raise ValueError("no vector has been added yet")
@@ -96,6 +86,10 @@ def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tupl
     Block k covers ``k * period_s <= time_s < (k + 1) * period_s``. Blocks without any row do not
     appear in the result, so that gaps stay gaps.
 
+    Result: start of each block [s], shape (n_blocks,), and the means, shape (n_blocks, ...); NaN where a block holds no
+    value of a column. Raises ValueError when the period is not positive, the lengths differ or the times do not
+    increase.
+
     Parameters
     ----------
     time_s : shape (n,)
@@ -104,17 +98,6 @@ def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tupl
         NaN where a value is missing; it is left out of its block's mean.
     period_s
         Length of a block [s].
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Start of each block [s], shape (n_blocks,), and the means, shape (n_blocks, ...); NaN where
-        a block holds no value of a column.
-
-    Raises
-    ------
-    ValueError
-        When the period is not positive, the lengths differ or the times do not increase.
 
     """
     if not period_s > 0:
@@ -138,17 +121,14 @@ def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tupl
 def contiguous_runs(time_s: FloatArray, period_s: float) -> list[tuple[int, int]]:
     """Return the (first, past-the-last) row of each stretch without a gap.
 
+    Result: stretches in order; together they hold every row.
+
     Parameters
     ----------
     time_s : shape (n,)
         Increasing times [s].
     period_s
         Nominal time between rows [s]; a step over one and a half of it is a gap.
-
-    Returns
-    -------
-    list of tuple of int
-        Stretches in order; together they hold every row.
 
     """
     if len(time_s) == 0:

@@ -129,11 +129,7 @@ def file_text(family: str, record: object) -> str:
 def family_of(content: bytes) -> str | None:
     """Return the family that a file's header names; None where there is no such header.
 
-    Raises
-    ------
-    ModelError
-        When the checksum does not fit what stands before it.
-
+    Raises ModelError when the checksum does not fit what stands before it.
     """
     header = HEADER.match(content)
     if header is None:
@@ -149,11 +145,7 @@ def family_of(content: bytes) -> str | None:
 def record_of(content: bytes, record: type[Record]) -> Record:
     """Return the record that a file with a header holds; its checksum is `family_of`'s business.
 
-    Raises
-    ------
-    ModelError
-        Naming the key: missing or unknown, of another type or shape, or refused by the record itself.
-
+    Raises ModelError naming the key: missing or unknown, of another type or shape, or refused by the record itself.
     """
     try:
         return WithHeader[record].model_validate_json(content).model  # type: ignore[valid-type]

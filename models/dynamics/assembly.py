@@ -72,17 +72,14 @@ class CondensedAssembly:
     def receptances(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
         """Return `receptance` for several sets of bearing properties at some of the frequencies.
 
+        Result: [m/N], shape (k, n).
+
         Parameters
         ----------
         parameters
             Name -> values, shape (k,), of all parameters of the shaft's groups.
         lines
             Which of the frequencies.
-
-        Returns
-        -------
-        ndarray
-            [m/N], shape (k, n).
 
         """
         stiffness = self.shaft.nose_stiffnesses(parameters, lines)

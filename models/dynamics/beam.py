@@ -40,11 +40,8 @@ LARGEST_VALUE = 4.0
 class Segment:
     """A uniform stretch of a shaft, described by what bends, shears and moves.
 
-    Raises
-    ------
-    ValueError
-        When a length, stiffness or inertia is not positive and finite, or the axial load buckles it in shear.
-
+    Raises ValueError when a length, stiffness or inertia is not positive and finite, or the axial load buckles it in
+    shear.
     """
 
     length_m: float
@@ -137,6 +134,9 @@ def segment_span(
 ) -> tuple[Span, Counts]:
     """Return the dynamic stiffness of a segment between its ends.
 
+    Result: the span, and how many natural frequencies of the segment clamped at both ends lie below each frequency,
+    shape (n,); zeros when damped.
+
     Parameters
     ----------
     segment
@@ -147,12 +147,6 @@ def segment_span(
         Whether E and G are complex, which equals 4-14 to 4-16 summed over all modes.
     highest_hz
         Frequency that decides into how many elements the segment is divided; None: the largest given.
-
-    Returns
-    -------
-    tuple[Span, ndarray]
-        The span, and how many natural frequencies of the segment clamped at both ends lie below each
-        frequency, shape (n,); zeros when damped.
 
     """
     highest = float(frequency_hz.max()) if highest_hz is None else highest_hz
@@ -293,16 +287,13 @@ def _coefficients(b: Values, c: Values) -> tuple[Values, Values, Values, Values]
 def join(first: Span, second: Span) -> tuple[Span, Counts]:
     """Return two spans joined rigidly end to end, their common node condensed (4-31 in stiffness form).
 
+    Result: the joined span, and the number of negative pivots of the common node, shape (n,), which counts natural
+    frequencies (zeros where the values are complex).
+
     Parameters
     ----------
     first, second
         The spans; the rear of the first is joined to the front of the second.
-
-    Returns
-    -------
-    tuple[Span, ndarray]
-        The joined span, and the number of negative pivots of the common node, shape (n,), which
-        counts natural frequencies (zeros where the values are complex).
 
     """
     pivot = first.rear + second.front
@@ -323,18 +314,15 @@ def join(first: Span, second: Span) -> tuple[Span, Counts]:
 def close(span: Span, rear_stiffness: Values) -> tuple[Values, Counts]:
     """Return the stiffness at the front of a span whose rear end is held by another stiffness.
 
+    Result: stiffness at the front as rows (11, 12, 22), shape (3, n), and the number of negative pivots of the rear
+    end, shape (n,) (zeros where the values are complex).
+
     Parameters
     ----------
     span
         The span.
     rear_stiffness
         What holds its rear end, as rows (11, 12, 22), shape (3, n) or (3, 1); zeros: nothing.
-
-    Returns
-    -------
-    tuple[ndarray, ndarray]
-        Stiffness at the front as rows (11, 12, 22), shape (3, n), and the number of negative pivots
-        of the rear end, shape (n,) (zeros where the values are complex).
 
     """
     pivot = span.rear + rear_stiffness

@@ -125,17 +125,14 @@ class CondensedShaft:
     def nose_stiffnesses(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
         """Return `nose_stiffness` for several sets of bearing properties at some of the frequencies.
 
+        Result: rows (11, 12, 22), shape (3, k, n) [N/m, N/rad, Nm/rad].
+
         Parameters
         ----------
         parameters
             Name -> values, shape (k,), of all parameters of the groups in `groups`.
         lines
             Which of the frequencies.
-
-        Returns
-        -------
-        ndarray
-            Rows (11, 12, 22), shape (3, k, n) [N/m, N/rad, Nm/rad].
 
         """
         j_omega = 1j * self.omega[lines]

@@ -62,11 +62,7 @@ class Support:
 class Chain:
     """Segments and joints from the front backwards, free at both ends, with supports.
 
-    Raises
-    ------
-    ValueError
-        When there is no segment, a joint stands at an end, or a support stands outside.
-
+    Raises ValueError when there is no segment, a joint stands at an end, or a support stands outside.
     """
 
     parts: tuple[Part, ...]

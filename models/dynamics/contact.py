@@ -80,6 +80,8 @@ def identify_contact(
 ) -> Identified:
     """Return the contact parameters of a joint that reproduce a measured response.
 
+    Raises IdentificationError when the data cannot be fitted at all.
+
     Parameters
     ----------
     interface
@@ -92,11 +94,6 @@ def identify_contact(
         Parameters that are kept, with their values.
     method
         `lm`, or `nelder-mead` on the dissertation's cost.
-
-    Raises
-    ------
-    IdentificationError
-        When the data cannot be fitted at all.
 
     """
     kept = dict(fixed or {})

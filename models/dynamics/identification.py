@@ -62,6 +62,8 @@ def identify_bearings(
     Twelve parameters are found in two stages, as in the dissertation: all front bearings equal, then each group
     with its own. Twelve are not identifiable from one response; `identifiable` says which the data see.
 
+    Raises IdentificationError when the data cannot be fitted at all.
+
     Parameters
     ----------
     shaft
@@ -76,11 +78,6 @@ def identify_bearings(
         Values of the parameters that are not varied, by name; None: those of section 5.2.3.
     method
         `lm`, or `nelder-mead` on the dissertation's cost.
-
-    Raises
-    ------
-    IdentificationError
-        When the data cannot be fitted at all.
 
     """
     kept = dict(FIXED[parameters] if fixed is None else {name: fixed[name] for name in FIXED[parameters]})

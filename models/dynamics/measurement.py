@@ -108,11 +108,7 @@ def average(measurements: Sequence[Measurement]) -> Measurement:
     The coherence is what their scatter says: the share of the mean power that the mean response holds,
     freed of the part that so few responses show by chance.
 
-    Raises
-    ------
-    MeasurementError
-        When there is none, or the frequencies differ.
-
+    Raises MeasurementError when there is none, or the frequencies differ.
     """
     if not measurements:
         raise MeasurementError("there is no response to average")

@@ -57,6 +57,8 @@ def mixed(
 ) -> Elasticity:
     """Return the constants of a section in which materials are spread uniformly (4-19, 4-23, 4-24).
 
+    Raises ValueError when ratios are negative or do not sum up to 1, or Poisson's ratio is not known.
+
     Parameters
     ----------
     ratios
@@ -67,11 +69,6 @@ def mixed(
         nu of the shear coefficient; None: the volume mean of the materials'.
     cells
         Unit cells along each side.
-
-    Raises
-    ------
-    ValueError
-        When ratios are negative or do not sum up to 1, or Poisson's ratio is not known.
 
     """
     total = sum(ratio for _, ratio in ratios)
@@ -96,6 +93,8 @@ def layered(layers: Sequence[Layer], inner_m: float, *, poisson: float | None = 
 
     A cell on the boundary of two layers belongs to the one that holds its centre.
 
+    Raises ValueError when the diameters do not grow, or Poisson's ratio is not known.
+
     Parameters
     ----------
     layers
@@ -106,11 +105,6 @@ def layered(layers: Sequence[Layer], inner_m: float, *, poisson: float | None = 
         nu of the shear coefficient; None: the area mean of the materials'.
     cells
         Unit cells along each side.
-
-    Raises
-    ------
-    ValueError
-        When the diameters do not grow, or Poisson's ratio is not known.
 
     """
     borders = [inner_m, *(layer.outer_m for layer in layers)]

@@ -133,6 +133,9 @@ def _gyration_m(chain: Chain) -> float:
 def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped: bool) -> tuple[Values, FloatArray]:
     """Return the dynamic stiffness of many points along a chain at one frequency.
 
+    Result: symmetric matrix, shape (2 m, 2 m), ordered (y_1, theta_1, y_2, ...), and the positions of the m points from
+    the front [m]; at an elastic joint a position appears twice.
+
     Parameters
     ----------
     chain
@@ -143,12 +146,6 @@ def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped:
         Largest distance between two points of a segment [m]; 0: only the ends and the supports.
     damped
         Whether the structural damping and the dampers act.
-
-    Returns
-    -------
-    tuple[ndarray, ndarray]
-        Symmetric matrix, shape (2 m, 2 m), ordered (y_1, theta_1, y_2, ...), and the positions of the
-        m points from the front [m]; at an elastic joint a position appears twice.
 
     """
     at = np.array([frequency_hz])
@@ -222,15 +219,12 @@ def _matrix(span: Span) -> Values:
 def modal_assurance(first: npt.NDArray[np.generic], second: npt.NDArray[np.generic]) -> float:
     """Return how alike two shapes are, 0 to 1 (4-39, with the conjugates that complex vectors need).
 
+    Raises ValueError when a shape is zero everywhere or the numbers of points differ.
+
     Parameters
     ----------
     first, second
         Real or complex displacements at the same points, shape (n,).
-
-    Raises
-    ------
-    ValueError
-        When a shape is zero everywhere or the numbers of points differ.
 
     """
     one, two = np.asarray(first, dtype=np.complex128), np.asarray(second, dtype=np.complex128)

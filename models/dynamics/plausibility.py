@@ -75,12 +75,8 @@ def least_mass_kg(diameter_m: float, highest_hz: float) -> float:
 def check_tool_point(measured: Measurement, diameter_m: float) -> None:
     """Refuse what the tip of a tool of this diameter [m], hit and measured at once, cannot show.
 
-    Raises
-    ------
-    MeasurementError
-        When the axis is not in Hz, the sign is that of no passive structure, the moving mass is smaller than that of
-        a shank, or the tip is stiffer than a carbide cylinder as short as thick.
-
+    Raises MeasurementError when the axis is not in Hz, the sign is that of no passive structure, the moving mass is
+    smaller than that of a shank, or the tip is stiffer than a carbide cylinder as short as thick.
     """
     frequency_hz, size = measured.frequency_hz, np.abs(measured.receptance_m_per_n)
     check_frequencies(frequency_hz)

@@ -264,11 +264,7 @@ def report(
 ) -> Identified:
     """Return what was found with its cost and with what the data say about each parameter.
 
-    Raises
-    ------
-    IdentificationError
-        When a value or the response it gives is not finite.
-
+    Raises IdentificationError when a value or the response it gives is not finite.
     """
     computed, _ = model(values)
     if not np.isfinite(computed).all():

@@ -19,11 +19,7 @@ class DatasetError(RefusedInputError, ValueError):
 class Recording:
     """Temperatures and displacements over time.
 
-    Raises
-    ------
-    DatasetError
-        When shapes and names do not fit together, or times are not finite and increasing.
-
+    Raises DatasetError when shapes and names do not fit together, or times are not finite and increasing.
     """
 
     name: str
@@ -97,11 +93,7 @@ class Recording:
     def between_hours(self, from_hours: float, to_hours: float) -> "Recording":
         """Return the rows with ``from_hours <= time < to_hours``, counted from the first row [h].
 
-        Raises
-        ------
-        DatasetError
-            When no row lies there.
-
+        Raises DatasetError when no row lies there.
         """
         if not from_hours < to_hours:
             raise DatasetError(f"{self.name}: hours {from_hours:g} to {to_hours:g} run backwards")
@@ -121,11 +113,7 @@ class Recording:
     def with_channels(self, names: tuple[str, ...]) -> "Recording":
         """Return the recording with the named displacement channels only, in that order.
 
-        Raises
-        ------
-        DatasetError
-            When a channel does not exist.
-
+        Raises DatasetError when a channel does not exist.
         """
         if unknown := [name for name in names if name not in self.displacement_names]:
             raise DatasetError(
@@ -163,15 +151,12 @@ class Recording:
         Spindle deformation by inertia makes displacements jump at a change of speed; increments
         that never cross one do not carry the jump.
 
+        Raises DatasetError when the speed was not recorded.
+
         Parameters
         ----------
         change_rpm
             A stretch ends where the speed has left its first value by more than this [1/min].
-
-        Raises
-        ------
-        DatasetError
-            When the speed was not recorded.
 
         """
         if self.speed_rpm is None:

@@ -70,6 +70,9 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
 def require_usable(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
     """Return the warnings of a recording that training may use.
 
+    Result: gaps, missing values, constant sensors. Raises DatasetError naming every error: fewer rows than variables,
+    columns without values, units that cannot be right.
+
     Parameters
     ----------
     recording
@@ -77,17 +80,6 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
     rows_together
         Rows of all recordings that are used together with this one, which have to be more than the
         variables; None: it is used alone.
-
-    Returns
-    -------
-    tuple of Finding
-        Gaps, missing values, constant sensors.
-
-    Raises
-    ------
-    DatasetError
-        Naming every error: fewer rows than variables, columns without values, units that
-        cannot be right.
 
     """
     found = recording_findings(recording, rows_together)
@@ -99,11 +91,7 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
 def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
     """Return recordings that may be used together, without values that cannot be, and the warnings about them.
 
-    Raises
-    ------
-    DatasetError
-        Naming every error of the first recording that has one, see `require_usable`.
-
+    Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
     """
     together = sum(recording.rows for recording in recordings)
     warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together))

@@ -20,6 +20,9 @@ def remove_jumps_at_switching(
     source). Where the spindle starts or stops between two samples and a channel varies by more
     than the threshold between them, that variation is taken off all later samples of the channel.
 
+    Result: a new array; the argument is not changed. Raises ValueError when the lengths differ or the threshold is
+    negative.
+
     Parameters
     ----------
     displacement_um : shape (n,) or (n, n_channels)
@@ -30,16 +33,6 @@ def remove_jumps_at_switching(
         previous state.
     threshold_um
         Smaller variations are left alone [um].
-
-    Returns
-    -------
-    numpy.ndarray, same shape
-        A new array; the argument is not changed.
-
-    Raises
-    ------
-    ValueError
-        When the lengths differ or the threshold is negative.
 
     """
     if speed_rpm.ndim != 1 or len(speed_rpm) != len(displacement_um):
@@ -67,6 +60,9 @@ def remove_sudden_jumps(
     time between the samples, from a minute on, and with the noise; and only what the variation has beyond the
     next one counts, because warming goes on where a jump does not.
 
+    Result of shape (n, n_channels): a new array; what a jump has beyond the next variation is taken off all later
+    samples.
+
     Parameters
     ----------
     time_s : shape (n,)
@@ -77,11 +73,6 @@ def remove_sudden_jumps(
         Spindle speed [1/min]; NaN repeats the previous state.
     threshold_um
         Smaller jumps are left alone [um].
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, n_channels)
-        A new array; what a jump has beyond the next variation is taken off all later samples.
 
     """
     cleansed, on = displacement_um.copy(), _spindle_on(speed_rpm)
@@ -106,15 +97,12 @@ def scatter_um(segments: Sequence[FloatArray]) -> FloatArray:
 
     Third differences are zero for a parabola; those of white noise have sqrt(20) times its deviation.
 
+    Result of shape (n_channels,): [um]; zeros where no stretch has four rows with a value.
+
     Parameters
     ----------
     segments
         Displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_channels,)
-        [um]; zeros where no stretch has four rows with a value.
 
     """
     differences = np.vstack([np.diff(segment, n=3, axis=0) for segment in segments])

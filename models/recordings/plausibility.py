@@ -22,16 +22,13 @@ BoolArray = npt.NDArray[np.bool_]
 def impossible_temperatures(degc: FloatArray) -> BoolArray:
     """Return where temperatures cannot be.
 
+    Result of shape (n, n_sensors): all False for a sensor of which that holds for half of the values or more: then the
+    unit of the column is wrong, or the sensor was never connected.
+
     Parameters
     ----------
     degc : shape (n, n_sensors)
         Temperatures [degC], NaN where missing.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, n_sensors)
-        All False for a sensor of which that holds for half of the values or more: then the unit of
-        the column is wrong, or the sensor was never connected.
 
     """
     return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
@@ -40,15 +37,12 @@ def impossible_temperatures(degc: FloatArray) -> BoolArray:
 def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
     """Return where displacements lie farther from the others than any sensor reaches.
 
+    Result of shape (n, n_channels): all False for a channel that moves so far as a rule: then its unit is wrong.
+
     Parameters
     ----------
     displacements_um : shape (n, n_channels)
         Displacements [um], NaN where missing.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, n_channels)
-        All False for a channel that moves so far as a rule: then its unit is wrong.
 
     """
     far_um = np.abs(displacements_um - column_medians(displacements_um))

@@ -18,6 +18,9 @@ SLOWEST_RPM, FASTEST_RPM = 1e-3, 1e7
 def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe: int) -> float:
     """Return the speed of equation 5-9, ``60 (f_r - f_o) / (n_T k_c)``.
 
+    Result: spindle speed [1/min]. Raises StabilityError when teeth or lobe are below 1, nothing is left of the
+    resonance, or no spindle turns so fast or slowly.
+
     Parameters
     ----------
     resonance_hz
@@ -28,16 +31,6 @@ def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe:
         n_T (printed as n_r in the dissertation).
     lobe
         k_c, 1 for the fastest pocket.
-
-    Returns
-    -------
-    float
-        Spindle speed [1/min].
-
-    Raises
-    ------
-    StabilityError
-        When teeth or lobe are below 1, nothing is left of the resonance, or no spindle turns so fast or slowly.
 
     """
     if teeth < 1 or lobe < 1:
@@ -69,11 +62,7 @@ class SpeedLimits:
     def range_rpm(self, programmed_rpm: float) -> tuple[float, float]:
         """Return the lowest and highest speed allowed [1/min].
 
-        Raises
-        ------
-        StabilityError
-            When the limits leave nothing.
-
+        Raises StabilityError when the limits leave nothing.
         """
         low = max(self.machine_lowest_rpm, programmed_rpm * max(1.0 - self.within_fraction, 0.0))
         high = min(self.machine_highest_rpm, self.tool_highest_rpm, programmed_rpm * (1.0 + self.within_fraction))
@@ -110,6 +99,9 @@ def choose_speed(
 
     Both axes are checked, because the lobes hold both.
 
+    Result: the programmed speed with an alarm when nothing is stable to the demand. Raises StabilityError when depth,
+    margin or tolerance are out of range.
+
     Parameters
     ----------
     lobes
@@ -120,16 +112,6 @@ def choose_speed(
         Lowest and highest speed allowed [1/min]; None: those of the lobes.
     candidates_rpm
         Speeds to choose among, such as those of equation 5-9 [1/min]; None: all.
-
-    Returns
-    -------
-    SpeedChoice
-        The programmed speed with an alarm when nothing is stable to the demand.
-
-    Raises
-    ------
-    StabilityError
-        When depth, margin or tolerance are out of range.
 
     """
     if not demand.depth_mm > 0.0 or demand.margin_fraction < 0.0 or not 0.0 <= demand.tolerance_fraction < 0.5:
@@ -174,6 +156,8 @@ def deepest_speed(
 ) -> SpeedChoice | None:
     """Return the speed with the greatest limiting depth, for when none is stable to the demand with its margin.
 
+    None when even there the limiting depth is below the programmed one.
+
     Parameters
     ----------
     lobes
@@ -182,11 +166,6 @@ def deepest_speed(
         Programmed speed and depth, and tolerance; the margin is not asked for.
     range_rpm
         Lowest and highest speed allowed [1/min]; None: those of the lobes.
-
-    Returns
-    -------
-    SpeedChoice or None
-        None when even there the limiting depth is below the programmed one.
 
     """
     speeds, depths = lobes.speed_rpm, lobes.limiting_depth_mm

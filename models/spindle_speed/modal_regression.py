@@ -42,15 +42,12 @@ class ModalSample:
 class ModalRegression:
     """Modes as functions of temperatures.
 
+    Raises StabilityError with too few tests, other modes from test to test, or a mode without a positive gain.
+
     Parameters
     ----------
     samples
         Impact tests, more than there are variables (1 + 3 m).
-
-    Raises
-    ------
-    StabilityError
-        With too few tests, other modes from test to test, or a mode without a positive gain.
 
     """
 

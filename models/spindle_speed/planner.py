@@ -192,17 +192,14 @@ class SpeedPlanner:
     ) -> dict[str, float]:
         """Return how far the choice moves when one signal reads one step of its resolution more [1/min].
 
+        Result: signal -> change [1/min].
+
         Parameters
         ----------
         known
             The dynamics of now.
         moved
             Signal -> the dynamics with that signal one step higher.
-
-        Returns
-        -------
-        dict
-            Signal -> change [1/min].
 
         """
         here = self.choice(known).speed_rpm

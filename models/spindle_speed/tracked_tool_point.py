@@ -21,17 +21,14 @@ LEAST_SHARE = 0.5
 class TrackedToolPoint:
     """`ToolPointTracker` as a `ToolPointEstimator`.
 
+    Raises ValueError when a signal has no sensors.
+
     Parameters
     ----------
     tracker
         Renews the dynamics from the signals of its model.
     labels
         Signal -> indices into the machine's sensor order, whose mean it is; those of the tracker's model.
-
-    Raises
-    ------
-    ValueError
-        When a signal has no sensors.
 
     """
 

@@ -53,15 +53,12 @@ class SpeedTuningSettings:
     def check_resolution(self, change_per_step_rpm: float) -> None:
         """Refuse settings that one step of a sensor's resolution could set in motion.
 
+        Raises SpeedTuningError when the hysteresis is not above twice that change.
+
         Parameters
         ----------
         change_per_step_rpm
             Largest change of the wanted speed per step of one sensor [1/min].
-
-        Raises
-        ------
-        SpeedTuningError
-            When the hysteresis is not above twice that change.
 
         """
         if not self.hysteresis_rpm > 2.0 * change_per_step_rpm:
@@ -158,6 +155,8 @@ def step(
 ) -> tuple[SpindleSpeedCommand, SpeedTuningMemory]:
     """Return the command and the next memory.
 
+    Result: command and memory. Raises SpeedTuningError when the programmed speed or feed is no positive number.
+
     Parameters
     ----------
     memory
@@ -166,16 +165,6 @@ def step(
         What is known now.
     settings
         Hysteresis, dwell, step, filter.
-
-    Returns
-    -------
-    tuple
-        Command and memory.
-
-    Raises
-    ------
-    SpeedTuningError
-        When the programmed speed or feed is no positive number.
 
     """
     if not (0.0 < inputs.programmed_rpm < math.inf and 0.0 < inputs.programmed_feed_mm_min < math.inf):

@@ -55,6 +55,9 @@ class StabilityVerification:
     def denial(self, response: ToolPointResponse, speed_rpm: float, depth_mm: float, tolerance: float) -> str:
         """Return why a depth cannot be cut at a speed and at both ends of its tolerance, '' when it can.
 
+        Result: also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
+        verified is denied.
+
         Parameters
         ----------
         response
@@ -65,12 +68,6 @@ class StabilityVerification:
             Axial depth of cut [mm].
         tolerance
             Share of the speed to both sides.
-
-        Returns
-        -------
-        str
-            Also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
-            verified is denied.
 
         """
         try:

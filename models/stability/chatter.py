@@ -105,6 +105,8 @@ def short_time_spectra(
 ) -> list[SpectrumFrame]:
     """Return spectra of overlapping windows (Hann).
 
+    Result: in the order of time. Raises StabilityError when the signal is shorter than a window.
+
     Parameters
     ----------
     acceleration_m_s2
@@ -115,16 +117,6 @@ def short_time_spectra(
         Share of a window that the next one repeats, below 1.
     window
         Samples of a window; None takes `window_samples`.
-
-    Returns
-    -------
-    list of SpectrumFrame
-        In the order of time.
-
-    Raises
-    ------
-    StabilityError
-        When the signal is shorter than a window.
 
     """
     length = window or window_samples(sample_rate_hz)
@@ -151,6 +143,9 @@ def judge_frame(
 ) -> FrameVerdict:
     """Return the verdict of one window.
 
+    Result: with the strongest line that is not forced, whether it counts or not. Raises StabilityError when the tooth
+    passing is above half the sampling rate.
+
     Parameters
     ----------
     frame
@@ -161,16 +156,6 @@ def judge_frame(
         Number of teeth.
     settings
         What counts as chatter; None: the defaults.
-
-    Returns
-    -------
-    FrameVerdict
-        With the strongest line that is not forced, whether it counts or not.
-
-    Raises
-    ------
-    StabilityError
-        When the tooth passing is above half the sampling rate.
 
     """
     rules = settings or ChatterSettings()
@@ -342,6 +327,9 @@ def detect_chatter(
 ) -> ChatterVerdict:
     """Judge a whole recording.
 
+    Result: chatter or not, its frequency, and every frame. Raises StabilityError when the recording is too short or
+    clipped, or the tooth passing beyond its reach.
+
     Parameters
     ----------
     acceleration_m_s2
@@ -354,16 +342,6 @@ def detect_chatter(
         Number of teeth.
     settings
         What counts as chatter; None: the defaults.
-
-    Returns
-    -------
-    ChatterVerdict
-        Chatter or not, its frequency, and every frame.
-
-    Raises
-    ------
-    StabilityError
-        When the recording is too short or clipped, or the tooth passing beyond its reach.
 
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))

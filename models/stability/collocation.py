@@ -53,6 +53,10 @@ def radius_bounds(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a lower and an upper bound of the spectral radius per tooth passing.
 
+    Result: two arrays of the shape (n_feeds, n_speeds); inf where the vibration grows beyond all numbers. Raises
+    StabilityError when nothing can move, a speed or depth is not above 0, or a mode vibrates too often from tooth to
+    tooth.
+
     Parameters
     ----------
     response
@@ -68,16 +72,6 @@ def radius_bounds(
     limits
         What the radius is compared with at each speed: where every bound lies on one side of it, they are not
         narrowed further. None: within a thousandth.
-
-    Returns
-    -------
-    tuple
-        Two arrays of the shape (n_feeds, n_speeds); inf where the vibration grows beyond all numbers.
-
-    Raises
-    ------
-    StabilityError
-        When nothing can move, a speed or depth is not above 0, or a mode vibrates too often from tooth to tooth.
 
     """
     speeds = np.asarray(speeds_rpm, dtype=np.float64)

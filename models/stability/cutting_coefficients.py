@@ -106,6 +106,9 @@ def fit_mean_forces(
     The mean of the law over a turn is linear in feed per tooth: its slope gives K_tc and K_rc, its
     intercept K_te and K_re.
 
+    Result: coefficients and residual. Raises StabilityError with fewer than two feeds, forces that are no numbers, or a
+    tangential coefficient that is not positive.
+
     Parameters
     ----------
     cut
@@ -118,16 +121,6 @@ def fit_mean_forces(
         Mean force on the tool along the feed and normal to it [N], shape (n,).
     material
         Name of the result.
-
-    Returns
-    -------
-    CoefficientFit
-        Coefficients and residual.
-
-    Raises
-    ------
-    StabilityError
-        With fewer than two feeds, forces that are no numbers, or a tangential coefficient that is not positive.
 
     """
     feeds = np.asarray(feed_per_tooth_mm, dtype=np.float64)

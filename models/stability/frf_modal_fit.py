@@ -62,6 +62,9 @@ def fit_modes(
 ) -> ModalFit:
     """Fit modes to a receptance.
 
+    Result: modes in ascending frequency and how well they fit. Raises StabilityError with too few samples, or when no
+    sum of up to twelve modes follows them.
+
     Parameters
     ----------
     frequency_hz
@@ -73,16 +76,6 @@ def fit_modes(
     start
         Fit of a response that was nearly the same: its modes are moved to this one. Where that fits worse than
         before, everything begins anew.
-
-    Returns
-    -------
-    ModalFit
-        Modes in ascending frequency and how well they fit.
-
-    Raises
-    ------
-    StabilityError
-        With too few samples, or when no sum of up to twelve modes follows them.
 
     """
     if len(frequency_hz) < 16:

@@ -74,6 +74,8 @@ def check_range(from_rpm: float, to_rpm: float, points: int) -> None:
 def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
     """Return warnings about the band of a sampled FRF.
 
+    Raises StabilityError when the FRF ends below the highest tooth-passing frequency or begins above it.
+
     Parameters
     ----------
     frequency_hz
@@ -82,11 +84,6 @@ def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: f
         Number of teeth.
     from_rpm, to_rpm
         Range of speeds [1/min].
-
-    Raises
-    ------
-    StabilityError
-        When the FRF ends below the highest tooth-passing frequency or begins above it.
 
     """
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])

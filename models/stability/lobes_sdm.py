@@ -52,6 +52,9 @@ def semi_discretised_lobes(
 ) -> StabilityLobes:
     """Return the lobes between two spindle speeds, flip lobes with them.
 
+    Result: inf where the cut is stable up to the greatest depth. Raises StabilityError when the range is none or
+    nothing can move.
+
     Parameters
     ----------
     response
@@ -69,16 +72,6 @@ def semi_discretised_lobes(
         that spans less than some 15 % of its depth may be missed.
     steps
         Steps per tooth passing; None chooses them at each speed.
-
-    Returns
-    -------
-    StabilityLobes
-        inf where the cut is stable up to the greatest depth.
-
-    Raises
-    ------
-    StabilityError
-        When the range is none or nothing can move.
 
     """
     check_range(from_rpm, to_rpm, points)

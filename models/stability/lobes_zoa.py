@@ -50,6 +50,9 @@ def zeroth_order_lobes(
 ) -> StabilityLobes:
     """Return the lobes between two spindle speeds.
 
+    Result: the lower envelope and its exact minimum. Raises StabilityError when the range is none, the FRF does not
+    cover the tooth-passing band, or nothing can chatter.
+
     Parameters
     ----------
     response
@@ -62,16 +65,6 @@ def zeroth_order_lobes(
         Number of evenly spaced speeds.
     feed_deg
         Direction of the feed against X [deg].
-
-    Returns
-    -------
-    StabilityLobes
-        The lower envelope and its exact minimum.
-
-    Raises
-    ------
-    StabilityError
-        When the range is none, the FRF does not cover the tooth-passing band, or nothing can chatter.
 
     """
     return _lobes(response, cut, (from_rpm, to_rpm, points), (feed_deg,))

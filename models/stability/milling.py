@@ -56,6 +56,9 @@ class Cut:
 def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float) -> tuple[float, float]:
     """Return the angles at which a tooth enters and leaves the work.
 
+    Result: entry and exit [rad], clockwise from the normal of the feed. Raises StabilityError when the immersion is out
+    of range.
+
     Parameters
     ----------
     mode
@@ -64,16 +67,6 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
         Radial depth of cut a_e [mm]; the diameter for a slot.
     diameter_mm
         Diameter of the tool [mm].
-
-    Returns
-    -------
-    tuple of float
-        Entry and exit [rad], clockwise from the normal of the feed.
-
-    Raises
-    ------
-    StabilityError
-        When the immersion is out of range.
 
     """
     if not diameter_mm > 0.0:
@@ -97,11 +90,7 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
 def mean_directional_matrix(cut: Cut) -> FloatArray:
     """Return the directional coefficients a_xx .. a_yy averaged over a turn (5-5).
 
-    Returns
-    -------
-    FloatArray
-        Shape (2, 2), dimensionless: force = 1/2 depth K_tc [a] (x(t) - x(t - T_a)).
-
+    Result: shape (2, 2), dimensionless: force = 1/2 depth K_tc [a] (x(t) - x(t - T_a)).
     """
     ends = np.array([cut.start_rad, cut.exit_rad])
     sine, cosine, ratio = np.sin(2.0 * ends), np.cos(2.0 * ends), cut.radial_ratio
@@ -118,18 +107,15 @@ def mean_directional_matrix(cut: Cut) -> FloatArray:
 def directional_matrix(cut: Cut, angle_rad: FloatArray) -> FloatArray:
     """Return the directional coefficients at given angles of the first tooth, all teeth added.
 
+    Result: shape (n, 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T_a)). Its mean over a turn is half of
+    `mean_directional_matrix`.
+
     Parameters
     ----------
     cut
         The cut.
     angle_rad
         Angle of the first tooth [rad], shape (n,); the others follow at equal pitch.
-
-    Returns
-    -------
-    FloatArray
-        Shape (n, 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T_a)). Its mean over a
-        turn is half of `mean_directional_matrix`.
 
     """
     pitch = 2.0 * math.pi / cut.teeth

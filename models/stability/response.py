@@ -158,11 +158,7 @@ class SampledResponse:
         Cubic through the four nearest samples, of the receptance or of its inverse, whichever is
         smoother there: near a resonance the inverse is nearly a parabola. Exact at the samples.
 
-        Raises
-        ------
-        StabilityError
-            For a frequency outside the samples.
-
+        Raises StabilityError for a frequency outside the samples.
         """
         low, high = self.frequency_hz[0], self.frequency_hz[-1]
         if np.any((frequency_hz < low) | (frequency_hz > high)):

@@ -28,6 +28,9 @@ class Roughness:
 def profile_roughness(position_mm: FloatArray, height_um: FloatArray, cutoff_mm: float | None = None) -> Roughness:
     """Return the roughness of a profile.
 
+    Result: of the whole profile; with a cut-off half of it is left out at both ends. Raises StabilityError with too few
+    points, uneven spacing, or a cut-off longer than half the profile.
+
     Parameters
     ----------
     position_mm
@@ -36,16 +39,6 @@ def profile_roughness(position_mm: FloatArray, height_um: FloatArray, cutoff_mm:
         Shape (n,) [um].
     cutoff_mm
         Cut-off of the Gaussian filter that takes waviness away [mm]; None: only the mean line is removed.
-
-    Returns
-    -------
-    Roughness
-        Of the whole profile; with a cut-off half of it is left out at both ends.
-
-    Raises
-    ------
-    StabilityError
-        With too few points, uneven spacing, or a cut-off longer than half the profile.
 
     """
     if len(position_mm) != len(height_um) or len(height_um) < FEWEST_POINTS:

@@ -103,6 +103,8 @@ def _peak_m_per_n(mode: Mode) -> float:
 def semi_discretisation(structure: StateSpace, cut: Cut, steps: int = DEFAULT_STEPS) -> SemiDiscretisation:
     """Prepare the steps of one tooth passing.
 
+    Result: to be used at any speed and depth. Raises StabilityError with too few steps.
+
     Parameters
     ----------
     structure
@@ -111,16 +113,6 @@ def semi_discretisation(structure: StateSpace, cut: Cut, steps: int = DEFAULT_ST
         Engagement and cutting coefficients.
     steps
         Steps per tooth passing, m.
-
-    Returns
-    -------
-    SemiDiscretisation
-        To be used at any speed and depth.
-
-    Raises
-    ------
-    StabilityError
-        With too few steps.
 
     """
     if steps < FEWEST_STEPS:
@@ -147,6 +139,9 @@ def semi_discretisation(structure: StateSpace, cut: Cut, steps: int = DEFAULT_ST
 def transition_matrices(method: SemiDiscretisation, speed_rpm: float, depth_mm: FloatArray) -> FloatArray:
     """Return the maps over one tooth passing at one speed.
 
+    Result: shape (n, size, size), size = n_states + (steps + 1) n_directions, acting on the states and the
+    displacements one, two, ... steps + 1 steps ago. Raises StabilityError when speed or a depth is not above 0.
+
     Parameters
     ----------
     method
@@ -155,17 +150,6 @@ def transition_matrices(method: SemiDiscretisation, speed_rpm: float, depth_mm: 
         Spindle speed [1/min].
     depth_mm
         Axial depths of cut [mm], shape (n,).
-
-    Returns
-    -------
-    FloatArray
-        Shape (n, size, size), size = n_states + (steps + 1) n_directions, acting on the states and
-        the displacements one, two, ... steps + 1 steps ago.
-
-    Raises
-    ------
-    StabilityError
-        When speed or a depth is not above 0.
 
     """
     depths = np.asarray(depth_mm, dtype=np.float64)

@@ -12,6 +12,8 @@ FAINTEST_M_S2, LOUDEST_M_S2 = 1e-9, 1e9
 def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
     """Refuse a signal that is shorter than a window.
 
+    Raises StabilityError saying how long to record.
+
     Parameters
     ----------
     samples
@@ -20,11 +22,6 @@ def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
         Samples per second [Hz].
     window
         How many a spectrum needs.
-
-    Raises
-    ------
-    StabilityError
-        Saying how long to record.
 
     """
     if samples < window:
@@ -39,15 +36,12 @@ def check_clipping(acceleration_m_s2: FloatArray) -> None:
 
     A signal stays there as only a limit makes it.
 
+    Raises StabilityError saying what is wrong and what to do.
+
     Parameters
     ----------
     acceleration_m_s2
         Shape (n,) [m/s^2].
-
-    Raises
-    ------
-    StabilityError
-        Saying what is wrong and what to do.
 
     """
     if float(np.ptp(acceleration_m_s2)) == 0.0:

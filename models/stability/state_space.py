@@ -54,22 +54,14 @@ def _transition(mode: Mode, times: FloatArray) -> FloatArray:
 def state_space(response: ModalResponse, feed_deg: float = 0.0) -> StateSpace:
     """Return a modal response as state space in feed axes.
 
+    Result: two states per mode. Raises StabilityError when nothing can move.
+
     Parameters
     ----------
     response
         Modes per entry of the receptance matrix, in machine axes.
     feed_deg
         Direction of the feed against X [deg].
-
-    Returns
-    -------
-    StateSpace
-        Two states per mode.
-
-    Raises
-    ------
-    StabilityError
-        When nothing can move.
 
     """
     modes: list[Mode] = []

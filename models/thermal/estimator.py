@@ -94,6 +94,8 @@ class LinearEstimator:
     def begin(self, time_min: float, degc: FloatArray, speed_rpm: float = float("nan")) -> ModelState:
         """Return the state at a first sample, as if it had lasted for ever; nothing is settled yet.
 
+        Raises ValueError when the shape does not fit the model or the time is not finite.
+
         Parameters
         ----------
         time_min
@@ -103,11 +105,6 @@ class LinearEstimator:
             `model.period_min`), NaN where missing.
         speed_rpm
             Spindle speed [1/min], NaN where unknown.
-
-        Raises
-        ------
-        ValueError
-            When the shape does not fit the model or the time is not finite.
 
         """
         self._require(time_min, degc)
@@ -298,12 +295,8 @@ class LinearEstimator:
         Sensors that must not count are left out of the model over the whole interval since the
         reference, by block elimination, so that nothing of their wrong values stays behind.
 
-        Returns
-        -------
-        Estimation or None
-            `confidence` is the product of how far the states are filled, of the share of usable
-            sensors and of the distance from training; None without any usable sensor.
-
+        Result: `confidence` is the product of how far the states are filled, of the share of usable sensors and of the
+        distance from training; None without any usable sensor.
         """
         excluded = excluded_sensors(state, reference)
         sensors = self.model.layout.sensors

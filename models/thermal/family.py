@@ -101,18 +101,15 @@ FAMILIES: dict[str, Loader] = {
 def model_from_json(content: str | bytes, source: str) -> ThermalModel:
     """Return the model that a file holds, of whatever family and format.
 
+    Raises ModelError naming source and key: not JSON, an unknown family or format version, missing or unknown keys,
+    wrong types or shapes, numbers that are not finite, a checksum or a test vector that differs.
+
     Parameters
     ----------
     content
         Content of the file.
     source
         Its name, for messages.
-
-    Raises
-    ------
-    ModelError
-        Naming source and key: not JSON, an unknown family or format version, missing or unknown keys, wrong
-        types or shapes, numbers that are not finite, a checksum or a test vector that differs.
 
     """
     try:
@@ -141,12 +138,8 @@ OPTIONAL = {"axis_positions"}
 def old_model(content: Mapping[str, Any]) -> LinearModel:
     """Return the model that a file of format 1 (telescoped) or 2 (with lags) holds, as versions up to 0.1.0 wrote them.
 
-    Raises
-    ------
-    ModelError
-        Naming the key: an unknown format version, missing or unknown keys, a checksum that differs, or what
-        the model itself refuses.
-
+    Raises ModelError naming the key: an unknown format version, missing or unknown keys, a checksum that differs, or
+    what the model itself refuses.
     """
     version = content.get("format_version")
     if isinstance(version, bool) or version not in (1, 2):

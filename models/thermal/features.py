@@ -83,6 +83,8 @@ def lag_step(
 ) -> FloatArray:
     """Return a first-order lag after one interval in which its input went straight from one value to another.
 
+    Result: the lag at the end of the interval, in the unit of the input.
+
     Parameters
     ----------
     lagged, before, now : same shape
@@ -91,11 +93,6 @@ def lag_step(
         Length of the interval [min]; 0 leaves the lag as it is.
     time_constant_min
         Time constant [min], positive.
-
-    Returns
-    -------
-    numpy.ndarray
-        The lag at the end of the interval, in the unit of the input.
 
     """
     if elapsed_min <= 0.0:
@@ -108,6 +105,8 @@ def lag_step(
 def lag_table(time_min: FloatArray, values: FloatArray, time_constants_min: Sequence[float]) -> FloatArray:
     """Return the lags of a table, which begin as if the first row had lasted for ever.
 
+    Result of shape (n_lags, n, n_columns): in the unit of the inputs.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -116,11 +115,6 @@ def lag_table(time_min: FloatArray, values: FloatArray, time_constants_min: Sequ
         Inputs; every value finite.
     time_constants_min : length n_lags
         Time constants [min].
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_lags, n, n_columns)
-        In the unit of the inputs.
 
     """
     lagged = np.empty((len(time_constants_min), *values.shape))
@@ -140,17 +134,14 @@ def lag_table(time_min: FloatArray, values: FloatArray, time_constants_min: Sequ
 def speed_inputs(speed_rpm: FloatArray, scale_rpm: float) -> FloatArray:
     """Return spindle speed and its square, from which the heat of bearings and windings follows.
 
+    Result of shape (n, 2): ``|n| / scale`` and its square, without unit.
+
     Parameters
     ----------
     speed_rpm : shape (n,)
         Spindle speed [1/min].
     scale_rpm
         Speed that becomes 1 [1/min].
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, 2)
-        ``|n| / scale`` and its square, without unit.
 
     """
     relative = np.abs(speed_rpm) / scale_rpm

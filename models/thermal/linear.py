@@ -212,6 +212,8 @@ class LinearModel(LinearParameters):
     ) -> FloatArray:
         """Return what it estimates over a recording since one of its rows, without watching its sensors.
 
+        Result of shape (n - first, n_channels): thermal error since the reference [um].
+
         Parameters
         ----------
         time_min : shape (n,)
@@ -222,11 +224,6 @@ class LinearModel(LinearParameters):
             Spindle speed [1/min]; NaN repeats the value before. None where it is not known at all.
         first
             The row that is the reference.
-
-        Returns
-        -------
-        numpy.ndarray, shape (n - first, n_channels)
-            Thermal error since the reference [um].
 
         """
         speed = np.zeros(len(degc)) if speed_rpm is None else speed_rpm

@@ -69,11 +69,7 @@ class LinearParameters:
 
     ``thermal_error_um = (features - features at the reference) @ coefficients + drift_um_per_min * elapsed_min``
 
-    Raises
-    ------
-    ModelError
-        When shapes, names or numbers do not fit together, or a test vector is not met.
-
+    Raises ModelError when shapes, names or numbers do not fit together, or a test vector is not met.
     """
 
     model_id: str
@@ -124,17 +120,14 @@ class LinearParameters:
     def thermal_error_um(self, change: FloatArray, elapsed_min: float | FloatArray) -> FloatArray:
         """Return the thermal error since the reference.
 
+        Result of shape (n_channels,) or (n, n_channels): actual minus nominal [um].
+
         Parameters
         ----------
         change : shape (d,) or (n, d)
             Features minus features at the reference.
         elapsed_min : scalar or shape (n,)
             Time since the reference [min].
-
-        Returns
-        -------
-        numpy.ndarray, shape (n_channels,) or (n, n_channels)
-            Actual minus nominal [um].
 
         """
         drift_um = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)

@@ -94,18 +94,15 @@ def departure_maps(
 ) -> tuple[FloatArray, FloatArray]:
     """Return what turns scaled columns into the departure of every sensor from its prediction.
 
+    Result: maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard deviation that the
+    model itself expects [K], shape (n_sensors,).
+
     Parameters
     ----------
     layout, precision, gain
         See `SensorWatch`.
     skip
         Sensors that `precision` does not hold any more.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard
-        deviation that the model itself expects [K], shape (n_sensors,).
 
     """
     sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]

@@ -25,6 +25,8 @@ class SkillRecord:
 def with_measurement(record: SkillRecord, measured_um: float, estimated_um: float) -> SkillRecord:
     """Return the record with one more measurement.
 
+    Result: unchanged when a number is not finite.
+
     Parameters
     ----------
     record
@@ -33,11 +35,6 @@ def with_measurement(record: SkillRecord, measured_um: float, estimated_um: floa
         Error since the reference without compensation: measured minus applied [um].
     estimated_um
         Estimate at the same instant [um].
-
-    Returns
-    -------
-    SkillRecord
-        Unchanged when a number is not finite.
 
     """
     if not (np.isfinite(measured_um) and np.isfinite(estimated_um)):
@@ -58,17 +55,14 @@ def rms_um(values_um: tuple[float, ...]) -> float:
 def does_harm(record: SkillRecord, least_error_um: float) -> bool:
     """Return whether the estimate leaves more than there would be without it.
 
+    Result: true when what is left exceeds `MARGIN` times the measured error, and `least_error_um`.
+
     Parameters
     ----------
     record
         At least `LEAST_PAIRS` measurements are needed for a verdict.
     least_error_um
         While both are below this, neither says anything [um].
-
-    Returns
-    -------
-    bool
-        True when what is left exceeds `MARGIN` times the measured error, and `least_error_um`.
 
     """
     if len(record.left_um) < LEAST_PAIRS:

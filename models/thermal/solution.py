@@ -60,17 +60,14 @@ class Solution:
         Leaving columns S out of the ridge ``(G + penalty) w = b`` changes the others to
         ``w - Q[:, S] Q[S, S]^-1 w[S]`` with Q the inverse of ``G + penalty``.
 
+        Result of shape (layout.columns, n_channels): [um per unit of the feature]; zeros for the columns left out.
+
         Parameters
         ----------
         without
             Indices of the sensors, from 0, with all their lags.
         beside : shape (n_sensors,)
             Component of each sensor, as a number; None: all are on one. A ridge does not need it.
-
-        Returns
-        -------
-        numpy.ndarray, shape (layout.columns, n_channels)
-            [um per unit of the feature]; zeros for the columns left out.
 
         """
         weights = self.weights
@@ -90,6 +87,9 @@ class Solution:
         The ridge fitted without them gives what the whole one gives when the scaled columns S left out are
         ``-Q[S, S]^-1 Q[S, R] x[R]``, R the others: the values that the penalised fit expects of them.
 
+        Result of shape (layout.columns,): in the units of the features; a column that did not move in training is taken
+        not to move.
+
         Parameters
         ----------
         change : shape (layout.columns,)
@@ -98,11 +98,6 @@ class Solution:
             Indices of the sensors, from 0, with all their lags.
         beside
             See `coefficients`.
-
-        Returns
-        -------
-        numpy.ndarray, shape (layout.columns,)
-            In the units of the features; a column that did not move in training is taken not to move.
 
         """
         if self.directions is None:
@@ -171,16 +166,13 @@ def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:
 def band_factor(distance: FloatArray | float) -> FloatArray:
     """Return by how much a band is widened at a distance from the reference: not at all inside the domain.
 
+    Result: of the same shape; beyond the domain the distance itself, because the deviation of the estimate is
+    proportional to it.
+
     Parameters
     ----------
     distance
         The root of leverage over its largest value in training: 1 at the farthest that training went.
-
-    Returns
-    -------
-    numpy.ndarray
-        Of the same shape; beyond the domain the distance itself, because the deviation of the estimate
-        is proportional to it.
 
     """
     return np.maximum(1.0, distance)

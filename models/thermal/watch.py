@@ -190,6 +190,8 @@ class Watcher:
     ) -> WatchState:
         """Return the state after a sample.
 
+        Result: with what was found so far; an excluded sensor stays excluded.
+
         Parameters
         ----------
         state
@@ -202,11 +204,6 @@ class Watcher:
             Spindle speed [1/min]; NaN repeats the last one.
         find_faults
             Whether sensors may be excluded; False while the watch only fills its memory.
-
-        Returns
-        -------
-        WatchState
-            With what was found so far; an excluded sensor stays excluded.
 
         """
         elapsed_min = time_min - state.time_min

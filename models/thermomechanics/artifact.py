@@ -44,18 +44,15 @@ def _axis(axis: AxisRegression) -> dict[str, Any]:
 def model_from_json(text: str, source: str) -> ThermomechanicalModel:
     """Return the model that a file holds.
 
+    Raises ModelError naming source and key: not JSON, another format or version, missing or unknown keys, wrong types
+    or shapes, numbers that are not finite, or a checksum that differs.
+
     Parameters
     ----------
     text
         Content of the file.
     source
         Its name, for messages.
-
-    Raises
-    ------
-    ModelError
-        Naming source and key: not JSON, another format or version, missing or unknown keys, wrong types or shapes,
-        numbers that are not finite, or a checksum that differs.
 
     """
     try:

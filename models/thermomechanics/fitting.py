@@ -76,6 +76,8 @@ def minute_series(
 ) -> MinuteSeries:
     """Interpolate properties to whole minutes and take the temperatures' means beside them.
 
+    Raises IdentificationError when no minute is left.
+
     Parameters
     ----------
     response_min
@@ -88,11 +90,6 @@ def minute_series(
         Temperatures of the signals [degC], NaN where unknown, shape (n, m).
     longest_gap_min
         Between responses further apart nothing is interpolated [min].
-
-    Raises
-    ------
-    IdentificationError
-        When no minute is left.
 
     """
     grid = minute_grid(response_min, longest_gap_min)
@@ -142,6 +139,8 @@ def fit_axis(
     The interval of each property is the one with the largest adjusted coefficient of determination; the penalty the
     one with the smallest error on stretches of time that were left out.
 
+    Raises IdentificationError when there are fewer minutes than the regression needs.
+
     Parameters
     ----------
     axis
@@ -158,11 +157,6 @@ def fit_axis(
         The parameters that were not varied.
     least_squares
         No penalty, as the dissertation.
-
-    Raises
-    ------
-    IdentificationError
-        When there are fewer minutes than the regression needs.
 
     """
     degc = np.concatenate([run.degc for run in runs])

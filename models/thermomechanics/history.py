@@ -67,15 +67,12 @@ class SignalMeans:
     def renew(self, degc: FloatArray) -> FloatArray:
         """Return the mean of each label at a reading of all sensors [degC], shape (labels,).
 
+        Result: shape (labels,) [degC]; NaN where no sensor of a label has a value.
+
         Parameters
         ----------
         degc
             One value for each sensor of the machine [degC], NaN where there is none.
-
-        Returns
-        -------
-        FloatArray
-            Shape (labels,) [degC]; NaN where no sensor of a label has a value.
 
         """
         means = np.full(len(self._places), np.nan)

@@ -51,11 +51,7 @@ class EstimatedProperty:
 class PropertyRegression:
     """Regression of one bearing property on temperatures.
 
-    Raises
-    ------
-    ModelError
-        When name, shapes or numbers do not fit together.
-
+    Raises ModelError when name, shapes or numbers do not fit together.
     """
 
     name: str
@@ -107,11 +103,7 @@ SMALLEST_WIDTH_K = 1.0
 class AxisRegression:
     """All regressions of one machine axis.
 
-    Raises
-    ------
-    ModelError
-        When shapes and names do not fit together.
-
+    Raises ModelError when shapes and names do not fit together.
     """
 
     axis: str
@@ -150,17 +142,14 @@ class AxisRegression:
     def estimate(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> tuple[EstimatedProperty, ...]:
         """Return the regressed properties.
 
+        Raises ValueError when a temperature or a change is not finite, or the shapes differ.
+
         Parameters
         ----------
         degc
             Temperatures of the signals now [degC], shape (m,).
         differences_k
             Interval [min] -> change of the signals over it [K], shape (m,); every one of `intervals_min`.
-
-        Raises
-        ------
-        ValueError
-            When a temperature or a change is not finite, or the shapes differ.
 
         """
         given = {0.0: np.zeros(0), **differences_k}
@@ -195,17 +184,14 @@ def _estimated(regression: PropertyRegression, variables: FloatArray, inside: fl
 def explanatory_variables(degc: FloatArray, difference_k: FloatArray) -> FloatArray:
     """Return 1, T, dT and dT^2 of section 5.3.2.
 
+    Result: shape (..., 1 + 3 m), or (..., 1 + m).
+
     Parameters
     ----------
     degc
         Temperatures [degC], shape (..., m).
     difference_k
         Their changes over the interval [K], shape (..., m); of shape (..., 0): 1 and T alone.
-
-    Returns
-    -------
-    FloatArray
-        Shape (..., 1 + 3 m), or (..., 1 + m).
 
     """
     one = np.ones((*degc.shape[:-1], 1))

@@ -120,6 +120,8 @@ class ResonanceFollower:
     ) -> None:
         """Choose the resonance.
 
+        Raises IdentificationError when there is none.
+
         Parameters
         ----------
         frequency_hz
@@ -133,11 +135,6 @@ class ResonanceFollower:
         on_the_way
             Responses of several sets of parameters at once, in a band and possibly at fewer frequencies, for the
             steps on the way; None: `receptance`, one by one.
-
-        Raises
-        ------
-        IdentificationError
-            When there is none.
 
         """
         self.frequency_hz = frequency_hz

@@ -31,15 +31,12 @@ class SignalSelection:
 def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return coefficients of correlation between columns.
 
+    Result: shape (p, q); 0 for a column that does not move.
+
     Parameters
     ----------
     first, second
         Shapes (n, p) and (n, q), without NaN.
-
-    Returns
-    -------
-    FloatArray
-        Shape (p, q); 0 for a column that does not move.
 
     """
 

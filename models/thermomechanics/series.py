@@ -51,6 +51,8 @@ def identify_series(
 ) -> PropertySeries:
     """Identify all responses of one axis.
 
+    Raises IdentificationError when a response cannot be fitted at all.
+
     Parameters
     ----------
     shaft
@@ -63,11 +65,6 @@ def identify_series(
         12, 7 or 5.
     smaller
         The same responses identified with fewer parameters, where each of them begins.
-
-    Raises
-    ------
-    IdentificationError
-        When a response cannot be fitted at all.
 
     """
     names = tuple(name for name in PARAMETERS if name not in FIXED[parameters])

@@ -215,6 +215,8 @@ class ToolPointTracker:
     ) -> None:
         """Prepare everything that does not depend on temperatures.
 
+        Raises ValueError when an axis has no regression, or a signal no sensor.
+
         Parameters
         ----------
         model
@@ -227,11 +229,6 @@ class ToolPointTracker:
             Evenly spaced [Hz], shape (n,); None: those of the dissertation.
         near_hz
             Axis -> the resonance nearest to this is followed [Hz]; without: the highest.
-
-        Raises
-        ------
-        ValueError
-            When an axis has no regression, or a signal no sensor.
 
         """
         if missing := sorted(set(assemblies) - set(model.axes)):

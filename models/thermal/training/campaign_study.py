@@ -47,17 +47,14 @@ class CampaignFits:
     def estimates_um(self, test: PublishedSet, model: str) -> FloatArray:
         """Return a model's estimate of a test set for every number of sensors.
 
+        Result of shape (rows, n_sensors): thermal error of Y2 or Z2 since the reference [um].
+
         Parameters
         ----------
         test
             The set; the reference is its first row.
         model
             One of `MODELS`.
-
-        Returns
-        -------
-        numpy.ndarray, shape (rows, n_sensors)
-            Thermal error of Y2 or Z2 since the reference [um].
 
         """
         output = "Z1" if model == "Z1+TL" else model
@@ -78,6 +75,8 @@ def progressive_fits(
 ) -> list[CampaignFits]:
     """Return the models after the first, the first two .. training sets, in the order given.
 
+    Result: one for each number of training sets.
+
     Parameters
     ----------
     training
@@ -86,11 +85,6 @@ def progressive_fits(
         Indices of the temperatures in the order in which they are added, shape (n_sensors,).
     intercept
         Whether b_0 is fitted.
-
-    Returns
-    -------
-    list[CampaignFits]
-        One for each number of training sets.
 
     """
     found: list[CampaignFits] = []
@@ -118,6 +112,8 @@ def residual_maps(
 ) -> dict[Key, ResidualMap]:
     """Return the residuals of every model on every group of test sets (Figs. 3-15 to 3-18, 3-20 to 3-22).
 
+    Result: a map by (model, group).
+
     Parameters
     ----------
     training
@@ -130,11 +126,6 @@ def residual_maps(
         Whether b_0 is fitted.
     progress
         Called with (done, total) numbers of training sets.
-
-    Returns
-    -------
-    dict
-        A map by (model, group).
 
     """
     shape = (len(training), len(sensor_order))

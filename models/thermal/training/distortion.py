@@ -41,15 +41,12 @@ class Distortion:
 def rotations(speed_rpm: FloatArray) -> list[Stretch]:
     """Return every rotation of the spindle.
 
+    Result: each with its reference as first row; a recording that begins in rotation has its first row as reference.
+
     Parameters
     ----------
     speed_rpm : shape (n,)
         Spindle speed [1/min]; unknown (NaN) repeats the state before, at the beginning standstill.
-
-    Returns
-    -------
-    list[Stretch]
-        Each with its reference as first row; a recording that begins in rotation has its first row as reference.
 
     """
     turning = _turning(speed_rpm)
@@ -61,6 +58,8 @@ def rotations(speed_rpm: FloatArray) -> list[Stretch]:
 def settled_stretches(time_min: FloatArray, speed_rpm: FloatArray | None, settled_min: float) -> list[Stretch]:
     """Return the stretches in which nothing but the environment moves the machine.
 
+    Result: of at least two rows.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -70,11 +69,6 @@ def settled_stretches(time_min: FloatArray, speed_rpm: FloatArray | None, settle
     settled_min
         Time after a rotation that does not count yet [min]. A recording that begins at standstill is
         taken as settled at its beginning.
-
-    Returns
-    -------
-    list[Stretch]
-        Of at least two rows.
 
     """
     if speed_rpm is None:
@@ -106,17 +100,14 @@ def value_range_um(values_um: FloatArray) -> float:
 def distortion(time_min: FloatArray, error_um: FloatArray) -> Distortion:
     """Return the distortion of one displacement during a rotation.
 
+    Result: ranges and the last value since the first.
+
     Parameters
     ----------
     time_min : shape (n,)
         Time of the rotation's rows [min]; the first is the reference.
     error_um : shape (n,)
         Displacement [um], NaN where it was not measured.
-
-    Returns
-    -------
-    Distortion
-        Ranges and the last value since the first.
 
     """
     early = time_min - time_min[0] <= FIRST_MIN + 1e-6
@@ -131,6 +122,9 @@ def distortion(time_min: FloatArray, error_um: FloatArray) -> Distortion:
 def stable_after_min(time_min: FloatArray, error_um: FloatArray, *, ahead_min: float, tolerance_um: float) -> float:
     """Return the time after which a displacement drifts less than a tolerance over the next minutes.
 
+    Result: time since the first row [min] from which on every later change over `ahead_min` stays within the tolerance;
+    NaN when the last one does not, or the period is shorter than `ahead_min`.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -141,12 +135,6 @@ def stable_after_min(time_min: FloatArray, error_um: FloatArray, *, ahead_min: f
         How far is looked ahead [min].
     tolerance_um
         Largest change within that time [um].
-
-    Returns
-    -------
-    float
-        Time since the first row [min] from which on every later change over `ahead_min` stays within the
-        tolerance; NaN when the last one does not, or the period is shorter than `ahead_min`.
 
     """
     known = np.isfinite(error_um)

@@ -26,6 +26,8 @@ class Process:
 def energy_efficiency(process: Process, *, chiller_kw: float, chiller_h: float) -> float:
     """Return the share of the whole energy that cuts (equation 1-1).
 
+    Result: 0..1. Raises ValueError when power or time is negative, or the chiller runs longer than the process.
+
     Parameters
     ----------
     process
@@ -34,16 +36,6 @@ def energy_efficiency(process: Process, *, chiller_kw: float, chiller_h: float) 
         Power of the chiller while it runs [kW].
     chiller_h
         How long it runs during the process [h]: all of it, or less with idle reduction or switched off.
-
-    Returns
-    -------
-    float
-        0..1.
-
-    Raises
-    ------
-    ValueError
-        When power or time is negative, or the chiller runs longer than the process.
 
     """
     if not (chiller_kw >= 0.0 and 0.0 <= chiller_h <= process.time_h * (1.0 + 1e-9)):

@@ -39,6 +39,9 @@ def _reduction(remaining: FloatArray, without: FloatArray) -> FloatArray:
 def residual_metrics(channels: tuple[str, ...], measured_um: FloatArray, estimated_um: FloatArray) -> ResidualMetrics:
     """Return RMSE and largest residual with and without the estimate.
 
+    Result: NaN for a channel that was never measured. Raises ValueError when shapes differ, there is no row, or an
+    estimate is not finite.
+
     Parameters
     ----------
     channels
@@ -46,16 +49,6 @@ def residual_metrics(channels: tuple[str, ...], measured_um: FloatArray, estimat
     measured_um, estimated_um : shape (n, n_channels)
         Measured and estimated displacements [um]. Both are referenced to the first row in which
         the channel was measured; rows without a measured value are left out.
-
-    Returns
-    -------
-    ResidualMetrics
-        NaN for a channel that was never measured.
-
-    Raises
-    ------
-    ValueError
-        When shapes differ, there is no row, or an estimate is not finite.
 
     """
     if measured_um.shape != estimated_um.shape or measured_um.shape[1:] != (len(channels),) or not len(measured_um):

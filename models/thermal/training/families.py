@@ -218,15 +218,12 @@ class MeanOfRidges:
 def members(left_out_rmse: Sequence[float]) -> list[int]:
     """Return which ridges enter the mean.
 
+    Result: indices from 0 of all that are nearly as good as the best; of all where no score is known.
+
     Parameters
     ----------
     left_out_rmse
         RMSE with / without each ridge on what was left out; NaN where nothing could be.
-
-    Returns
-    -------
-    list of int
-        Indices from 0 of all that are nearly as good as the best; of all where no score is known.
 
     """
     scores = np.asarray(left_out_rmse, dtype=np.float64)

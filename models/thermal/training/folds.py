@@ -33,22 +33,15 @@ def spindle_starts(speed_rpm: FloatArray) -> IntArray:
 def cycles(inputs: Inputs, rows: BoolArray) -> list[BoolArray]:
     """Return the spindle cycles within some rows: each from one start out of standstill to the next.
 
+    Result: masks of shape (n,), in order. Rows before the first start belong to none. Raises DatasetError when the
+    spindle speed was not recorded.
+
     Parameters
     ----------
     inputs
         The recordings.
     rows : shape (n,)
         Rows that are looked at.
-
-    Returns
-    -------
-    list of numpy.ndarray
-        Masks of shape (n,), in order. Rows before the first start belong to none.
-
-    Raises
-    ------
-    DatasetError
-        When the spindle speed was not recorded.
 
     """
     if inputs.speed_rpm is None:
@@ -72,6 +65,9 @@ def inner_folds(inputs: Inputs, rows: BoolArray, fewest_runs: int = FEWEST_CYCLE
 
     Runs are left out one by one where there are enough; else spindle cycles; else blocks of equal length.
 
+    Result: number of the fold of every row, shape (n,), -1 for a row that is never left out, and what the folds are:
+    `run`, `cycle` or `block`.
+
     Parameters
     ----------
     inputs
@@ -80,12 +76,6 @@ def inner_folds(inputs: Inputs, rows: BoolArray, fewest_runs: int = FEWEST_CYCLE
         Training rows; nothing else is looked at.
     fewest_runs
         With fewer runs than this they are not left out one by one.
-
-    Returns
-    -------
-    tuple
-        Number of the fold of every row, shape (n,), -1 for a row that is never left out, and what
-        the folds are: `run`, `cycle` or `block`.
 
     """
     fold = np.full(inputs.rows, -1, dtype=np.intp)

@@ -57,6 +57,9 @@ class LinearFit:
 def increments(stretches: Iterable[tuple[FloatArray, FloatArray]], interval_min: float, period_s: float) -> Increments:
     """Return all differences over an interval within each stretch.
 
+    Result: in the order of the stretches and of time; perhaps none. Raises DatasetError when the interval is no
+    multiple of the sampling.
+
     Parameters
     ----------
     stretches
@@ -66,16 +69,6 @@ def increments(stretches: Iterable[tuple[FloatArray, FloatArray]], interval_min:
         A whole multiple of the time between rows [min].
     period_s
         Time between rows [s].
-
-    Returns
-    -------
-    Increments
-        In the order of the stretches and of time; perhaps none.
-
-    Raises
-    ------
-    DatasetError
-        When the interval is no multiple of the sampling.
 
     """
     step = rows_per_interval(interval_min, period_s)
@@ -126,6 +119,9 @@ def fit(factor: Factor, *, intercept: bool, ridge: float = 0.0) -> LinearFit:
     with more sensors than the data can tell apart, the shortest of the solutions is taken. The
     intercept is not penalised.
 
+    Result: coefficients for every displacement channel. Raises DatasetError when ordinary least squares has fewer rows
+    than variables. Raises ValueError when the penalty is negative or not finite.
+
     Parameters
     ----------
     factor
@@ -134,18 +130,6 @@ def fit(factor: Factor, *, intercept: bool, ridge: float = 0.0) -> LinearFit:
         Whether b_0 is fitted; it integrates into a linear drift.
     ridge
         Penalty [K^2], not negative; 0 is ordinary least squares.
-
-    Returns
-    -------
-    LinearFit
-        Coefficients for every displacement channel.
-
-    Raises
-    ------
-    DatasetError
-        When ordinary least squares has fewer rows than variables.
-    ValueError
-        When the penalty is negative or not finite.
 
     """
     return fit_each(factor, intercept=intercept, penalties=[ridge])[0]

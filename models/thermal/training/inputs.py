@@ -93,6 +93,9 @@ def build_inputs(
 ) -> Inputs:
     """Return the rows of recordings with their lags.
 
+    Result: with as many rows as the averaged recordings have. Raises DatasetError when the recordings do not have the
+    same columns or sampling.
+
     Parameters
     ----------
     recordings
@@ -102,16 +105,6 @@ def build_inputs(
         They are averaged to this time between rows [s].
     lags_min, speed_lags_min
         Time constants [min].
-
-    Returns
-    -------
-    Inputs
-        With as many rows as the averaged recordings have.
-
-    Raises
-    ------
-    DatasetError
-        When the recordings do not have the same columns or sampling.
 
     """
     require_same_columns(recordings)
@@ -187,17 +180,14 @@ def _one(recording: Recording, layout: Layout, with_speed: bool, scale_rpm: floa
 def bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return a table with straight lines over what is missing, and where it was missing for longer than is bridged.
 
+    Result: finite values and the mask, both of shape (n, n_columns).
+
     Parameters
     ----------
     time_min : shape (n,)
         Increasing times [min].
     values : shape (n, n_columns)
         NaN where missing; zeros come out of a column without any value.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Finite values and the mask, both of shape (n, n_columns).
 
     """
     filled = values.copy()
@@ -229,11 +219,7 @@ def _without_jumps(recording: Recording) -> Recording:
 def averaged_recordings(recordings: Sequence[Recording], sample_s: float) -> list[Recording]:
     """Return recordings averaged to a time between rows [s].
 
-    Raises
-    ------
-    DatasetError
-        When averaging leaves no more rows than temperatures.
-
+    Raises DatasetError when averaging leaves no more rows than temperatures.
     """
     averaged = [recording.downsampled(sample_s) for recording in recordings]
     before, left = sum(r.rows for r in recordings), sum(r.rows for r in averaged)

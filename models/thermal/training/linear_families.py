@@ -120,6 +120,9 @@ class LassoProblem:
 def lasso_path(x: FloatArray, y: FloatArray, relative_alphas: Sequence[float]) -> FloatArray:
     """Return the LASSO solutions for penalties relative to the one that leaves nothing.
 
+    Result of shape (len(relative_alphas), d): found by least angle regression, along which every solution between two
+    knots is a line.
+
     Parameters
     ----------
     x : shape (n, d)
@@ -128,11 +131,6 @@ def lasso_path(x: FloatArray, y: FloatArray, relative_alphas: Sequence[float]) -
         Centred target [um].
     relative_alphas
         Decreasing, from 1.
-
-    Returns
-    -------
-    numpy.ndarray, shape (len(relative_alphas), d)
-        Found by least angle regression, along which every solution between two knots is a line.
 
     """
     from sklearn.linear_model import lars_path_gram  # noqa: PLC0415

@@ -40,15 +40,12 @@ class NestedFits:
     def coefficients(self, sensors: int) -> tuple[FloatArray, FloatArray]:
         """Return the model on the first sensors of the order.
 
+        Result: b [um/K], shape (sensors, n_outputs), and b_0 [um/min], shape (n_outputs,).
+
         Parameters
         ----------
         sensors
             How many, from 1.
-
-        Returns
-        -------
-        tuple[numpy.ndarray, numpy.ndarray]
-            b [um/K], shape (sensors, n_outputs), and b_0 [um/min], shape (n_outputs,).
 
         """
         solution = self.shortest.get(sensors)
@@ -59,6 +56,8 @@ class NestedFits:
     def estimates_um(self, change_k: FloatArray, elapsed_min: FloatArray, output: int) -> FloatArray:
         """Return the thermal error since the reference for every number of sensors (equation 3-5, telescoped).
 
+        Result of shape (n, n_sensors): column k - 1 is of the first k sensors of the order [um].
+
         Parameters
         ----------
         change_k : shape (n, n_sensors)
@@ -67,11 +66,6 @@ class NestedFits:
             Time since the reference [min].
         output
             Which output.
-
-        Returns
-        -------
-        numpy.ndarray, shape (n, n_sensors)
-            Column k - 1 is of the first k sensors of the order [um].
 
         """
         centred = change_k[:, self.order] - np.multiply.outer(elapsed_min, self.mean_change_k)
@@ -90,6 +84,8 @@ def nested_fits(factor: Factor, order: Sequence[int] | npt.NDArray[np.intp], *, 
 
     The normal equations are solved by their triangular factor, which is never multiplied out.
 
+    Result: for every number of sensors from 1 to the length of the order.
+
     Parameters
     ----------
     factor
@@ -98,11 +94,6 @@ def nested_fits(factor: Factor, order: Sequence[int] | npt.NDArray[np.intp], *, 
         Indices of the sensors to use, each at most once.
     intercept
         Whether b_0 is fitted.
-
-    Returns
-    -------
-    NestedFits
-        For every number of sensors from 1 to the length of the order.
 
     """
     places = np.asarray(order, dtype=np.intp)

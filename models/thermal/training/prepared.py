@@ -46,6 +46,8 @@ def prepare(
     a machine whose sensors do not see all heat, and only extrapolates on one whose sensors do.
     What predicts left-out folds better is taken.
 
+    Raises DatasetError when too few rows are complete.
+
     Parameters
     ----------
     recordings, sample_s
@@ -56,11 +58,6 @@ def prepare(
         Rows that may be trained on; None for all.
     probe_min
         Time between probes [min] for which it is chosen; None without probes.
-
-    Raises
-    ------
-    DatasetError
-        When too few rows are complete.
 
     """
     inputs = build_inputs(recordings, sample_s=sample_s) if recipe.lags else _plain(recordings, sample_s)

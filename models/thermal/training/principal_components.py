@@ -35,20 +35,12 @@ class PrincipalComponents:
 def principal_components(values: FloatArray) -> PrincipalComponents:
     """Return the principal components of a table, by the eigenvalues of its covariance.
 
+    Result: all of them. Raises DatasetError when there are fewer than two rows, a value is missing, or nothing varies.
+
     Parameters
     ----------
     values : shape (n, n_sensors)
         Temperatures or differences of temperatures [degC or K], complete.
-
-    Returns
-    -------
-    PrincipalComponents
-        All of them.
-
-    Raises
-    ------
-    DatasetError
-        When there are fewer than two rows, a value is missing, or nothing varies.
 
     """
     if len(values) < 2 or not np.isfinite(values).all():
@@ -68,17 +60,14 @@ def principal_components(values: FloatArray) -> PrincipalComponents:
 def differences(runs: Sequence[FloatArray], rows: int) -> FloatArray:
     """Return the differences over a number of rows within each run, every row being the end of one.
 
+    Result of shape (m, n_sensors): of all runs.
+
     Parameters
     ----------
     runs
         Tables of shape (n, n_sensors) with the same columns.
     rows
         From 1; runs that are no longer than this add nothing.
-
-    Returns
-    -------
-    numpy.ndarray, shape (m, n_sensors)
-        Of all runs.
 
     """
     return np.concatenate([run[rows:] - run[:-rows] for run in runs])

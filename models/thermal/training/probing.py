@@ -28,11 +28,7 @@ class BiasState:
 class BiasFilter:
     """How the offset wanders and how far it may be corrected.
 
-    Raises
-    ------
-    ValueError
-        When a variance or bound is negative or not a number.
-
+    Raises ValueError when a variance or bound is negative or not a number.
     """
 
     wander_um2_per_min: FloatArray
@@ -83,6 +79,8 @@ class BiasFilter:
 def wander_um2_per_min(time_min: FloatArray, residual_um: FloatArray, over_min: float) -> FloatArray:
     """Return the variance that a residual gains per minute, from its changes over some time.
 
+    Result of shape (n_channels,): [um^2/min]; zeros when the record is shorter than that.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -91,11 +89,6 @@ def wander_um2_per_min(time_min: FloatArray, residual_um: FloatArray, over_min: 
         Measured minus estimated on rows that were not trained on [um], NaN where missing.
     over_min
         Time over which changes are taken [min]: that between two probes.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n_channels,)
-        [um^2/min]; zeros when the record is shorter than that.
 
     """
     later = np.searchsorted(time_min, time_min + over_min)
@@ -117,6 +110,8 @@ def probed_residual_um(
 ) -> FloatArray:
     """Return residuals when a probe corrects the offset at regular times.
 
+    Result of shape (n, n_channels): a probe holds from the row in which it is taken.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -129,11 +124,6 @@ def probed_residual_um(
         How a probe corrects; None resets the offset fully.
     noise_um : shape (n, n_channels)
         Error of a probe at each row [um]; None for none.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, n_channels)
-        A probe holds from the row in which it is taken.
 
     """
     if bias_filter is None:

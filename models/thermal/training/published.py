@@ -82,6 +82,9 @@ def channel_um(recording: Recording, channel: str) -> FloatArray:
 def prepare(number: int, recording: Recording, length_sensors: Sequence[str]) -> PublishedSet:
     """Prepare a data set.
 
+    Result: with the triangular factors of its increments. Raises DatasetError when speed, a channel or a temperature is
+    missing, or a value is.
+
     Parameters
     ----------
     number
@@ -90,16 +93,6 @@ def prepare(number: int, recording: Recording, length_sensors: Sequence[str]) ->
         One row per minute, with spindle speed and Y2, Z1, Z2; the first row is the reference.
     length_sensors
         Names of the temperatures that TL takes (Room and IR).
-
-    Returns
-    -------
-    PublishedSet
-        With the triangular factors of its increments.
-
-    Raises
-    ------
-    DatasetError
-        When speed, a channel or a temperature is missing, or a value is.
 
     """
     if recording.speed_rpm is None:

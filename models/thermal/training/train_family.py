@@ -55,6 +55,9 @@ def train_family(
 ) -> FamilyTraining:
     """Fit a recipe on recordings.
 
+    Result: the model of the recipe, and how far it may be trusted. Raises DatasetError when the recordings do not fit
+    together or cannot support the model.
+
     Parameters
     ----------
     recordings
@@ -67,16 +70,6 @@ def train_family(
         Date and time for the model, ISO 8601.
     progress
         Called with (done, total) steps.
-
-    Returns
-    -------
-    FamilyTraining
-        The model of the recipe, and how far it may be trusted.
-
-    Raises
-    ------
-    DatasetError
-        When the recordings do not fit together or cannot support the model.
 
     """
     recordings, warnings = usable_recordings(recordings)

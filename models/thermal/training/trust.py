@@ -274,6 +274,10 @@ def few_folds_factor(folds: int) -> float:
 def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, probe_min: float) -> BiasFilter:
     """Return how a probe corrects the offset of this model.
 
+    Result: its noise is the scatter of displacements about what moves smoothly; its wander is what the left-out
+    residual gains beyond that noise between two probes, or over half an hour where probes come more often: what a model
+    misses drifts, which nothing shows within the noise of a minute. A correction is bounded by the channel's span.
+
     Parameters
     ----------
     inputs, rows
@@ -282,14 +286,6 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
         What the model left of rows it was not fitted on, see `left_out_series_um` [um].
     probe_min
         Time between probes [min].
-
-    Returns
-    -------
-    BiasFilter
-        Its noise is the scatter of displacements about what moves smoothly; its wander is what the
-        left-out residual gains beyond that noise between two probes, or over half an hour where
-        probes come more often: what a model misses drifts, which nothing shows within the noise of
-        a minute. A correction is bounded by the channel's span.
 
     """
     segments = fold_segments(inputs, rows)
@@ -309,17 +305,15 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
 def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: dict[int, Fit]) -> FloatArray:
     """Return measured minus estimated over all training rows, each fold by the fit that left it out.
 
+    Result of shape (n, n_channels): about the mean of the same run's rows that the fit was trained on [um]; NaN
+    elsewhere.
+
     Parameters
     ----------
     inputs, rows, fold
         Training rows and their folds.
     fits
         Fold -> the fit without it.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, n_channels)
-        About the mean of the same run's rows that the fit was trained on [um]; NaN elsewhere.
 
     """
     series_um = np.full(inputs.measured_um.shape, np.nan)

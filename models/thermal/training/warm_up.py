@@ -29,17 +29,14 @@ class WarmUp:
     def drift_um(self, at_min: FloatArray, ahead_min: float) -> FloatArray:
         """Return the expected change over the next minutes.
 
+        Result of shape (m,): later minus now [um].
+
         Parameters
         ----------
         at_min : shape (m,)
             Times since the start of rotation [min].
         ahead_min
             How far ahead [min].
-
-        Returns
-        -------
-        numpy.ndarray, shape (m,)
-            Later minus now [um].
 
         """
         left = np.exp(-np.divide.outer(at_min, self.time_constants_min))
@@ -49,17 +46,14 @@ class WarmUp:
     def wait_min(self, *, ahead_min: float, tolerance_um: float) -> float:
         """Return how long to warm up until the expected drift stays below a tolerance.
 
+        Result: since the start of rotation [min], in whole minutes; NaN when it is not reached within a day.
+
         Parameters
         ----------
         ahead_min
             Time ahead over which the drift counts [min].
         tolerance_um
             Largest drift in it [um].
-
-        Returns
-        -------
-        float
-            Since the start of rotation [min], in whole minutes; NaN when it is not reached within a day.
 
         """
         at_min = np.arange(HORIZON_MIN + 1.0)
@@ -73,6 +67,9 @@ class WarmUp:
 def fit_warm_up(time_min: FloatArray, error_um: FloatArray) -> WarmUp:
     """Fit the responses to a rotation at constant speed.
 
+    Result: by least squares with a small penalty on the amplitudes. Raises DatasetError when fewer than `FEWEST_ROWS`
+    rows were measured, or the period is shorter than every time constant.
+
     Parameters
     ----------
     time_min : shape (n,)
@@ -80,16 +77,6 @@ def fit_warm_up(time_min: FloatArray, error_um: FloatArray) -> WarmUp:
         says where it began: the jump at spindle on is an offset of all rows after it.
     error_um : shape (n,)
         Displacement [um], NaN where it was not measured.
-
-    Returns
-    -------
-    WarmUp
-        By least squares with a small penalty on the amplitudes.
-
-    Raises
-    ------
-    DatasetError
-        When fewer than `FEWEST_ROWS` rows were measured, or the period is shorter than every time constant.
 
     """
     known = np.isfinite(error_um)
