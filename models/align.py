@@ -17,11 +17,7 @@ class RollingMean:
 
     Raises ValueError when the window is not positive.
 
-    Parameters
-    ----------
-    window_s
-        Length of the window [s].
-
+    `window_s`: length of the window [s].
     """
 
     def __init__(self, window_s: float) -> None:
@@ -36,13 +32,8 @@ class RollingMean:
 
         Raises ValueError when the time is not finite or the number of sensors changes.
 
-        Parameters
-        ----------
-        time_s
-            Its time [s].
-        values : shape (n_sensors,)
-            NaN where a sensor has no value. Kept by reference: hand over an array of its own.
-
+        `time_s`: its time [s]. `values`, shape (n_sensors,): NaN where a sensor has no value. Kept by reference: hand
+        over an array of its own.
         """
         if not np.isfinite(time_s):
             raise ValueError(f"time_s must be finite, got {time_s}")
@@ -123,13 +114,8 @@ def contiguous_runs(time_s: FloatArray, period_s: float) -> list[tuple[int, int]
 
     Result: stretches in order; together they hold every row.
 
-    Parameters
-    ----------
-    time_s : shape (n,)
-        Increasing times [s].
-    period_s
-        Nominal time between rows [s]; a step over one and a half of it is a gap.
-
+    `time_s`, shape (n,): increasing times [s]. `period_s`: nominal time between rows [s]; a step over one and a half of
+    it is a gap.
     """
     if len(time_s) == 0:
         return []

@@ -112,13 +112,8 @@ def compact(value: Any) -> str:
 def file_text(family: str, record: object) -> str:
     """Return the text of the file of a record: one key per line, and a checksum of all that stands before it.
 
-    Parameters
-    ----------
-    family
-        Name of the family in whose registry its reader stands.
-    record
-        A dataclass whose arrays are `Numbers` or `Packed`.
-
+    `family`: name of the family in whose registry its reader stands. `record`: a dataclass whose arrays are `Numbers`
+    or `Packed`.
     """
     fields: dict[str, Any] = TypeAdapter(type(record)).dump_python(record)
     lines = ",\n".join(f'"{key}": {compact(value)}' for key, value in fields.items())
@@ -200,13 +195,8 @@ def text_of_file(content: dict[str, Any]) -> str:
 def unsigned(content: dict[str, Any], made_by: str) -> dict[str, Any]:
     """Return the content of a file without a header, without its checksum; raises ModelError when that differs.
 
-    Parameters
-    ----------
-    content
-        As `parse` gave it.
-    made_by
-        What made the file, and would have to make it again: `training`, `the fit`.
-
+    `content`: as `parse` gave it. `made_by`: what made the file, and would have to make it again: `training`, `the
+    fit`.
     """
     if "sha256" not in content:
         raise ModelError("sha256", "is missing")

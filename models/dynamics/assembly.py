@@ -37,13 +37,8 @@ class CondensedAssembly:
     def __init__(self, assembly: SpindleAssembly, frequency_hz: FloatArray) -> None:
         """Condense the shaft to nose and bearings, and what is in front of it to its two ends.
 
-        Parameters
-        ----------
-        assembly
-            The assembly; properties of the supports are not used.
-        frequency_hz
-            Frequencies [Hz], shape (n,), positive.
-
+        `assembly`: the assembly; properties of the supports are not used. `frequency_hz`: frequencies [Hz], shape (n,),
+        positive.
         """
         self.shaft = CondensedShaft(assembly.shaft, frequency_hz)
         self.frequency_hz = self.shaft.frequency_hz
@@ -74,13 +69,8 @@ class CondensedAssembly:
 
         Result: [m/N], shape (k, n).
 
-        Parameters
-        ----------
-        parameters
-            Name -> values, shape (k,), of all parameters of the shaft's groups.
-        lines
-            Which of the frequencies.
-
+        `parameters`: name -> values, shape (k,), of all parameters of the shaft's groups. `lines`: which of the
+        frequencies.
         """
         stiffness = self.shaft.nose_stiffnesses(parameters, lines)
         if self._front is not None:

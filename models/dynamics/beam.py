@@ -290,11 +290,7 @@ def join(first: Span, second: Span) -> tuple[Span, Counts]:
     Result: the joined span, and the number of negative pivots of the common node, shape (n,), which counts natural
     frequencies (zeros where the values are complex).
 
-    Parameters
-    ----------
-    first, second
-        The spans; the rear of the first is joined to the front of the second.
-
+    `first` and `second`: the spans; the rear of the first is joined to the front of the second.
     """
     pivot = first.rear + second.front
     determinant = pivot[0] * pivot[2] - pivot[1] * pivot[1]
@@ -317,13 +313,8 @@ def close(span: Span, rear_stiffness: Values) -> tuple[Values, Counts]:
     Result: stiffness at the front as rows (11, 12, 22), shape (3, n), and the number of negative pivots of the rear
     end, shape (n,) (zeros where the values are complex).
 
-    Parameters
-    ----------
-    span
-        The span.
-    rear_stiffness
-        What holds its rear end, as rows (11, 12, 22), shape (3, n) or (3, 1); zeros: nothing.
-
+    `span`: the span. `rear_stiffness`: what holds its rear end, as rows (11, 12, 22), shape (3, n) or (3, 1); zeros:
+    nothing.
     """
     pivot = span.rear + rear_stiffness
     determinant = pivot[0] * pivot[2] - pivot[1] * pivot[1]

@@ -69,13 +69,8 @@ class CondensedShaft:
     def __init__(self, chain: Chain, frequency_hz: FloatArray) -> None:
         """Condense a chain.
 
-        Parameters
-        ----------
-        chain
-            The shaft; the positions and groups of its supports are used, their properties are not.
-        frequency_hz
-            Frequencies [Hz], shape (n,), positive.
-
+        `chain`: the shaft; the positions and groups of its supports are used, their properties are not. `frequency_hz`:
+        frequencies [Hz], shape (n,), positive.
         """
         self.frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
         self.omega = 2.0 * np.pi * self.frequency_hz
@@ -108,11 +103,7 @@ class CondensedShaft:
     def nose_stiffness(self, properties: BearingProperties) -> ComplexArray:
         """Return the dynamic stiffness at the nose as rows (11, 12, 22), shape (3, n) [N/m, N/rad, Nm/rad].
 
-        Parameters
-        ----------
-        properties
-            Of every group in `groups`.
-
+        `properties`: of every group in `groups`.
         """
         stiffness, _ = self._close(properties, keep=False)
         return stiffness
@@ -127,13 +118,8 @@ class CondensedShaft:
 
         Result: rows (11, 12, 22), shape (3, k, n) [N/m, N/rad, Nm/rad].
 
-        Parameters
-        ----------
-        parameters
-            Name -> values, shape (k,), of all parameters of the groups in `groups`.
-        lines
-            Which of the frequencies.
-
+        `parameters`: name -> values, shape (k,), of all parameters of the groups in `groups`. `lines`: which of the
+        frequencies.
         """
         j_omega = 1j * self.omega[lines]
         added = {

@@ -108,11 +108,7 @@ def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
 
     The level is the geometric mean of the magnitudes; the properties are spread over `SEARCH_RANGE`.
 
-    Parameters
-    ----------
-    shaft
-        The shaft, condensed at the frequencies that are looked at.
-
+    `shaft`: the shaft, condensed at the frequencies that are looked at.
     """
     ends = np.log([SEARCH_RANGE[name.partition("_")[0]] for name in PARAMETERS])
     points = np.exp(ends[:, 0] + evenly_spread(LEVEL_POINTS, len(PARAMETERS)) * (ends[:, 1] - ends[:, 0]))

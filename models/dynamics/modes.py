@@ -221,11 +221,7 @@ def modal_assurance(first: npt.NDArray[np.generic], second: npt.NDArray[np.gener
 
     Raises ValueError when a shape is zero everywhere or the numbers of points differ.
 
-    Parameters
-    ----------
-    first, second
-        Real or complex displacements at the same points, shape (n,).
-
+    `first` and `second`: real or complex displacements at the same points, shape (n,).
     """
     one, two = np.asarray(first, dtype=np.complex128), np.asarray(second, dtype=np.complex128)
     if one.shape != two.shape or one.ndim != 1:

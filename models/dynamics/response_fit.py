@@ -78,11 +78,7 @@ def good_fit(measured: ComplexArray) -> float:
     The noise is what third differences of the response's logarithm along the frequency leave: a smooth curve leaves
     nothing, neighbours that scatter by one leave the root of twenty. The median keeps sharp resonances out of it.
 
-    Parameters
-    ----------
-    measured
-        Evenly spaced response, shape (n,).
-
+    `measured`: evenly spaced response, shape (n,).
     """
     if len(measured) < 8:
         return GOOD_FIT

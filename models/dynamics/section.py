@@ -65,13 +65,7 @@ class Tube:
 def shear_coefficient(outer_m: float, inner_m: float, poisson: float) -> float:
     """Return A_s / A_c of a hollow circle (4-26); 0.886 for a full one of steel.
 
-    Parameters
-    ----------
-    outer_m, inner_m
-        Diameters [m] (any common unit).
-    poisson
-        Poisson's ratio.
-
+    `outer_m` and `inner_m`: diameters [m] (any common unit). `poisson`: Poisson's ratio.
     """
     ratio = (inner_m / outer_m) ** 2
     square = (1.0 + ratio) ** 2

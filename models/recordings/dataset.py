@@ -153,11 +153,7 @@ class Recording:
 
         Raises DatasetError when the speed was not recorded.
 
-        Parameters
-        ----------
-        change_rpm
-            A stretch ends where the speed has left its first value by more than this [1/min].
-
+        `change_rpm`: a stretch ends where the speed has left its first value by more than this [1/min].
         """
         if self.speed_rpm is None:
             raise DatasetError(f"{self.name}: to split at changes of speed, the recording needs a speed column")

@@ -48,13 +48,7 @@ class Finding:
 def recording_findings(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
     """Return everything that is wrong or noteworthy in a recording, errors first.
 
-    Parameters
-    ----------
-    recording
-        The recording as it was read.
-    rows_together
-        See `require_usable`.
-
+    `recording`: the recording as it was read. `rows_together`: see `require_usable`.
     """
     possible = recording.without_impossible()
     found = [
@@ -73,14 +67,8 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
     Result: gaps, missing values, constant sensors. Raises DatasetError naming every error: fewer rows than variables,
     columns without values, units that cannot be right.
 
-    Parameters
-    ----------
-    recording
-        The recording as it was read.
-    rows_together
-        Rows of all recordings that are used together with this one, which have to be more than the
-        variables; None: it is used alone.
-
+    `recording`: the recording as it was read. `rows_together`: rows of all recordings that are used together with this
+    one, which have to be more than the variables; None: it is used alone.
     """
     found = recording_findings(recording, rows_together)
     if errors := [finding for finding in found if finding.severity == "error"]:

@@ -99,11 +99,7 @@ def scatter_um(segments: Sequence[FloatArray]) -> FloatArray:
 
     Result of shape (n_channels,): [um]; zeros where no stretch has four rows with a value.
 
-    Parameters
-    ----------
-    segments
-        Displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
-
+    `segments`: displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
     """
     differences = np.vstack([np.diff(segment, n=3, axis=0) for segment in segments])
     known = [column[np.isfinite(column)] for column in differences.T]

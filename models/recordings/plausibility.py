@@ -25,11 +25,7 @@ def impossible_temperatures(degc: FloatArray) -> BoolArray:
     Result of shape (n, n_sensors): all False for a sensor of which that holds for half of the values or more: then the
     unit of the column is wrong, or the sensor was never connected.
 
-    Parameters
-    ----------
-    degc : shape (n, n_sensors)
-        Temperatures [degC], NaN where missing.
-
+    `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
     """
     return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
 
@@ -39,11 +35,7 @@ def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
 
     Result of shape (n, n_channels): all False for a channel that moves so far as a rule: then its unit is wrong.
 
-    Parameters
-    ----------
-    displacements_um : shape (n, n_channels)
-        Displacements [um], NaN where missing.
-
+    `displacements_um`, shape (n, n_channels): displacements [um], NaN where missing.
     """
     far_um = np.abs(displacements_um - column_medians(displacements_um))
     return _of_few(far_um > FARTHEST_UM, far_um) & (column_medians(far_um) <= USUAL_SPREAD_UM)

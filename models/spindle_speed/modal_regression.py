@@ -44,11 +44,7 @@ class ModalRegression:
 
     Raises StabilityError with too few tests, other modes from test to test, or a mode without a positive gain.
 
-    Parameters
-    ----------
-    samples
-        Impact tests, more than there are variables (1 + 3 m).
-
+    `samples`: impact tests, more than there are variables (1 + 3 m).
     """
 
     def __init__(self, samples: Sequence[ModalSample]) -> None:
@@ -98,11 +94,7 @@ def _variables(degc: FloatArray, difference_k: FloatArray) -> FloatArray:
 class SignalHistory:
     """Means of labelled sensors over the last minute, and their change over the interval.
 
-    Parameters
-    ----------
-    labels
-        Signal -> indices into the machine's sensor order, whose mean it is.
-
+    `labels`: signal -> indices into the machine's sensor order, whose mean it is.
     """
 
     def __init__(self, labels: Mapping[str, Sequence[int]]) -> None:
@@ -131,13 +123,8 @@ class SignalHistory:
 class ModalEstimator:
     """Tool point from temperatures, reading by reading (`ToolPointEstimator`).
 
-    Parameters
-    ----------
-    regression
-        Fitted on the machine's own impact tests.
-    labels
-        Signal -> indices into the machine's sensor order, in the order of the regression.
-
+    `regression`: fitted on the machine's own impact tests. `labels`: signal -> indices into the machine's sensor order,
+    in the order of the regression.
     """
 
     def __init__(self, regression: ModalRegression, labels: Mapping[str, Sequence[int]]) -> None:

@@ -194,13 +194,7 @@ class SpeedPlanner:
 
         Result: signal -> change [1/min].
 
-        Parameters
-        ----------
-        known
-            The dynamics of now.
-        moved
-            Signal -> the dynamics with that signal one step higher.
-
+        `known`: the dynamics of now. `moved`: signal -> the dynamics with that signal one step higher.
         """
         here = self.choice(known).speed_rpm
         return {signal: abs(self.choice(each).speed_rpm - here) for signal, each in moved.items()}

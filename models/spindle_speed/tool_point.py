@@ -27,12 +27,7 @@ class ToolPointEstimator(Protocol):
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
         """Return the dynamics when the sensors read `degc` [degC], shape (n,); None before there are any.
 
-        Parameters
-        ----------
-        time_s
-            Time of the reading, never before that of the last call [s].
-        degc
-            One value for each sensor of the machine [degC], NaN where there is none.
-
+        `time_s`: time of the reading, never before that of the last call [s]. `degc`: one value for each sensor of the
+        machine [degC], NaN where there is none.
         """
         ...

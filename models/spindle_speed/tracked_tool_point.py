@@ -23,13 +23,8 @@ class TrackedToolPoint:
 
     Raises ValueError when a signal has no sensors.
 
-    Parameters
-    ----------
-    tracker
-        Renews the dynamics from the signals of its model.
-    labels
-        Signal -> indices into the machine's sensor order, whose mean it is; those of the tracker's model.
-
+    `tracker`: renews the dynamics from the signals of its model. `labels`: signal -> indices into the machine's sensor
+    order, whose mean it is; those of the tracker's model.
     """
 
     def __init__(self, tracker: ToolPointTracker, labels: Mapping[str, Sequence[int]]) -> None:

@@ -55,11 +55,7 @@ class SpeedTuningSettings:
 
         Raises SpeedTuningError when the hysteresis is not above twice that change.
 
-        Parameters
-        ----------
-        change_per_step_rpm
-            Largest change of the wanted speed per step of one sensor [1/min].
-
+        `change_per_step_rpm`: largest change of the wanted speed per step of one sensor [1/min].
         """
         if not self.hysteresis_rpm > 2.0 * change_per_step_rpm:
             raise SpeedTuningError(

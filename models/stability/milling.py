@@ -110,13 +110,7 @@ def directional_matrix(cut: Cut, angle_rad: FloatArray) -> FloatArray:
     Result: shape (n, 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T_a)). Its mean over a turn is half of
     `mean_directional_matrix`.
 
-    Parameters
-    ----------
-    cut
-        The cut.
-    angle_rad
-        Angle of the first tooth [rad], shape (n,); the others follow at equal pitch.
-
+    `cut`: the cut. `angle_rad`: angle of the first tooth [rad], shape (n,); the others follow at equal pitch.
     """
     pitch = 2.0 * math.pi / cut.teeth
     angles = np.mod(angle_rad[:, None] + pitch * np.arange(cut.teeth), 2.0 * math.pi)

@@ -38,11 +38,7 @@ def check_clipping(acceleration_m_s2: FloatArray) -> None:
 
     Raises StabilityError saying what is wrong and what to do.
 
-    Parameters
-    ----------
-    acceleration_m_s2
-        Shape (n,) [m/s^2].
-
+    `acceleration_m_s2`: shape (n,) [m/s^2].
     """
     if float(np.ptp(acceleration_m_s2)) == 0.0:
         raise StabilityError(

@@ -56,13 +56,8 @@ def state_space(response: ModalResponse, feed_deg: float = 0.0) -> StateSpace:
 
     Result: two states per mode. Raises StabilityError when nothing can move.
 
-    Parameters
-    ----------
-    response
-        Modes per entry of the receptance matrix, in machine axes.
-    feed_deg
-        Direction of the feed against X [deg].
-
+    `response`: modes per entry of the receptance matrix, in machine axes. `feed_deg`: direction of the feed against X
+    [deg].
     """
     modes: list[Mode] = []
     inputs: list[FloatArray] = []

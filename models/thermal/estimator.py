@@ -66,13 +66,8 @@ class ModelState:
 class LinearEstimator:
     """A linear model, prepared once; every method is pure in the state.
 
-    Parameters
-    ----------
-    model
-        The model.
-    components
-        Machine component of each sensor of the model, in its order; empty: all are on one.
-
+    `model`: the model. `components`: machine component of each sensor of the model, in its order; empty: all are on
+    one.
     """
 
     def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:

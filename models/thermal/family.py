@@ -104,13 +104,7 @@ def model_from_json(content: str | bytes, source: str) -> ThermalModel:
     Raises ModelError naming source and key: not JSON, an unknown family or format version, missing or unknown keys,
     wrong types or shapes, numbers that are not finite, a checksum or a test vector that differs.
 
-    Parameters
-    ----------
-    content
-        Content of the file.
-    source
-        Its name, for messages.
-
+    `content`: content of the file. `source`: its name, for messages.
     """
     try:
         data = content.encode() if isinstance(content, str) else content

@@ -136,13 +136,7 @@ def speed_inputs(speed_rpm: FloatArray, scale_rpm: float) -> FloatArray:
 
     Result of shape (n, 2): ``|n| / scale`` and its square, without unit.
 
-    Parameters
-    ----------
-    speed_rpm : shape (n,)
-        Spindle speed [1/min].
-    scale_rpm
-        Speed that becomes 1 [1/min].
-
+    `speed_rpm`, shape (n,): spindle speed [1/min]. `scale_rpm`: speed that becomes 1 [1/min].
     """
     relative = np.abs(speed_rpm) / scale_rpm
     return np.column_stack([relative, np.square(relative)])

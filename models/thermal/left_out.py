@@ -17,13 +17,7 @@ MOST_EXCLUSIONS_KEPT = 64
 class LeftOut:
     """A model of which sensors (indices from 0) are left out.
 
-    Parameters
-    ----------
-    model
-        The model.
-    beside : shape (n_sensors,)
-        Component of each sensor, as a number; None: all are on one.
-
+    `model`: the model. `beside`, shape (n_sensors,): component of each sensor, as a number; None: all are on one.
     """
 
     def __init__(self, model: LinearParameters, beside: IntArray | None) -> None:
@@ -88,13 +82,8 @@ class LeftOut:
         Each solution gives with its own imputation exactly what it gives without these sensors; of several
         the mean is taken.
 
-        Parameters
-        ----------
-        change : shape (layout.columns,)
-            Change of the features; what it holds for the sensors left out does not count.
-        without
-            Indices of the sensors, from 0.
-
+        `change`, shape (layout.columns,): change of the features; what it holds for the sensors left out does not
+        count. `without`: indices of the sensors, from 0.
         """
         if not len(without):
             return change

@@ -28,13 +28,7 @@ FAMILY = "linear"
 class LinearOnline:
     """Advances the states once per sample of the training's period; estimates whenever it is asked.
 
-    Parameters
-    ----------
-    model
-        The model.
-    machine
-        Components of its sensors, which a model without ridges takes for each other.
-
+    `model`: the model. `machine`: components of its sensors, which a model without ridges takes for each other.
     """
 
     def __init__(self, model: LinearParameters, machine: Machine) -> None:

@@ -37,12 +37,8 @@ class MeanIncrement:
 def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
     """Return the mean increment at the reference.
 
-    Parameters
-    ----------
-    reference_degc : shape (n_sensors,)
-        Temperatures at the reference [degC], NaN where there is none. Such a sensor is imputed by the mean of the
-        others; without any other the mean stays unknown.
-
+    `reference_degc`, shape (n_sensors,): temperatures at the reference [degC], NaN where there is none. Such a sensor
+    is imputed by the mean of the others; without any other the mean stays unknown.
     """
     known = np.isfinite(reference_degc)
     begin_k = 0.0 if known.any() else np.nan

@@ -122,13 +122,8 @@ class LinearParameters:
 
         Result of shape (n_channels,) or (n, n_channels): actual minus nominal [um].
 
-        Parameters
-        ----------
-        change : shape (d,) or (n, d)
-            Features minus features at the reference.
-        elapsed_min : scalar or shape (n,)
-            Time since the reference [min].
-
+        `change`, shape (d,) or (n, d): features minus features at the reference. `elapsed_min`, scalar or shape (n,):
+        time since the reference [min].
         """
         drift_um = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
         return np.asarray(change @ self.coefficients() + drift_um)

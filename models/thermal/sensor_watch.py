@@ -97,13 +97,7 @@ def departure_maps(
     Result: maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard deviation that the
     model itself expects [K], shape (n_sensors,).
 
-    Parameters
-    ----------
-    layout, precision, gain
-        See `SensorWatch`.
-    skip
-        Sensors that `precision` does not hold any more.
-
+    `layout`, `precision` and `gain`: see `SensorWatch`. `skip`: sensors that `precision` does not hold any more.
     """
     sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
     maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)

@@ -57,13 +57,8 @@ def does_harm(record: SkillRecord, least_error_um: float) -> bool:
 
     Result: true when what is left exceeds `MARGIN` times the measured error, and `least_error_um`.
 
-    Parameters
-    ----------
-    record
-        At least `LEAST_PAIRS` measurements are needed for a verdict.
-    least_error_um
-        While both are below this, neither says anything [um].
-
+    `record`: at least `LEAST_PAIRS` measurements are needed for a verdict. `least_error_um`: while both are below this,
+    neither says anything [um].
     """
     if len(record.left_um) < LEAST_PAIRS:
         return False

@@ -62,13 +62,8 @@ class Solution:
 
         Result of shape (layout.columns, n_channels): [um per unit of the feature]; zeros for the columns left out.
 
-        Parameters
-        ----------
-        without
-            Indices of the sensors, from 0, with all their lags.
-        beside : shape (n_sensors,)
-            Component of each sensor, as a number; None: all are on one. A ridge does not need it.
-
+        `without`: indices of the sensors, from 0, with all their lags. `beside`, shape (n_sensors,): component of each
+        sensor, as a number; None: all are on one. A ridge does not need it.
         """
         weights = self.weights
         if len(without) and self.directions is None:
@@ -145,13 +140,8 @@ def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:
     ``p x^T (G + p)^-1 x``. With Gaussian weights that is the variance of the estimate but for a constant, so its
     root is a length, and a residual beyond the domain is expected to grow with it.
 
-    Parameters
-    ----------
-    solutions
-        The fitted ridges; one without directions adds nothing.
-    change : shape (n, d)
-        Features minus features at a reference.
-
+    `solutions`: the fitted ridges; one without directions adds nothing. `change`, shape (n, d): features minus features
+    at a reference.
     """
     total = np.zeros(len(change))
     for ridge in solutions:
@@ -169,10 +159,6 @@ def band_factor(distance: FloatArray | float) -> FloatArray:
     Result: of the same shape; beyond the domain the distance itself, because the deviation of the estimate is
     proportional to it.
 
-    Parameters
-    ----------
-    distance
-        The root of leverage over its largest value in training: 1 at the farthest that training went.
-
+    `distance`: the root of leverage over its largest value in training: 1 at the farthest that training went.
     """
     return np.maximum(1.0, distance)

@@ -90,11 +90,7 @@ def _expected(precision: Precision, scaled: FloatArray, out: npt.NDArray[np.intp
 class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
-    Parameters
-    ----------
-    watch
-        Limits and predictions from training.
-
+    `watch`: limits and predictions from training.
     """
 
     def __init__(self, watch: SensorWatch) -> None:
@@ -109,13 +105,7 @@ class Watcher:
         Their memory holds what they said before their silence, perhaps in another frame; from now on only what
         they do counts. That they were missing is held against them no longer; any other sign is.
 
-        Parameters
-        ----------
-        state
-            After the first sample that holds them again.
-        sensors
-            Their indices, from 0.
-
+        `state`: after the first sample that holds them again. `sensors`: their indices, from 0.
         """
         faults = tuple(b for b in state.faults if b.sensor not in sensors or b.sign != MISSING)
         still = {b.sensor for b in faults}

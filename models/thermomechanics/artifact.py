@@ -47,13 +47,7 @@ def model_from_json(text: str, source: str) -> ThermomechanicalModel:
     Raises ModelError naming source and key: not JSON, another format or version, missing or unknown keys, wrong types
     or shapes, numbers that are not finite, or a checksum that differs.
 
-    Parameters
-    ----------
-    text
-        Content of the file.
-    source
-        Its name, for messages.
-
+    `text`: content of the file. `source`: its name, for messages.
     """
     try:
         content = parse(text)

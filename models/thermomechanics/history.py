@@ -69,11 +69,7 @@ class SignalMeans:
 
         Result: shape (labels,) [degC]; NaN where no sensor of a label has a value.
 
-        Parameters
-        ----------
-        degc
-            One value for each sensor of the machine [degC], NaN where there is none.
-
+        `degc`: one value for each sensor of the machine [degC], NaN where there is none.
         """
         means = np.full(len(self._places), np.nan)
         for label, places in enumerate(self._places):

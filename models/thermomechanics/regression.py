@@ -144,13 +144,8 @@ class AxisRegression:
 
         Raises ValueError when a temperature or a change is not finite, or the shapes differ.
 
-        Parameters
-        ----------
-        degc
-            Temperatures of the signals now [degC], shape (m,).
-        differences_k
-            Interval [min] -> change of the signals over it [K], shape (m,); every one of `intervals_min`.
-
+        `degc`: temperatures of the signals now [degC], shape (m,). `differences_k`: interval [min] -> change of the
+        signals over it [K], shape (m,); every one of `intervals_min`.
         """
         given = {0.0: np.zeros(0), **differences_k}
         for what, values in (("temperature", degc), *((f"change over {k:g} min", differences_k[k])
@@ -186,13 +181,8 @@ def explanatory_variables(degc: FloatArray, difference_k: FloatArray) -> FloatAr
 
     Result: shape (..., 1 + 3 m), or (..., 1 + m).
 
-    Parameters
-    ----------
-    degc
-        Temperatures [degC], shape (..., m).
-    difference_k
-        Their changes over the interval [K], shape (..., m); of shape (..., 0): 1 and T alone.
-
+    `degc`: temperatures [degC], shape (..., m). `difference_k`: their changes over the interval [K], shape (..., m); of
+    shape (..., 0): 1 and T alone.
     """
     one = np.ones((*degc.shape[:-1], 1))
     return np.concatenate([one, degc, difference_k, difference_k**2], axis=-1)

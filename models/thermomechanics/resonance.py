@@ -65,13 +65,7 @@ def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[Peak]:
 
     Of a single mode 1/|H|^2 is a parabola in the square of the frequency, so the peak does not lean towards a line.
 
-    Parameters
-    ----------
-    frequency_hz
-        Evenly spaced [Hz], shape (n,).
-    receptance
-        [m/N], shape (n,).
-
+    `frequency_hz`: evenly spaced [Hz], shape (n,). `receptance`: [m/N], shape (n,).
     """
     return peaks_of_several(frequency_hz, receptance[None])[0]
 
@@ -155,13 +149,8 @@ class ResonanceFollower:
     def follow(self, parameters: Mapping[str, float], response: ComplexArray | None = None) -> Resonance:
         """Return the resonance with new bearing parameters, and go on from there.
 
-        Parameters
-        ----------
-        parameters
-            The twelve parameters by name, SI units.
-        response
-            The receptance with them [m/N], shape (n,), where it is known already.
-
+        `parameters`: the twelve parameters by name, SI units. `response`: the receptance with them [m/N], shape (n,),
+        where it is known already.
         """
         begin, known = (self._at, self._resonance) if self._resonance.continuous else (self._start, self._first)
         found = self.reached(begin, known, parameters, response)

@@ -33,11 +33,7 @@ def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
 
     Result: shape (p, q); 0 for a column that does not move.
 
-    Parameters
-    ----------
-    first, second
-        Shapes (n, p) and (n, q), without NaN.
-
+    `first` and `second`: shapes (n, p) and (n, q), without NaN.
     """
 
     def standardised(table: FloatArray) -> FloatArray:

@@ -49,13 +49,7 @@ class CampaignFits:
 
         Result of shape (rows, n_sensors): thermal error of Y2 or Z2 since the reference [um].
 
-        Parameters
-        ----------
-        test
-            The set; the reference is its first row.
-        model
-            One of `MODELS`.
-
+        `test`: the set; the reference is its first row. `model`: one of `MODELS`.
         """
         output = "Z1" if model == "Z1+TL" else model
         found = self.main.estimates_um(test.change_k, test.elapsed_min, OUTPUTS.index(output))

@@ -43,11 +43,7 @@ def rotations(speed_rpm: FloatArray) -> list[Stretch]:
 
     Result: each with its reference as first row; a recording that begins in rotation has its first row as reference.
 
-    Parameters
-    ----------
-    speed_rpm : shape (n,)
-        Spindle speed [1/min]; unknown (NaN) repeats the state before, at the beginning standstill.
-
+    `speed_rpm`, shape (n,): spindle speed [1/min]; unknown (NaN) repeats the state before, at the beginning standstill.
     """
     turning = _turning(speed_rpm)
     starts = np.flatnonzero(turning & ~np.r_[False, turning[:-1]])
@@ -102,13 +98,8 @@ def distortion(time_min: FloatArray, error_um: FloatArray) -> Distortion:
 
     Result: ranges and the last value since the first.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Time of the rotation's rows [min]; the first is the reference.
-    error_um : shape (n,)
-        Displacement [um], NaN where it was not measured.
-
+    `time_min`, shape (n,): time of the rotation's rows [min]; the first is the reference. `error_um`, shape (n,):
+    displacement [um], NaN where it was not measured.
     """
     early = time_min - time_min[0] <= FIRST_MIN + 1e-6
     known = error_um[np.isfinite(error_um)]

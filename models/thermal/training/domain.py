@@ -21,13 +21,8 @@ REFERENCES = 30
 def leverage_positions(ridges: Sequence[Solution], features: FloatArray) -> FloatArray:
     """Return features as points whose squared distance is the leverage of their difference, shape (n, k).
 
-    Parameters
-    ----------
-    ridges
-        The fitted ridges; without any, or without directions, the points have no coordinates, and no distance.
-    features : shape (n, d)
-        Temperatures, lags and lagged speed.
-
+    `ridges`: the fitted ridges; without any, or without directions, the points have no coordinates, and no distance.
+    `features`, shape (n, d): temperatures, lags and lagged speed.
     """
     points = [
         (design_columns(features, ridge.layout, ridge.design) * ridge.gain)

@@ -42,14 +42,9 @@ def residual_metrics(channels: tuple[str, ...], measured_um: FloatArray, estimat
     Result: NaN for a channel that was never measured. Raises ValueError when shapes differ, there is no row, or an
     estimate is not finite.
 
-    Parameters
-    ----------
-    channels
-        Names of the channels.
-    measured_um, estimated_um : shape (n, n_channels)
-        Measured and estimated displacements [um]. Both are referenced to the first row in which
-        the channel was measured; rows without a measured value are left out.
-
+    `channels`: names of the channels. `measured_um` and `estimated_um`, shape (n, n_channels): measured and estimated
+    displacements [um]. Both are referenced to the first row in which the channel was measured; rows without a measured
+    value are left out.
     """
     if measured_um.shape != estimated_um.shape or measured_um.shape[1:] != (len(channels),) or not len(measured_um):
         raise ValueError(

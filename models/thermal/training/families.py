@@ -220,11 +220,7 @@ def members(left_out_rmse: Sequence[float]) -> list[int]:
 
     Result: indices from 0 of all that are nearly as good as the best; of all where no score is known.
 
-    Parameters
-    ----------
-    left_out_rmse
-        RMSE with / without each ridge on what was left out; NaN where nothing could be.
-
+    `left_out_rmse`: RMSE with / without each ridge on what was left out; NaN where nothing could be.
     """
     scores = np.asarray(left_out_rmse, dtype=np.float64)
     if not np.isfinite(scores).any():

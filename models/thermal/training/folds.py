@@ -36,13 +36,7 @@ def cycles(inputs: Inputs, rows: BoolArray) -> list[BoolArray]:
     Result: masks of shape (n,), in order. Rows before the first start belong to none. Raises DatasetError when the
     spindle speed was not recorded.
 
-    Parameters
-    ----------
-    inputs
-        The recordings.
-    rows : shape (n,)
-        Rows that are looked at.
-
+    `inputs`: the recordings. `rows`, shape (n,): rows that are looked at.
     """
     if inputs.speed_rpm is None:
         raise DatasetError(

@@ -182,13 +182,8 @@ def bridged(time_min: FloatArray, values: FloatArray) -> tuple[FloatArray, BoolA
 
     Result: finite values and the mask, both of shape (n, n_columns).
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Increasing times [min].
-    values : shape (n, n_columns)
-        NaN where missing; zeros come out of a column without any value.
-
+    `time_min`, shape (n,): increasing times [min]. `values`, shape (n, n_columns): NaN where missing; zeros come out of
+    a column without any value.
     """
     filled = values.copy()
     longest_min = max(BRIDGE_MIN, 2.5 * float(np.median(np.diff(time_min)))) if len(time_min) > 1 else BRIDGE_MIN

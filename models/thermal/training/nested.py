@@ -42,11 +42,7 @@ class NestedFits:
 
         Result: b [um/K], shape (sensors, n_outputs), and b_0 [um/min], shape (n_outputs,).
 
-        Parameters
-        ----------
-        sensors
-            How many, from 1.
-
+        `sensors`: how many, from 1.
         """
         solution = self.shortest.get(sensors)
         if solution is None:

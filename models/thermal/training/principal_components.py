@@ -37,11 +37,7 @@ def principal_components(values: FloatArray) -> PrincipalComponents:
 
     Result: all of them. Raises DatasetError when there are fewer than two rows, a value is missing, or nothing varies.
 
-    Parameters
-    ----------
-    values : shape (n, n_sensors)
-        Temperatures or differences of temperatures [degC or K], complete.
-
+    `values`, shape (n, n_sensors): temperatures or differences of temperatures [degC or K], complete.
     """
     if len(values) < 2 or not np.isfinite(values).all():
         raise DatasetError("principal components take at least two rows without missing values")
@@ -62,12 +58,7 @@ def differences(runs: Sequence[FloatArray], rows: int) -> FloatArray:
 
     Result of shape (m, n_sensors): of all runs.
 
-    Parameters
-    ----------
-    runs
-        Tables of shape (n, n_sensors) with the same columns.
-    rows
-        From 1; runs that are no longer than this add nothing.
-
+    `runs`: tables of shape (n, n_sensors) with the same columns. `rows`: from 1; runs that are no longer than this add
+    nothing.
     """
     return np.concatenate([run[rows:] - run[:-rows] for run in runs])

@@ -47,11 +47,7 @@ class Price:
 class SensorComparison:
     """Scores sets of sensors on left-out folds, without refitting: the others are left out by block elimination.
 
-    Parameters
-    ----------
-    inputs, rows, fold
-        Training rows and their folds; nothing else is looked at.
-
+    `inputs`, `rows` and `fold`: training rows and their folds; nothing else is looked at.
     """
 
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray) -> None:

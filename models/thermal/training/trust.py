@@ -240,13 +240,7 @@ def _widths(time_min: FloatArray, residual_um: FloatArray, points: FloatArray) -
 def independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
     """Return how many of the folds count as independent: blocks of one or two spindle cycles are only two.
 
-    Parameters
-    ----------
-    inputs, rows
-        Training rows.
-    folds
-        How many were left out in turn.
-
+    `inputs` and `rows`: training rows. `folds`: how many were left out in turn.
     """
     runs = len(np.unique(inputs.run[rows]))
     if inputs.speed_rpm is None or runs >= FEWEST_RUNS:
@@ -261,11 +255,7 @@ def few_folds_factor(folds: int) -> float:
     nine folds it is widened by the ratio of the 90 % points of Student's distribution with K - 1
     degrees of freedom and of the normal distribution.
 
-    Parameters
-    ----------
-    folds
-        K, at least 2.
-
+    `folds`: K, at least 2.
     """
     table = {2: 3.078, 3: 1.886, 4: 1.638, 5: 1.533, 6: 1.476, 7: 1.440, 8: 1.415}
     return table.get(folds, NORMAL_90) / NORMAL_90
@@ -308,13 +298,7 @@ def left_out_series_um(inputs: Inputs, rows: BoolArray, fold: IntArray, fits: di
     Result of shape (n, n_channels): about the mean of the same run's rows that the fit was trained on [um]; NaN
     elsewhere.
 
-    Parameters
-    ----------
-    inputs, rows, fold
-        Training rows and their folds.
-    fits
-        Fold -> the fit without it.
-
+    `inputs`, `rows` and `fold`: training rows and their folds. `fits`: fold -> the fit without it.
     """
     series_um = np.full(inputs.measured_um.shape, np.nan)
     for number, fit in fits.items():

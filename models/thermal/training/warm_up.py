@@ -31,13 +31,7 @@ class WarmUp:
 
         Result of shape (m,): later minus now [um].
 
-        Parameters
-        ----------
-        at_min : shape (m,)
-            Times since the start of rotation [min].
-        ahead_min
-            How far ahead [min].
-
+        `at_min`, shape (m,): times since the start of rotation [min]. `ahead_min`: how far ahead [min].
         """
         left = np.exp(-np.divide.outer(at_min, self.time_constants_min))
         change: FloatArray = (left * -np.expm1(-ahead_min / self.time_constants_min)) @ self.amplitudes_um
@@ -48,13 +42,7 @@ class WarmUp:
 
         Result: since the start of rotation [min], in whole minutes; NaN when it is not reached within a day.
 
-        Parameters
-        ----------
-        ahead_min
-            Time ahead over which the drift counts [min].
-        tolerance_um
-            Largest drift in it [um].
-
+        `ahead_min`: time ahead over which the drift counts [min]. `tolerance_um`: largest drift in it [um].
         """
         at_min = np.arange(HORIZON_MIN + 1.0)
         moving = np.flatnonzero(np.abs(self.drift_um(at_min, ahead_min)) > tolerance_um)
@@ -70,14 +58,9 @@ def fit_warm_up(time_min: FloatArray, error_um: FloatArray) -> WarmUp:
     Result: by least squares with a small penalty on the amplitudes. Raises DatasetError when fewer than `FEWEST_ROWS`
     rows were measured, or the period is shorter than every time constant.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Time since the start of rotation [min]; the first row is the reference at standstill, which only
-        says where it began: the jump at spindle on is an offset of all rows after it.
-    error_um : shape (n,)
-        Displacement [um], NaN where it was not measured.
-
+    `time_min`, shape (n,): time since the start of rotation [min]; the first row is the reference at standstill, which
+    only says where it began: the jump at spindle on is an offset of all rows after it. `error_um`, shape (n,):
+    displacement [um], NaN where it was not measured.
     """
     known = np.isfinite(error_um)
     known[0] = False
