@@ -40,10 +40,7 @@ _BOUNDS = {
 def load_configuration(path: Path) -> Configuration:
     """Return the daemon's configuration; relative paths in it start at the file's own folder.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong in the file, sorted by position.
+    Raises ConfigurationError with everything that is wrong in the file, sorted by position.
     """
     return load_with_warnings(path)[0]
 
@@ -57,10 +54,7 @@ def load_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
 def load_yaml_model(path: Path, model: type[Model]) -> Model:
     """Return a YAML file as an instance of `model`; paths in it stay as they are written.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong in the file, sorted by position.
+    Raises ConfigurationError with everything that is wrong in the file, sorted by position.
     """
     return parse_yaml_model(_read_text(path), model, str(path))
 

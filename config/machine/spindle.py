@@ -257,11 +257,7 @@ class _Materials(Section):
 def load_spindle(path: Path) -> SpindleDescription:
     """Return a spindle file; materials are checked when it is built.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong, each with file, line, column and key.
-
+    Raises ConfigurationError with everything that is wrong, each with file, line, column and key.
     """
     return load_yaml_model(path, SpindleDescription)
 

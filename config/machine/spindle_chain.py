@@ -56,6 +56,8 @@ def build_spindle(
 ) -> Spindle:
     """Return the chain of a description.
 
+    Raises ConfigurationError when a material is not known, or its Poisson's ratio is missing, with file, line and key.
+
     Parameters
     ----------
     description
@@ -66,11 +68,6 @@ def build_spindle(
         Rotary-inertia setting that overrides the file's.
     cells
         Unit cells along each side of a mixed or layered section.
-
-    Raises
-    ------
-    ConfigurationError
-        When a material is not known, or its Poisson's ratio is missing, with file, line and key.
 
     """
     return _Builder(description, file, rotary, cells).build()
@@ -300,11 +297,7 @@ def found_file(given: Path) -> Path:
 def read_spindle(given: Path, rotary: Rotary | None = None) -> Spindle:
     """Return the spindle of a file or of a shipped name.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong, each with file, line, column and key.
-
+    Raises ConfigurationError with everything that is wrong, each with file, line, column and key.
     """
     path = found_file(given)
     return build_spindle(load_spindle(path), path, rotary)

@@ -33,11 +33,7 @@ class MeasurementFileError(FatalDriverError):
 def read_measurements(path: Path) -> list[Measurement]:
     """Return the responses of a file: one of a CSV file, all those of a universal file.
 
-    Raises
-    ------
-    MeasurementFileError
-        Naming the file, and line or data set.
-
+    Raises MeasurementFileError naming the file, and line or data set.
     """
     if path.suffix.lower() in UNIVERSAL_ENDINGS:
         return _universal(path)

@@ -35,11 +35,7 @@ class IndexedImpact:
 def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
     """Return the responses of a folder, sorted by time.
 
-    Raises
-    ------
-    ImpactIndexError
-        Naming file, line and column.
-
+    Raises ImpactIndexError naming file, line and column.
     """
     path = folder / INDEX_FILE
     try:

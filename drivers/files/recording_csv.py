@@ -54,22 +54,14 @@ def read_header(path: Path) -> list[str]:
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
     """Read a recording as it is, without down-sampling.
 
+    Result: times count from the first row. Raises RecordingFileError naming file, line and column.
+
     Parameters
     ----------
     path
         CSV file with one header row.
     recording_map
         What the columns mean; None takes the usual names (`config.recordings.recording_map.usual_map`).
-
-    Returns
-    -------
-    Recording
-        Times count from the first row.
-
-    Raises
-    ------
-    RecordingFileError
-        Naming file, line and column.
 
     """
     place = _Place(path)
