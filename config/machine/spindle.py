@@ -68,28 +68,26 @@ class Constants(Section):
         return [((), f"{' and '.join(lacking)} missing: write all of {', '.join(OWN_CONSTANTS)}, or name a material")]
 
 
-class Ring(Constants):
+class _Tube(Constants):
+    """A tube whose constants are complete by themselves."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.material is None and (problems := self._missing()):
+            raise KeyProblems(problems)
+        return self
+
+
+class Ring(_Tube):
     """A tube shrunk onto a segment: rotor or sleeve."""
 
     outer_mm: float = Field(gt=0, description="outer diameter [mm]; the inner one is the segment's outer")
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if self.material is None and (problems := self._missing()):
-            raise KeyProblems(problems)
-        return self
 
-
-class Core(Constants):
+class Core(_Tube):
     """A tube inside a segment that bends with it: the taper of a holder."""
 
     inner_mm: float = Field(ge=0, description="inner diameter [mm]; the outer one is the segment's inner")
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if self.material is None and (problems := self._missing()):
-            raise KeyProblems(problems)
-        return self
 
 
 class LayerDescription(Section):

@@ -4,12 +4,11 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from importlib.resources import files
 
 from config.schema import Configuration
 from config.schema.guard import PROGRAMS
 from config.schema.spindle_speed import SpindleSpeedConfig
-from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardTextError, decimal
+from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardTextError, decimal, filled
 
 SPEED_PROGRAM_VERSION = 3
 TEXT_NUMBERS = 1_000_000
@@ -93,7 +92,7 @@ def _tools(tuning: SpindleSpeedConfig) -> Rows:
 
 
 def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str]) -> list[str]:
-    """Return the lines of the text; what stands between @tools and @end is there once for each tool."""
+    """Return the lines of the text."""
     keep = tuning.keep_feed_per_tooth
     once: Rows = [{}]
     sections: dict[str, Rows] = {
@@ -101,16 +100,7 @@ def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str]) -> list[str]:
         "@plain": [] if keep else once,
         "@tools": _tools(tuning),
     }
-    lines: list[str] = []
-    rows = once
-    for line in files("drivers.guard").joinpath("speed.nc").read_text(encoding="ascii").splitlines():
-        if line in sections:
-            rows = sections[line]
-        elif line == "@end":
-            rows = once
-        else:
-            lines += [line.format_map({**fields, **row}) for row in rows]
-    return lines
+    return filled("speed", fields, sections)
 
 
 def _number(lines: Sequence[str]) -> int:

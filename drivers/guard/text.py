@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
@@ -251,8 +251,7 @@ def _stop(means: str, number: int) -> str:
 
 
 def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[str, str]], guard: GuardConfig) -> str:
-    """Return one template with its numbers; a section between @axes and @end is repeated for every axis."""
-    template = files("drivers.guard").joinpath(f"{name}.nc").read_text(encoding="ascii")
+    """Return one template with its numbers."""
     fields = {**common, "program": str(program)}
     sections: dict[str, list[dict[str, str]]] = {
         "@axes": rows,
@@ -264,20 +263,25 @@ def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[
         "@request": [{}] if "counter" in common else [],
         "@flag": [{}] if "safe_flag" in common else [],
     }
+    return "\n".join(filled(name, fields, sections))
+
+
+def filled(name: str, fields: Mapping[str, str], sections: Mapping[str, Sequence[Mapping[str, str]]]) -> list[str]:
+    """Return the lines of a template with its fields; a section up to @end stands there once for each of its rows."""
     lines: list[str] = []
     section: list[str] = []
-    repeated: list[dict[str, str]] | None = None
-    for line in template.splitlines():
+    rows: Sequence[Mapping[str, str]] | None = None
+    for line in files("drivers.guard").joinpath(f"{name}.nc").read_text(encoding="ascii").splitlines():
         if line in sections:
-            repeated, section = sections[line], []
-        elif line == "@end" and repeated is not None:
-            lines += [entry.format_map(fields | row) for row in repeated for entry in section]
-            repeated = None
-        elif repeated is not None:
+            rows, section = sections[line], []
+        elif line == "@end" and rows is not None:
+            lines += [entry.format_map({**fields, **row}) for row in rows for entry in section]
+            rows = None
+        elif rows is not None:
             section.append(line)
         else:
             lines.append(line.format_map(fields))
-    return "\n".join(lines)
+    return lines
 
 
 def _check(text: str) -> None:

@@ -2,43 +2,23 @@
 
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from models.model_file import ModelError, parse, record_from, text_of_file, unsigned
-from models.thermomechanics.regression import AxisRegression, ThermomechanicalModel
+from models.thermomechanics.regression import ThermomechanicalModel
 
 FORMAT = "toolpoint-thermomechanics"
 FORMAT_VERSION = 1
 """Version of the file's layout; another one is refused."""
-_TEXTS = ("model_id", "source", "created", "rigid_rotary_inertia", "spindle_sha256")
 
 
 def model_to_json(model: ThermomechanicalModel) -> str:
     """Return the model as the text of its file, one key per line; numbers are exact."""
-    content: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION}
-    content |= {name: getattr(model, name) for name in _TEXTS}
-    content |= {"training": list(model.training), "axes": {name: _axis(each) for name, each in model.axes.items()}}
-    return text_of_file(content)
-
-
-def _axis(axis: AxisRegression) -> dict[str, Any]:
-    seen = axis.fitted_range
-    return {
-        "signals": list(axis.signals),
-        "fitted_range": None
-        if seen is None
-        else {"lowest_degc": seen.lowest_degc.tolist(), "highest_degc": seen.highest_degc.tolist()},
-        "fixed": dict(axis.fixed),
-        "properties": [
-            {
-                "name": each.name,
-                "interval_min": each.interval_min,
-                "coefficients": each.coefficients.tolist(),
-                "lowest": each.bounds.lowest,
-                "highest": each.bounds.highest,
-                "deviation": each.deviation,
-            }
-            for each in axis.properties
-        ],
-    }
+    fields: dict[str, Any] = TypeAdapter(ThermomechanicalModel).dump_python(model)
+    for axis in fields["axes"].values():
+        del axis["axis"]  # the key says it
+        axis["properties"] = [each | each.pop("bounds") for each in axis["properties"]]
+    return text_of_file({"format": FORMAT, "format_version": FORMAT_VERSION} | fields)
 
 
 def model_from_json(text: str, source: str) -> ThermomechanicalModel:

@@ -137,7 +137,6 @@ def test_residuals_are_referenced_to_the_first_sample() -> None:
     np.testing.assert_allclose(metrics.max_with_um, [2.0, 0.0, 1.0, np.nan])
     np.testing.assert_allclose(metrics.rmse_without_um[0], np.sqrt((0 + 9 + 16) / 3))
     np.testing.assert_allclose(metrics.rmse_with_um[0], np.sqrt((0 + 1 + 4) / 3))
-    np.testing.assert_allclose(metrics.max_reduction, [0.5, np.nan, 2.0 / 3.0, np.nan])
 
 
 def test_residuals_of_nothing_are_refused() -> None:

@@ -8,7 +8,7 @@ from sklearn.linear_model import LinearRegression, Ridge
 
 from models.align import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
-from models.thermal.training.increments import Increments, combine, factorise, fit
+from models.thermal.training.increments import Factor, Increments, LinearFit, combine, factorise, fit_each
 from models.thermal.training.increments import increments as increments_of
 
 
@@ -36,6 +36,10 @@ def increments(runs: list[Recording], interval_min: float, period_s: float) -> I
         for first, stop in contiguous_runs(one.time_s, period_s)
     ]
     return increments_of(stretches, interval_min, period_s)
+
+
+def fit(factor: Factor, *, intercept: bool, ridge: float = 0.0) -> LinearFit:
+    return fit_each(factor, intercept=intercept, penalties=[ridge])[0]
 
 
 @pytest.mark.parametrize("intercept", [True, False])

@@ -20,21 +20,6 @@ class ResidualMetrics:
     """Root mean square of measured minus estimated [um]."""
     max_with_um: FloatArray
 
-    @property
-    def rmse_reduction(self) -> FloatArray:
-        """1 - with / without per channel; NaN where the channel does not move."""
-        return _reduction(self.rmse_with_um, self.rmse_without_um)
-
-    @property
-    def max_reduction(self) -> FloatArray:
-        """1 - with / without per channel; NaN where the channel does not move."""
-        return _reduction(self.max_with_um, self.max_without_um)
-
-
-def _reduction(remaining: FloatArray, without: FloatArray) -> FloatArray:
-    moves = without > 0.0
-    return np.where(moves, 1.0 - remaining / np.where(moves, without, 1.0), np.nan)
-
 
 def residual_metrics(channels: tuple[str, ...], measured_um: FloatArray, estimated_um: FloatArray) -> ResidualMetrics:
     """Return RMSE and largest residual with and without the estimate.

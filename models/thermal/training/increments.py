@@ -112,15 +112,15 @@ def combine(factors: Sequence[Factor]) -> Factor:
     return Factor(upper=upper, sensors=factors[0].sensors, rows=sum(factor.rows for factor in factors))
 
 
-def fit(factor: Factor, *, intercept: bool, ridge: float = 0.0) -> LinearFit:
-    """Return the coefficients that minimise ``|dp - b_0 - dT b|^2 + ridge |b|^2`` (equations 3-2, 3-3).
+def fit_each(factor: Factor, *, intercept: bool, penalties: Sequence[float]) -> list[LinearFit]:
+    """Return the coefficients that minimise ``|dp - b_0 - dT b|^2 + ridge |b|^2`` (3-2, 3-3) for each penalty.
 
-    Solved by singular values; the normal equations of 3-3 are never formed. Without a penalty and
+    Solved by singular values, once; the normal equations of 3-3 are never formed. Without a penalty and
     with more sensors than the data can tell apart, the shortest of the solutions is taken. The
     intercept is not penalised.
 
-    Result: coefficients for every displacement channel. Raises DatasetError when ordinary least squares has fewer rows
-    than variables. Raises ValueError when the penalty is negative or not finite.
+    Raises DatasetError when ordinary least squares has fewer rows than variables, and ValueError when a penalty is
+    negative or not finite.
 
     Parameters
     ----------
@@ -128,15 +128,10 @@ def fit(factor: Factor, *, intercept: bool, ridge: float = 0.0) -> LinearFit:
         Of the increments, see `factorise`.
     intercept
         Whether b_0 is fitted; it integrates into a linear drift.
-    ridge
-        Penalty [K^2], not negative; 0 is ordinary least squares.
+    penalties
+        Each not negative [K^2]; 0 is ordinary least squares.
 
     """
-    return fit_each(factor, intercept=intercept, penalties=[ridge])[0]
-
-
-def fit_each(factor: Factor, *, intercept: bool, penalties: Sequence[float]) -> list[LinearFit]:
-    """Return `fit` for each of several penalties; the decomposition is done once."""
     for ridge in penalties:
         if not (np.isfinite(ridge) and ridge >= 0.0):
             raise ValueError(f"ridge must be finite and not negative, got {ridge}")
