@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.errors import RefusedInputError
+from models.text import printable
 
 KeyPath = tuple[str | int, ...]
 
@@ -63,7 +64,7 @@ class Problem:
     def __str__(self) -> str:
         """Return `file:line:column: key.path: sentence`, without what is not known."""
         place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
-        return f"{place}: {self.key}: {self.sentence}" if self.key else f"{place}: {self.sentence}"
+        return printable(f"{place}: {self.key}: {self.sentence}" if self.key else f"{place}: {self.sentence}")
 
 
 class ConfigurationError(RefusedInputError):

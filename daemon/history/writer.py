@@ -35,6 +35,7 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
+from models.text import printable
 
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
@@ -320,6 +321,6 @@ def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Con
 
 def _statement(sql: str, build: Callable[[], rows.Parameters]) -> Execute:
     def execute(connection: sqlite3.Connection, _layout_ids: LayoutIds) -> None:
-        connection.execute(sql, build())
+        connection.execute(sql, [printable(p, keep="\n") if isinstance(p, str) else p for p in build()])
 
     return execute

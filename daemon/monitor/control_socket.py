@@ -14,12 +14,18 @@ from typing import Any
 
 import structlog
 
+from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.rate_limit import RateLimit
+from models.text import all_printable, printable
+
 log = structlog.get_logger(__name__)
 
 LONGEST_REQUEST = 65536
 """A longer line than this is refused [byte]."""
-HANG_UP_S = 1.0
-"""Open conversations get this long to end when the socket is closed [s]."""
+REQUEST_S = 10.0
+"""A request that has begun must end within this, and its answer must be taken within this [s]."""
+WAITING_CONNECTIONS = 64
+"""So many connections wait in the kernel until they are taken."""
 
 PROBE_S = 1.0
 """Somebody who serves the socket already takes a connection within this [s]."""
@@ -39,7 +45,7 @@ def peer_name(connection: socket.socket) -> str:
         name = pwd.getpwuid(uid).pw_name
     except KeyError:
         name = "unknown"
-    return f"{name} (uid {uid}, pid {pid})"
+    return f"{printable(name)} (uid {uid}, pid {pid})"
 
 
 def clear_the_way(path: Path) -> None:
@@ -75,64 +81,76 @@ class ControlSocket:
         self._path = path
         self._group = group
         self._handle = handle
-        self._connections: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+        self._refused = RateLimit[tuple[str, str]](_say_refused)
 
     async def run(self, on_serving: Callable[[], None] = lambda: None) -> None:
         """Serve until cancelled; `on_serving` is called when people can connect."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         await asyncio.to_thread(clear_the_way, self._path)
+        connections = BoundedConnections("control", self._serve)
+        made: tuple[int, int] | None = None
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+            try:
+                made = self._open(listener)
+                on_serving()
+                await connections.run(listener)
+            finally:
+                self._refused.flush()
+                if made is not None and identity(self._path) == made:
+                    self._path.unlink(missing_ok=True)
+
+    def _open(self, listener: socket.socket) -> tuple[int, int] | None:
+        """Make the socket's file, for its owner and group alone, and listen; return which file it is."""
         old_mask = os.umask(0o177)
         try:
-            server = await asyncio.start_unix_server(self._serve, self._path, limit=LONGEST_REQUEST)
-            made = identity(self._path)
+            listener.bind(str(self._path))
         finally:
             os.umask(old_mask)
-        if self._group is not None:
-            os.chown(self._path, -1, grp.getgrnam(self._group).gr_gid)
-            self._path.chmod(0o660)
+        made = identity(self._path)
         try:
-            async with server:
-                on_serving()
-                await server.serve_forever()
-        finally:
-            if made is not None and identity(self._path) == made:
-                self._path.unlink(missing_ok=True)
-            await self._hang_up()
+            if self._group is not None:
+                os.chown(self._path, -1, grp.getgrnam(self._group).gr_gid)
+                self._path.chmod(0o660)
+            listener.listen(WAITING_CONNECTIONS)
+        except (OSError, KeyError):
+            self._path.unlink(missing_ok=True)
+            raise
+        return made
 
-    async def _hang_up(self) -> None:
-        """End every conversation by closing it: asyncio prints a traceback for each one that is cancelled."""
-        for writer in self._connections.values():
-            writer.close()
-        if self._connections:
-            await asyncio.wait(tuple(self._connections), timeout=HANG_UP_S)
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        person = peer_name(writer.get_extra_info("socket"))
-        task = asyncio.current_task()
-        assert task is not None
-        self._connections[task] = writer
+    async def _serve(self, connection: socket.socket, conversation: Conversation) -> None:
+        person = peer_name(connection)
+        reader, writer = await asyncio.open_unix_connection(sock=connection, limit=LONGEST_REQUEST)
         try:
-            while line := await reader.readline():
-                answer = await self._answer(line, person)
-                writer.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
-                await writer.drain()
-        except (ConnectionError, ValueError) as error:
-            log.info("socket.closed", person=person, problem=str(error))
-        finally:
-            del self._connections[task]
+            while first := await reader.read(1):
+                async with asyncio.timeout(REQUEST_S):
+                    line = first if first == b"\n" else first + await reader.readline()
+                with conversation.request():
+                    answer = await self._answer(line, person)
+                async with asyncio.timeout(REQUEST_S):
+                    writer.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
+                    await writer.drain()
             writer.close()
+            async with asyncio.timeout(REQUEST_S):
+                await writer.wait_closed()
+        finally:
+            writer.transport.abort()
 
     async def _answer(self, line: bytes, person: str) -> dict[str, Any]:
         try:
-            request = json.loads(line)
+            request = all_printable(json.loads(line))
             if not isinstance(request, dict):
                 raise RequestError("a request is one JSON object")
             return {"ok": True, **await self._handle(request, person)}
         except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             return {"ok": False, "error": f"the request is not JSON: {error}"}
         except RequestError as error:
-            log.warning("request.refused", person=person, why=str(error))
+            self._refused((person, str(error)))
             return {"ok": False, "error": str(error)}
+
+
+def _say_refused(refusal: tuple[str, str], left_out: int) -> None:
+    person, why = refusal
+    log.warning("request.refused", person=person, why=why, **({"left_out": left_out} if left_out else {}))
 
 
 class DaemonUnreachableError(Exception):
@@ -167,7 +185,7 @@ class ControlClient:
             raise DaemonUnreachableError(f"the daemon did not answer: {error}") from error
         if not line:
             raise DaemonUnreachableError("the daemon closed the connection")
-        answer = json.loads(line)
+        answer = all_printable(json.loads(line), keep="\n")
         assert isinstance(answer, dict)
         if not answer.pop("ok"):
             raise RequestError(str(answer["error"]))

@@ -6,6 +6,13 @@ from typing import Literal
 
 import structlog
 
+from models.text import printable
+
+
+def _printable(_logger: object, _method: str, entry: structlog.types.EventDict) -> structlog.types.EventDict:
+    """Keep what somebody else said from acting on the terminal of whoever reads the log."""
+    return {key: printable(value, keep="\n") if isinstance(value, str) else value for key, value in entry.items()}
+
 
 def configure_logging(level: Literal["debug", "info", "warning", "error"], *, terminal: bool | None = None) -> None:
     """Send structlog and the standard library's loggers to standard error, in one form."""
@@ -14,6 +21,7 @@ def configure_logging(level: Literal["debug", "info", "warning", "error"], *, te
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
+        _printable,
     ]
     renderer: structlog.types.Processor = (
         structlog.dev.ConsoleRenderer(colors=human) if human else structlog.processors.JSONRenderer()

@@ -392,3 +392,10 @@ class TestStore:
             with pytest.raises(sqlite3.OperationalError, match="already exists"):
                 database.connect_writer(store)
         HistoryReader(store).close()
+
+
+def test_an_event_with_half_a_surrogate_pair_or_control_characters_is_kept(watched: Watched, store: Path) -> None:
+    watched.writer.event("refused", "enable \ud800: there is no axis \x1b[2J", "anna").result(FOREVER_S)
+    with HistoryReader(store) as reader:
+        (event,) = reader.events(0.0, 2.0**40)
+    assert event.text == "enable \\ud800: there is no axis \\x1b[2J"

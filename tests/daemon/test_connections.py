@@ -1,0 +1,166 @@
+"""Peers that connect and say nothing, or half of something, take nothing from the machine's links."""
+
+import asyncio
+import contextlib
+import resource
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client import CollectorRegistry
+from structlog.testing import capture_logs
+
+from daemon.monitor import connections, control_socket
+from daemon.monitor.control_socket import ControlClient, ControlSocket
+from daemon.monitor.web import serve_metrics
+
+MANY = 200
+FLOOD_REPORTS = 30
+"""Far fewer than the connections: what comes in a flood is summed up."""
+
+
+async def status(request: dict[str, Any], person: str) -> dict[str, Any]:
+    return {"asked": request, "person": person}
+
+
+@contextlib.asynccontextmanager
+async def running(serve: Callable[[Callable[[], None]], Awaitable[None]]) -> AsyncIterator[None]:
+    serving = asyncio.Event()
+    task = asyncio.ensure_future(serve(serving.set))
+    await serving.wait()
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+async def half_said(connect: Callable[[], Awaitable[Any]], words: bytes) -> list[asyncio.StreamWriter]:
+    """Open many connections that send `words` and then nothing; return the peers' ends."""
+    writers = []
+    for _ in range(MANY):
+        _, writer = await connect()
+        writer.write(words)
+        writers.append(writer)
+        await asyncio.sleep(0)
+    return writers
+
+
+async def ended(writers: list[asyncio.StreamWriter]) -> None:
+    for writer in writers:
+        writer.transport.abort()
+    await asyncio.sleep(0)
+
+
+async def get(number: int) -> bytes:
+    reader, writer = await asyncio.open_connection("127.0.0.1", number)
+    writer.write(b"GET /healthz HTTP/1.1\r\nHost: toolpoint\r\n\r\n")
+    answer = await reader.read()
+    writer.close()
+    return answer
+
+
+async def test_half_sent_http_requests_are_bounded_and_others_are_answered() -> None:
+    number, before = port(), descriptors()
+    with capture_logs() as logs:
+        async with running(lambda on: serve_metrics(CollectorRegistry(), "127.0.0.1", number, on)):
+            peers = await half_said(lambda: asyncio.open_connection("127.0.0.1", number), b"GET /metrics HTTP/1.1\r\nX")
+            assert (await get(number)).startswith(b"HTTP/1.1 200")
+            assert descriptors() - before <= MANY + connections.MOST_CONNECTIONS + 5
+            await ended(peers)
+    assert 0 < len(logs) <= FLOOD_REPORTS
+    assert descriptors() <= before + 1
+
+
+async def test_half_said_requests_on_the_control_socket_are_bounded_and_others_are_answered(tmp_path: Path) -> None:
+    path, before = tmp_path / "s", descriptors()
+    with capture_logs() as logs:
+        async with running(ControlSocket(path, None, status).run):
+            peers = await half_said(lambda: asyncio.open_unix_connection(path), b'{"command": "sta')
+            client = await asyncio.to_thread(ControlClient, path)
+            assert (await asyncio.to_thread(client.ask, "status"))["asked"] == {"command": "status"}
+            client.close()
+            assert descriptors() - before <= MANY + connections.MOST_CONNECTIONS + 5
+            await ended(peers)
+    assert 0 < len(logs) <= FLOOD_REPORTS
+
+
+async def test_a_request_under_way_is_not_ended_for_those_who_come_after_it(tmp_path: Path) -> None:
+    path, begun, go_on = tmp_path / "s", asyncio.Event(), asyncio.Event()
+
+    async def slow(request: dict[str, Any], person: str) -> dict[str, Any]:
+        begun.set()
+        await go_on.wait()
+        return {"answer": 42}
+
+    async with running(ControlSocket(path, None, slow).run):
+        client = await asyncio.to_thread(ControlClient, path)
+        asking = asyncio.ensure_future(asyncio.to_thread(client.ask, "enable"))
+        await begun.wait()
+        peers = await half_said(lambda: asyncio.open_unix_connection(path), b"{")
+        go_on.set()
+        assert await asking == {"answer": 42}
+        client.close()
+        await ended(peers)
+
+
+@pytest.mark.parametrize("words", [b"{", b'{"command": "status"'])
+async def test_a_request_that_is_not_finished_in_time_is_ended(
+    tmp_path: Path, words: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_socket, "REQUEST_S", 0.01)
+    async with running(ControlSocket(tmp_path / "s", None, status).run):
+        reader, writer = await asyncio.open_unix_connection(tmp_path / "s")
+        writer.write(words)
+        assert await reader.read() == b""
+        writer.close()
+
+
+async def test_without_a_free_descriptor_it_is_said_once_and_served_again_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "ACCEPT_RETRY_S", 0.01)
+    path, limits = tmp_path / "s", resource.getrlimit(resource.RLIMIT_NOFILE)
+    with capture_logs() as logs, contextlib.ExitStack() as spare:
+        async with running(ControlSocket(path, None, status).run):
+            peer = spare.enter_context(socket.socket(socket.AF_UNIX))
+            resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, fds())) + 1, limits[1]))
+            try:
+                with contextlib.suppress(OSError):
+                    while True:
+                        spare.enter_context(socket.socket(socket.AF_UNIX))
+                peer.connect(str(path))
+                peer.sendall(b'{"command": "status"}\n')
+                while not logs:
+                    await asyncio.sleep(0.01)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            peer.settimeout(30)
+            assert b'"ok": true' in await asyncio.to_thread(peer.recv, 65536)
+    assert "Too many open files" in logs[0]["problem"]
+    assert len(logs) <= FLOOD_REPORTS
+
+
+def fds() -> list[str]:
+    return [entry.name for entry in Path("/proc/self/fd").iterdir()]
+
+
+async def test_text_that_cannot_be_stored_or_would_act_on_a_terminal_is_written_as_its_escape(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    async with running(ControlSocket(path, None, status).run):
+        client = await asyncio.to_thread(ControlClient, path)
+        answer = await asyncio.to_thread(client.ask, "enable", axes=["\ud800", "\x1b]0;owned\x07", "z"])
+        client.close()
+    assert answer["asked"]["axes"] == ["\\ud800", "\\x1b]0;owned\\x07", "z"]
