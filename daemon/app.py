@@ -244,7 +244,7 @@ class Daemon:
         links, service = self._links, self._configuration.service
         yield self.thermal.run()
         yield self._models.run()
-        yield from links.temperatures(self.thermal.inbox.put_nowait)
+        yield from links.temperatures(self.thermal.take_cycle)
         yield links.cnc()
         if self._planner is not None:
             yield links.planner(self._planner.attempt)

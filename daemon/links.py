@@ -49,8 +49,8 @@ class Links:
         """Return how the links to the machine fare."""
         return tuple(health.snapshot() for health in self.shown)
 
-    def temperatures(self, take: Callable[[TemperatureCycle], None]) -> Iterator[Coroutine[Any, Any, None]]:
-        """Yield the work that keeps each line alive."""
+    def temperatures(self, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Iterator[Coroutine[Any, Any, None]]:
+        """Yield the work that keeps each line alive; `take` may wait, the line then drops what it cannot hold."""
         for line in self._configuration.temperatures.lines:
             yield self._line(line, take)
 
@@ -89,7 +89,7 @@ class Links:
 
         return self._keep(health, attempt)
 
-    def _line(self, line: LineConfig, take: Callable[[TemperatureCycle], None]) -> Coroutine[Any, Any, None]:
+    def _line(self, line: LineConfig, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Coroutine[Any, Any, None]:
         health = self._lines[line.name]
 
         async def attempt() -> None:
@@ -97,7 +97,7 @@ class Links:
             try:
                 async for cycle in source.cycles():
                     health.came_up()
-                    take(cycle)
+                    await take(cycle)
             finally:
                 await source.close()
 

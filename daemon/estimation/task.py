@@ -27,6 +27,7 @@ from daemon.messages import (
     SensorsSinceReference,
     SpindleSpeed,
 )
+from daemon.rate_limit import RateLimit
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
@@ -39,6 +40,9 @@ from models.records import (
 )
 from models.sensor_levels import unshifted
 from models.thermal.family import ThermalModel
+
+MOST_WAITING = 100
+"""When so many messages wait, a line's next cycle waits until some are taken."""
 
 log = structlog.get_logger(__name__)
 Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | ReferenceTakenUp | ThermalModel
@@ -96,6 +100,8 @@ class ThermalTask:
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._taken_up_s = -np.inf
+        self._taken = asyncio.Event()
+        self._say_faults = RateLimit[TemperatureCycle](_log_faults)
 
     @property
     def latest(self) -> MachineTemperatures | None:
@@ -107,6 +113,13 @@ class ThermalTask:
         """How many sensors have a value that may be used."""
         return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
 
+    async def take_cycle(self, cycle: TemperatureCycle) -> None:
+        """Queue a cycle; waits while a line brings them faster than they are taken."""
+        while self.inbox.qsize() >= MOST_WAITING:
+            self._taken.clear()
+            await self._taken.wait()
+        self.inbox.put_nowait(cycle)
+
     async def run(self) -> None:
         """Serve the inbox for ever."""
         await self.recall()
@@ -114,6 +127,7 @@ class ThermalTask:
             await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
         while True:
             item = await self.inbox.get()
+            self._taken.set()
             try:
                 await self._take(item)
             except Exception:
@@ -205,8 +219,7 @@ class ThermalTask:
         self.cycles_incomplete += not cycle.complete
         if cycle.faults != self.line_faults.get(cycle.line, ()):
             self.line_faults[cycle.line] = cycle.faults
-            event = "cycle.faults" if cycle.complete else "cycle.incomplete"
-            log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more")
+            self._say_faults(cycle)
 
     def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
         degc, now_s = self._cleansing.mean_degc(), temperatures.trace.first_byte.monotonic_s
@@ -331,3 +344,9 @@ def _tool_um_per_k(configuration: Configuration) -> FloatArray:
             of_axis[places] += abs(term.expansion_um_per_m_k * term.length_mm * 1e-3 * weight) / len(places)
         most = np.maximum(most, of_axis)
     return most
+
+
+def _log_faults(cycle: TemperatureCycle, left_out: int) -> None:
+    event = "cycle.faults" if cycle.complete else "cycle.incomplete"
+    more = {"left_out": left_out} if left_out else {}
+    log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more", **more)

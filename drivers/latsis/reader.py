@@ -136,6 +136,10 @@ def _why_not_opened(port: str, error: serial.SerialException) -> str:
     return f"cannot be opened: {error}"
 
 
+OVERFLOW_PAUSE_REAL_S = 0.05
+"""How long the thread leaves a line alone that brings more than is taken."""
+
+
 class ByteInbox(Protocol):
     """Where a reader puts what it reads."""
 
@@ -144,8 +148,8 @@ class ByteInbox(Protocol):
         """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
         ...
 
-    def put(self, data: bytes, arrived: Instant) -> None:
-        """Queue bytes; may be called in any thread."""
+    def put(self, data: bytes, arrived: Instant) -> bool:
+        """Queue bytes; return False when they were dropped. May be called in any thread."""
         ...
 
     def fail(self, error: Exception) -> None:
@@ -223,7 +227,9 @@ class PortReader:
             arrived = self._clock.now()
             if not data:
                 continue
-            inbox.put(data, arrived)
+            if not inbox.put(data, arrived):
+                stop.wait(OVERFLOW_PAUSE_REAL_S)
+                continue
             loop.call_soon_threadsafe(inbox.wake)
             pause_s = pacer.pause_real_s(len(data), arrived, inbox.earliest_end)
             if pause_s > 0:

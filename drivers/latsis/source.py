@@ -3,11 +3,13 @@
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock
 from drivers.contract import LinkError
 from drivers.latsis.cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler
+from drivers.latsis.pacing import BITS_PER_BYTE
 from drivers.latsis.reader import LineReader, PortReader
 from models.records import Instant, TemperatureCycle
 
@@ -19,8 +21,10 @@ CHECK_MARGIN_REAL_S = 0.001
 """A check for silence comes this much after the silence is long enough."""
 MIN_CHECK_REAL_S = 0.02
 """Checks never follow each other faster than this."""
-MAX_BACKLOG_READS = 20_000
-"""Reads that may wait for the consumer; over a minute of single bytes at 115200 baud is a stuck consumer."""
+MAX_BACKLOG_BYTES = 1 << 18
+"""Bytes that may wait for the consumer (20 s at 115200 baud); what comes beyond is dropped and told."""
+TORN = b"\x00"
+"""Stands for the last byte that was dropped: no grammar has it, so no frame is put together across the gap."""
 
 
 class LatsisSerialSource:
@@ -46,6 +50,10 @@ class LatsisSerialSource:
         self._dead_line_s = dead_line_periods * line.cycle_period_s
         self._assembler = CycleAssembler(line, sensors)
         self._inbox: deque[tuple[bytes, Instant] | Exception] = deque()
+        self._bytes_put = self._bytes_taken = 0
+        self._dropped = 0
+        self._dropped_told = 0
+        self._torn = False
         self._earliest_end = 0
         self._last_frame = self._last_bytes = clock.now()
         self._wake = asyncio.Event()
@@ -63,7 +71,9 @@ class LatsisSerialSource:
             while not self._closed:
                 while self._inbox:
                     for cycle in self._take(self._inbox.popleft()):
-                        yield cycle
+                        yield self._with_dropped(cycle)
+                    if self._inbox:
+                        await asyncio.sleep(0)  # a line that brings much leaves the loop to the others
                 for cycle in self._check():
                     yield cycle
                 self._watch_pass()
@@ -89,11 +99,18 @@ class LatsisSerialSource:
         """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
         return self._earliest_end
 
-    def put(self, data: bytes, arrived: Instant) -> None:
-        """Queue bytes; raises LinkError when nobody takes them."""
-        if len(self._inbox) > MAX_BACKLOG_READS:
-            raise LinkError(f"line {self.name}: nobody has taken its bytes for {MAX_BACKLOG_READS} reads")
+    def put(self, data: bytes, arrived: Instant) -> bool:
+        """Queue bytes; return False when they were dropped because too many wait."""
+        if self._bytes_put - self._bytes_taken > MAX_BACKLOG_BYTES:
+            self._dropped += len(data)
+            self._torn = True
+            return False
+        if self._torn:
+            data, self._torn = TORN + data[1:], False
+            self._dropped += 1
+        self._bytes_put += len(data)
         self._inbox.append((data, arrived))
+        return True
 
     def fail(self, error: Exception) -> None:
         """Queue what went wrong: it is raised again in `cycles`, after the bytes before it."""
@@ -144,6 +161,7 @@ class LatsisSerialSource:
                 return cycles
             raise item
         data, arrived = item
+        self._bytes_taken += len(data)
         frames = self._assembler.frames
         cycles = self._assembler.feed(data, arrived)
         self._earliest_end = self._assembler.earliest_end
@@ -151,6 +169,19 @@ class LatsisSerialSource:
         if self._assembler.frames > frames:
             self._last_frame = arrived
         return cycles
+
+    def _with_dropped(self, cycle: TemperatureCycle) -> TemperatureCycle:
+        """Return a cycle that says how many bytes were dropped since the one before it."""
+        dropped = self._dropped
+        lost, self._dropped_told = dropped - self._dropped_told, dropped
+        if not lost:
+            return cycle
+        words = (
+            f"line {self.name}: {lost} bytes dropped, it brings more than can be taken "
+            f"(at {self._line.baud} baud at most {self._line.baud // BITS_PER_BYTE} a second): "
+            "check what is connected to the port, and the load of this computer"
+        )
+        return replace(cycle, faults=(words, *cycle.faults))
 
     def _check(self) -> list[TemperatureCycle]:
         """Look for silence: the end of a pass, or of the line."""

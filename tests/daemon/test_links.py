@@ -67,7 +67,7 @@ async def test_every_loss_and_return_of_a_serial_line_is_logged_and_the_problem_
     links = Links(configuration, HandClock(), parts, no_cnc())
     taken, whole = [], asyncio.Event()
 
-    def take(cycle: TemperatureCycle) -> None:
+    async def take(cycle: TemperatureCycle) -> None:
         taken.append(cycle)
         if len(taken) == 4:
             whole.set()
