@@ -16,6 +16,9 @@ from config.yaml_document import RENAMED, Fault, KeyPath, Position, YamlDocument
 
 Model = TypeVar("Model", bound=BaseModel)
 
+MAX_FILE_BYTES = 1 << 20
+"""More than any description needs; a file of this size takes two seconds to read."""
+
 _TYPES = {
     "string_type": "text",
     "path_type": "text that names a file",
@@ -131,10 +134,14 @@ def _found(path: Path, folder: Path, shipped: str | None) -> Path:
 
 def _read_text(path: Path) -> str:
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         sentence = f"cannot be read: {error.strerror or error}; check the path and its permissions"
         raise ConfigurationError([_problem(str(path), (0, 0), (), sentence)]) from None
+    if len(content) > MAX_FILE_BYTES:
+        sentence = f"is larger than {MAX_FILE_BYTES >> 20} MiB, more than any description needs; is it the right file?"
+        raise ConfigurationError([_problem(str(path), (0, 0), (), sentence)])
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

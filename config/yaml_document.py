@@ -20,6 +20,8 @@ Position = tuple[int, int]
 MAX_VALUES = 200_000
 """More values than any machine's description holds; aliases of aliases reach it quickly."""
 MAX_NUMBER_LENGTH = 40
+MAX_TEXT_LENGTH = 10_000
+"""Characters of one key or value."""
 
 _TRUTH = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 _NULL = {"", "~", "null", "Null", "NULL"}
@@ -146,7 +148,9 @@ class _Reader:
                 self.fault(key_node, path, "a key must be a word, not a list or a mapping")
             elif key_node.tag == _MERGE_TAG and key_node.style is None:
                 merged = {**self.merge(value_node, path), **merged}
-            elif (name := key_node.value) in own:
+            elif len(name := key_node.value) > MAX_TEXT_LENGTH:
+                self.fault(key_node, path, f"a key has {len(name)} characters; at most {MAX_TEXT_LENGTH} are read")
+            elif name in own:
                 line = _position(own[name][0])[0]
                 self.fault(key_node, (*path, name), f"this key stands already in line {line}; keep one of them")
             else:
@@ -172,6 +176,9 @@ class _Reader:
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Any:
         """Return text, a number, a truth value or None."""
         text = str(node.value)
+        if len(text) > MAX_TEXT_LENGTH:
+            self.fault(node, path, f"has {len(text)} characters; at most {MAX_TEXT_LENGTH} are read")
+            return ""
         if _SURROGATE.search(text):
             self.fault(node, path, "the text holds half a character (a lone surrogate); remove the escape")
             return ""

@@ -181,6 +181,28 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         load_yaml_model(latin, Whole)
 
 
+def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    with path.open("wb") as file:
+        file.write(b"title: ")
+        file.truncate(50_000_000)
+    with pytest.raises(ConfigurationError, match="is larger than 1 MiB, more than any description needs"):
+        load_yaml_model(path, Whole)
+    with pytest.raises(ConfigurationError, match="is larger than 1 MiB"):
+        load_yaml_model(Path("/dev/zero"), Whole)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("title: " + "x" * 10_001, "f.yaml:1:8: title: has 10001 characters; at most 10000 are read"),
+        ("title: x\n? " + "k" * 10_001 + "\n: 1", "f.yaml:2:3: a key has 10001 characters; at most 10000 are read"),
+    ],
+)
+def test_a_text_that_is_too_long_is_refused_with_its_place(text: str, problem: str) -> None:
+    assert problems(text) == [problem]
+
+
 def test_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
     path = tmp_path / "bom.yaml"
     path.write_text("title: x\n", encoding="utf-8-sig")
