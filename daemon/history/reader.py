@@ -36,7 +36,12 @@ from daemon.history.series import (
 )
 from models.records import ProbeSample, Reference
 
-TABLES = {TEMPERATURES: CYCLES.table, **{kind.name: kind.table for kind in KINDS.values()}, "events": "events"}
+TABLES = {
+    TEMPERATURES: CYCLES.table,
+    **{kind.name: kind.table for kind in KINDS.values()},
+    "events": "events",
+    "probes": "probes",
+}
 """Table of each kind of record that can be counted and listed."""
 
 

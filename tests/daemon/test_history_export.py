@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -15,6 +16,7 @@ from history_records import EPOCH_S, SMALL, StillClock
 
 from config.schema.service import HistoryConfig
 from daemon.cli import main
+from daemon.cli.operate.history_view import print_rows, view
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.export import write_parquet
 from daemon.history.tables import Table
@@ -224,6 +226,16 @@ class TestParquet:
                 if isinstance(value, float):
                     assert value == float(text), name
 
+    def test_the_suffix_of_the_file_chooses_the_format(self, store: Path, tmp_path: Path) -> None:
+        path = tmp_path / "t.parquet"
+        arguments = ["export", "--store", store, "--what", "cnc", "--from", "2025-01-01", "-o", path]
+        assert run(*arguments).exit_code == 0
+        parquet = pytest.importorskip("pyarrow.parquet")
+        assert parquet.read_table(path).num_rows == 12
+        refused = run(*arguments, "--format", "csv")
+        assert refused.exit_code == 2
+        assert "--format csv does not go with a file named t.parquet; leave one of them out" in refused.stderr
+
 
 class TestHistory:
     def test_summary(self, store: Path) -> None:
@@ -242,6 +254,7 @@ class TestHistory:
             "estimates": 12,
             "writes": 12,
             "events": 12,
+            "probes": 0,
         }
         assert content["acknowledged_cycle"] == {"spindle": 12, "bed": 12}
         assert content["writes_without_outcome"] == [12]
@@ -285,6 +298,39 @@ class TestHistory:
         }
         for text in shown[what]:
             assert text in result.stdout, "as it is, not as markup"
+
+    @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
+    def test_in_a_pipe_nothing_is_cut_and_a_record_is_one_line(self, recent: Path, what: str) -> None:
+        arguments = ["history", "--store", str(recent), what, "--last", "3h"]
+        lines = CliRunner(env={"COLUMNS": "80"}).invoke(main, arguments).stdout.splitlines()
+        times = [line for line in lines if re.search(r"20\d\d-\d\d-\d\dT\d\d:\d\d:\d\dZ", line)]
+        assert len(times) == 12
+        assert "…" not in "".join(lines)
+        if what == "cnc":
+            assert all("#600=" in line and "#601=" in line for line in times)
+
+    @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
+    def test_at_80_columns_every_word_is_whole(
+        self, recent: Path, what: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("TTY_COMPATIBLE", "1")
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        monkeypatch.setenv("TERM", "dumb")
+        with HistoryReader(recent) as reader:
+            headings, rows = view(reader, what, 0.0)
+        monkeypatch.setenv("COLUMNS", "400")
+        print_rows("wide", headings, rows)
+        wide = set(re.sub(r"\x1b\[[0-9;]*m|[^\w#=+.:-]", " ", capsys.readouterr().out).split())
+        monkeypatch.setenv("COLUMNS", "80")
+        print_rows("wide", headings, rows)
+        lines = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+        assert max(map(len, lines)) <= 80
+        missing = wide - set(re.sub(r"[^\w#=+.:-]", " ", "\n".join(lines)).split())
+        assert missing <= {"-", "applied"}
+
+    def test_probes_of_a_store_that_has_none(self, store: Path) -> None:
+        result = run("history", "--store", store, "probes")
+        assert (result.exit_code, result.stdout) == (0, "No probes in this time; the store has none at all.\n")
 
     def test_nothing_in_this_time_says_when_there_was_something(self, store: Path) -> None:
         result = run("history", "--store", store, "events", "--last", "5m")

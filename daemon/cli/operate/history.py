@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, write_json
-from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, sensor_list, view
+from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, print_rows, sensor_list, view
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
@@ -21,6 +21,7 @@ from models.records import ProbeSample
 
 KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
 KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
+FORMATS = ("csv", "parquet")
 store_option = option("--store", type=FILE, help="The store's file (else the configuration's history.path).")
 
 
@@ -139,10 +140,6 @@ def _print_summary(content: dict[str, Any]) -> None:
 
 
 def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int) -> None:
-    from rich.console import Console
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
     headings, rows = view(reader, what, from_utc_s)
     if not rows:
         extent = reader.extent(what)
@@ -151,10 +148,7 @@ def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int)
         return
     shown = rows[-limit:]
     title = f"{what}: {len(shown)} of {len(rows)} rows" if len(shown) < len(rows) else f"{what}: {len(rows)} rows"
-    table = RichTable(*headings, title=title)
-    for row in shown:
-        table.add_row(*(Text(cell) if isinstance(cell, str) else Text(*cell) for cell in row))
-    Console().print(table)
+    print_rows(title, headings, shown)
 
 
 @click.command()
@@ -165,7 +159,12 @@ def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int)
 @option("--to", "to_utc_s", callback=moment, default="now", help="End, not included.")
 @option("--sensors", callback=sensor_list, help="Sensor IDs, such as 1-5,7 (temperatures only).")
 @option("--quality", is_flag=True, help="Add quality and reason of every temperature.")
-@option("--format", "format_", type=click.Choice(["csv", "parquet"]), default="csv")
+@option(
+    "--format",
+    "format_",
+    type=click.Choice(FORMATS),
+    help="Else by the file's suffix: .parquet or .csv; CSV for any other.",
+)
 @option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True), required=True, help="File; '-': CSV to stdout."
 )
@@ -177,12 +176,16 @@ def export(
     to_utc_s: float,
     sensors: tuple[int, ...] | None,
     quality: bool,
-    format_: str,
+    format_: str | None,
     output: Path,
 ) -> None:
     """Export records as CSV or Parquet, units in the column names. Reads a running daemon's store too."""
     if what != TEMPERATURES and (sensors or quality):
         refuse(f"--sensors and --quality go with --what temperatures, not with {what}")
+    suffix = output.suffix.lower().removeprefix(".")
+    if format_ is not None and suffix in FORMATS and suffix != format_:
+        refuse(f"--format {format_} does not go with a file named {output.name}; leave one of them out")
+    format_ = format_ or (suffix if suffix in FORMATS else "csv")
     if format_ == "parquet" and str(output) == "-":
         refuse("a Parquet file cannot go to standard output; give a file with -o")
     if to_utc_s <= from_utc_s:

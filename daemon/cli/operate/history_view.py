@@ -1,9 +1,11 @@
 """Records as rows that fit a terminal."""
 
 import re
+import textwrap
 import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -11,6 +13,10 @@ import numpy as np
 from config.schema.temperatures import expand_ranges
 from daemon.history import HistoryReader
 from models.records import WriteOutcome
+from models.text import printable
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 FAR_FUTURE_S = 2.0**40
 STYLES = {
@@ -20,6 +26,10 @@ STYLES = {
     WriteOutcome.FAILED: "red",
     WriteOutcome.REFUSED: "red",
 }
+WIDEST = 10_000
+"""No table is wider [character]."""
+INDENT = "    "
+"""Before the second and later lines of a record."""
 Cell = str | tuple[str, str]
 """Text, or text and its style."""
 View = tuple[tuple[str, ...], list[tuple[Cell, ...]]]
@@ -31,6 +41,55 @@ def view(reader: HistoryReader, what: str, from_utc_s: float) -> View:
     return {"writes": _writes, "events": _events, "estimates": _estimates, "cnc": _cnc, "probes": _probes}[what](
         reader, from_utc_s
     )
+
+
+def print_rows(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...]]) -> None:
+    """Print a table as wide as it needs to be; on a terminal that is narrower, each record over several lines.
+
+    Nothing is ever cut: who reads it in a pipe gets one line a record.
+    """
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(*headings, title=title)
+    texts = [[Text(printable(cell)) if isinstance(cell, str) else Text(*cell) for cell in row] for row in rows]
+    for row in texts:
+        table.add_row(*row)
+    console = Console()
+    needed = Measurement.get(console, console.options.update(max_width=WIDEST), table).maximum
+    if needed <= console.width or not console.is_terminal:
+        console.width = max(needed, console.width)
+        console.print(table)
+        return
+    console.print(title, style="italic", markup=False)
+    for row in texts:
+        console.print(_record(headings, row, console.width), soft_wrap=True)
+
+
+def _record(headings: tuple[str, ...], cells: "list[Text]", width: int) -> "Text":
+    """Return one record as lines of 'heading value', wrapped between words only."""
+    from rich.text import Text
+
+    lines, used = Text(), 0
+    for heading, cell in zip(headings, cells, strict=True):
+        if not cell.plain or cell.plain == "-":
+            continue
+        piece = cell if heading == "UTC" else Text.assemble((f"{heading} ", "dim"), cell)
+        if used and used + 2 + len(piece) > width:
+            lines.append("\n")
+            used = 0
+        if len(piece) > width - len(INDENT):
+            wrapped = textwrap.wrap(piece.plain, width, initial_indent=INDENT, subsequent_indent=2 * INDENT)
+            lines.append(("" if not used else "\n") + "\n".join(wrapped))
+            used = width
+            continue
+        before = "  " if used else INDENT if lines.plain else ""
+        lines.append(before)
+        lines.append_text(piece)
+        used += len(before) + len(piece)
+    return lines
 
 
 def _writes(reader: HistoryReader, from_utc_s: float) -> View:
