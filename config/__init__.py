@@ -1,1 +1,1 @@
-"""The only list of knobs: schema, YAML loader, sample printer and machine descriptions."""
+"""The configuration: schema, YAML loader, sample printer and machine descriptions."""

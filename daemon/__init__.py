@@ -1,1 +1,1 @@
-"""The edge daemon: composition root, pipeline, history, telemetry and command line."""
+"""The edge daemon, and beside it the commands, the offline workbench and the simulation."""

@@ -1,1 +1,1 @@
-"""Everything that touches a wire or a file of somebody else."""
+"""Everything that touches a wire or a foreign file."""

@@ -1,1 +1,1 @@
-"""Recordings."""
+"""Descriptions of recordings and measurement campaigns: column maps, programme, index."""

@@ -1,1 +1,1 @@
-"""Records."""
+"""Records that a person signs for: of a commissioning, and of a released model."""

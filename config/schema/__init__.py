@@ -1,4 +1,4 @@
-"""The one schema: every knob of the daemon, with its unit, bounds, default and meaning."""
+"""The one schema: every configuration key of the daemon, with its unit, bounds, default and meaning."""
 
 from collections.abc import Iterator
 
@@ -54,7 +54,7 @@ class Configuration(Section):
         valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
         if valid_s >= (believed_s := self.cnc.guard.max_validity_s):
             sentence = (
-                f"with cnc.poll_period_s a block is valid for up to {valid_s:g} s, and the guard believes none that is "
+                f"with cnc.poll_period_s a block is valid for up to {valid_s:g} s, and the guard accepts none that is "
                 f"valid for {believed_s:g} s or longer (cnc.guard.max_validity_s): it would never move anything"
             )
             problems.append((("compensation", "output", "validity_s"), sentence))

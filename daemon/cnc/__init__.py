@@ -1,1 +1,1 @@
-"""Cnc."""
+"""The connection to the CNC: session, macro block, audited writes, interlocks, limits."""

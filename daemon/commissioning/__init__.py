@@ -1,1 +1,1 @@
-"""Commissioning: a person sees each axis move the right way, and the record of it."""
+"""Commissioning: each axis is moved while a person reads an instrument, and the record of it is written."""

@@ -1,1 +1,1 @@
-"""The output: from estimate and CNC sample to the verified macro write."""
+"""Compensation: from estimate and CNC sample to the verified macro write."""

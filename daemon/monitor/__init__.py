@@ -1,1 +1,1 @@
-"""What people and other programs see of the daemon: socket, status, view, metrics, log."""
+"""The daemon's interface to people and other programs: socket, status, view, metrics."""

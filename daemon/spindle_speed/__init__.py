@@ -1,1 +1,1 @@
-"""Spindle speed."""
+"""Tuning of the spindle speed in the daemon: operation, plan, decision, block."""

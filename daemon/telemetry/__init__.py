@@ -1,1 +1,1 @@
-"""Telemetry."""
+"""Log, metrics, delays and the notifications of the service manager."""

@@ -1,1 +1,1 @@
-"""Displacement."""
+"""Reads displacements from the growing files of an A/D logger."""

@@ -1,1 +1,1 @@
-"""Files."""
+"""Reads measurements from files: recordings, frequency responses, impact tests, accelerations."""

@@ -1,1 +1,1 @@
-"""Latsis."""
+"""Reads a LATSIS line: port, frames, cycles, values."""

@@ -1,1 +1,1 @@
-"""Opcua."""
+"""Reads and writes the CNC over OPC UA."""

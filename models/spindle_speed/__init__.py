@@ -1,1 +1,1 @@
-"""Spindle speed."""
+"""Which spindle speed to take, and when it may change."""

@@ -1,1 +1,1 @@
-"""Admin."""
+"""Commands for setting up: configuration, guard, commissioning, models, back-ups."""

@@ -1,1 +1,1 @@
-"""Dynamics."""
+"""Commands of `toolpoint dynamics`."""

@@ -1,1 +1,1 @@
-"""Operate."""
+"""Commands for running the daemon and reading what it recorded."""

@@ -1,1 +1,1 @@
-"""Simulate."""
+"""Commands that run the daemon beside a simulated machine."""

@@ -1,1 +1,1 @@
-"""Stability."""
+"""Commands of `toolpoint stability`."""

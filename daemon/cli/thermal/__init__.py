@@ -1,1 +1,1 @@
-"""Thermal."""
+"""Commands of `toolpoint thermal`."""

@@ -1,1 +1,1 @@
-"""Columns."""
+"""Column chunks: an hour of records, packed and unpacked without loss."""

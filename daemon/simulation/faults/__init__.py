@@ -1,1 +1,1 @@
-"""Faults."""
+"""The fault campaign: machine and daemon in virtual time, under scripted and random faults."""

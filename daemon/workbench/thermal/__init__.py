@@ -1,1 +1,1 @@
-"""Thermal."""
+"""Training, evaluation and reports of thermal models from recordings on disk."""

@@ -1,1 +1,1 @@
-"""Nc."""
+"""The simulated NC: its part program, clock, macro variables and NC programs."""

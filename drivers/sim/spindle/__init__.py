@@ -1,1 +1,1 @@
-"""Spindle."""
+"""The spindle of the simulated machine: beam, bearings, impact tests, milling."""

@@ -1,1 +1,1 @@
-"""Wires."""
+"""The wires of the simulated machine: serial lines, displacement file, OPC UA server."""

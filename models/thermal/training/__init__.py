@@ -1,1 +1,1 @@
-"""Training."""
+"""Training and evaluation of thermal models; the resident daemon imports none of it."""

@@ -1,1 +1,1 @@
-"""The figures of the dissertation's chapter on thermal errors, from the recordings of a campaign."""
+"""Draws the figures of the dissertation's chapter on thermal errors from the recordings of a campaign."""
