@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and the digest of their content."""
+"""Writes files whole or not at all, and computes the digest of their content."""
 
 import hashlib
 import os

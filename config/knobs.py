@@ -1,4 +1,4 @@
-"""The schema as a list of knobs, for the sample, the reference page and the loader's sentences."""
+"""Lists the keys of the schema, for the sample, the reference page and the loader's messages."""
 
 import re
 import types

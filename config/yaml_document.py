@@ -91,7 +91,7 @@ def _short_tag(tag: str) -> str:
 
 
 class _TagWatchingLoader(yaml.SafeLoader):
-    """Composes nodes and remembers where somebody wrote a tag."""
+    """Composes nodes and records where a tag was written."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)

@@ -18,7 +18,7 @@ LEAST_PROOF_UM = 2.0
 PROOF_TOLERANCE = 0.2
 """Share by which the measured movement may differ from what sign and scale say."""
 RECORD_FORMAT = 2
-"""Format that is written. Format 1 named no guard version, so it permits nothing once the guard has spoken."""
+"""Format that is written. Format 1 named no guard version, so it permits nothing once the guard's version is known."""
 READING_SLACK_UM = 0.01
 """Rounding of the readings in the record [um]."""
 
@@ -156,7 +156,7 @@ def commissioning_inhibit(
     `guard_version` is what the guard echoes; None where it has not been heard.
     """
     if record is None:
-        return f"this machine has no commissioning record, so nobody has proved sign and scale: {ADVICE}"
+        return f"this machine has no commissioning record, so sign and scale have not been proved: {ADVICE}"
     if record.cnc_identity != cnc_identity:
         return (
             f"the commissioning record is for {record.cnc_identity!r}, this control is {cnc_identity!r}: "

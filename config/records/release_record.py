@@ -17,7 +17,7 @@ class PreviousRelease(Section):
 
 
 class ReleaseRecord(Section):
-    """Proof that somebody released exactly this file."""
+    """Proof that a person released exactly this file."""
 
     format_version: int = Field(1, ge=1, le=1)
     number: int = Field(ge=1, description="releases of one machine count from 1")

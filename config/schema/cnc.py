@@ -43,8 +43,8 @@ class RequestMacrosConfig(Section):
 
 
 CHECK_MISSING = (
-    "names no variable, so the guard cannot tell a foreign value in the block, and no axis is enabled: name one within "
-    "`cnc.macros.writable` that nothing else uses, load the text that `toolpoint guard` prints, and run "
+    "names no variable, so the guard cannot recognise a foreign value in the block, and no axis is enabled: name one "
+    "within `cnc.macros.writable` that nothing else uses, load the text that `toolpoint guard` prints, and run "
     "`toolpoint commission` again"
 )
 """What is wrong with `cnc.macros.check` where it is not given."""
@@ -195,7 +195,7 @@ class CncConfig(CncDriverConfig):
     poll_period_s: Seconds = Field(0.5, description="time between polls of the CNC's state")
     timeout_s: Seconds = Field(1.0, description="every call ends after this long [s of the wall clock]")
     stale_after_s: Seconds = Field(
-        3.0, description="without an answer, or with its clock standing still, for this long the link is dead"
+        3.0, description="without an answer, or with its clock standing still, for this long the link counts as lost"
     )
     macros: MacroMapConfig = Field(description="macro variables", examples=[{"check": 506}])
     temperature_macro: TemperatureMacroConfig | None = Field(
@@ -231,6 +231,6 @@ class CncConfig(CncDriverConfig):
     def _ordered(self) -> "CncConfig":
         if self.stale_after_s <= self.poll_period_s:
             raise KeyProblems(
-                [(("stale_after_s",), "must be longer than poll_period_s, or the link always looks dead")]
+                [(("stale_after_s",), "must be longer than poll_period_s, or the link would always count as lost")]
             )
         return self

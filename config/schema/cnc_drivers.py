@@ -16,7 +16,7 @@ Connection = TypeVar("Connection", bound="CncConnection")
 
 
 class CncConnection(Section):
-    """What every driver's section says of itself, so that nobody else has to know the driver."""
+    """What every driver's section answers for itself, so that no other part has to know the driver."""
 
     driver: ClassVar[str]
     """Name of the driver, which is also the key of the section."""

@@ -117,7 +117,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("compensation.axes.z.estimate", "Z 1", "compensation.axes.z.estimate", "letters, digits and underscores"),
         ("compensation.axes.z.deadband_um", 50.0, "compensation.axes.z.deadband_um", "nothing is ever written"),
         ("compensation.output.validity_s", 1.0, "compensation.output.validity_s", "expires between two ticks"),
-        ("compensation.output.validity_s", 120.0, "compensation.output.validity_s", "the guard believes none"),
+        ("compensation.output.validity_s", 120.0, "compensation.output.validity_s", "the guard accepts none"),
         ("compensation.output.validity_s", 119.5, "compensation.output.validity_s", "for up to 120 s"),
         ("cnc.guard", {"max_validity_s": 30.0}, "compensation.output.validity_s", "cnc.guard.max_validity_s"),
         (
