@@ -1,4 +1,4 @@
-"""Which driver serves which section of the configuration: the only place that names drivers.
+"""Maps sections of the configuration to drivers: the only place that names drivers.
 
 A driver is imported when it is first asked for, so that an installation loads the libraries of its own wires only.
 To add one: its section in the schema, and one line in a table here.

@@ -1,4 +1,4 @@
-"""The files of an A/D logger, followed as they grow."""
+"""Follows the files of an A/D logger as they grow."""
 
 import asyncio
 import contextlib

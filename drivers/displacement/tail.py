@@ -1,4 +1,4 @@
-"""Growing files of somebody else, looked at from time to time. Blocking I/O, no asyncio.
+"""Follows growing files that another program writes, by looking from time to time. Blocking I/O, no asyncio.
 
 Files are opened for reading only and closed after every look, so that the logger can do with them what it
 likes, also over a network share. Lines are consumed up to the last newline. A file is new when it is

@@ -53,11 +53,11 @@ class GuardStatus(IntEnum):
     MODAL = 7
     """Cutter compensation or a canned cycle is active: this is no safe point."""
     MEMORY = 8
-    """What the guard remembers of the applied offset is vacant, contradictory or outside the bound."""
+    """The guard's memory of the applied offset is vacant, contradictory or outside the bound."""
     UNSETTLED = 9
     """The external offset is neither what it was before the guard's change nor what it was to become."""
     CHECK = 10
-    """The check is not made of what the block holds: somebody else has written one of its macros."""
+    """The check does not fit what the block holds: another program has written one of its macros."""
 
 
 class GuardTextError(RefusedInputError, ValueError):
@@ -106,7 +106,7 @@ def alarm_number(status: GuardStatus) -> int:
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:
-    """Return letter and number of every axis; raises GuardTextError where nobody has said them."""
+    """Return letter and number of every axis; raises GuardTextError where they are not configured."""
     found: dict[str, GuardAxisConfig] = {}
     for name in axes:
         usual = USUAL_AXES.get(name.lower())

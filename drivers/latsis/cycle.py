@@ -15,7 +15,7 @@ from drivers.latsis.values import ChainDecoder, ChainValues
 from models.records import Instant, TemperatureCycle, Trace
 
 SILENCE_PERIODS = 0.25
-"""A line that is silent for this share of its cycle period has ended its pass."""
+"""A line that sends nothing for this share of its cycle period has ended its pass."""
 LONGEST_PASS_PERIODS = 1.5
 """A pass that is still open after so many cycle periods is closed whatever arrives."""
 MIN_SILENCE_REAL_S = 0.05
@@ -246,7 +246,7 @@ class CycleAssembler:
         )
 
     def _count_missing(self, line_pass: LinePass, values: ChainValues) -> None:
-        """Count who is missing; a disturbed pass says nothing about who is silent."""
+        """Count which sensors are missing; a disturbed pass does not count."""
         for wire_id in self._missed.keys() - values.missing:
             del self._missed[wire_id]
         if self._reject_count or line_pass.displaced:
@@ -264,7 +264,7 @@ class CycleAssembler:
         if lost := values.missing - self._silent:
             faults.append(f"not received: {self._chain.names(lost)}")
         if silent := values.missing & self._silent:
-            faults.append(f"silent and not waited for any more: {self._chain.names(silent)}")
+            faults.append(f"missing and no longer waited for: {self._chain.names(silent)}")
         faults += [str(error) for error in self._rejects]
         if self._reject_count > NAMED_REJECTS:
             faults.append(f"{self._reject_count - NAMED_REJECTS} more pieces rejected")

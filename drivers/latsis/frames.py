@@ -24,11 +24,11 @@ from typing import NamedTuple
 from config.schema.temperatures import GrammarConfig
 
 MAX_LINE_BYTES = 256
-"""Without a line end for so many bytes they are given up; the longest frame of any grammar has 19."""
+"""Without a line end for so many bytes they are dropped; the longest frame of any grammar has 19."""
 EXCERPT_BYTES = 24
 """How much of a rejected frame its error record quotes."""
 VALUE_DIGITS = (3, 4)
-"""Possible widths of VAL; both are accepted under an ID that nobody expects."""
+"""Possible widths of VAL; both are accepted under an ID that is not expected."""
 
 
 class FrameFault(StrEnum):

@@ -1,4 +1,4 @@
-"""When the reader of a LATSIS line should look again. No I/O, no clock.
+"""Decides when the reader of a LATSIS line should look again. No I/O, no clock.
 
 At 9600 baud a byte comes every millisecond, and waking up for each would cost a hundred times more than
 its decoding. In the middle of a pass nothing depends on a single byte, so the reader sleeps; but since
@@ -19,7 +19,7 @@ FINAL_BYTES = 4
 LARGEST_PAUSE_BYTES = 1024
 """No sleep lets more bytes pile up: a quarter of the kernel's buffer of a serial port."""
 BAUD_MARGIN = 0.95
-"""The sender's clock may be this much too fast (an asynchronous receiver bears 5 %)."""
+"""The sender's clock may be this much too fast (an asynchronous receiver tolerates 5 %)."""
 PACKET_BYTES = 64
 """Bytes that a USB adapter delivers together although they came one after another."""
 PACKET_REAL_S = 0.02

@@ -92,7 +92,7 @@ class LatsisSerialSource:
         if self._started:
             await self._reader.stop()
 
-    # --- what the reader calls, from whatever thread it lives in ---------------------------
+    # --- what the reader calls, from its own thread ---------------------------
 
     @property
     def earliest_end(self) -> int:

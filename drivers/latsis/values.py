@@ -16,7 +16,7 @@ from models.units import MLX90615_K_PER_LSB, TMP102_DEGC_PER_LSB, degc_from_kelv
 RESET_PLAUSIBLE_DEGC = 2.0
 """A TMP102 that was last within this distance of 0 degC may really read 000h."""
 RESET_BURST_SENSORS = 3
-"""So many implausible 000h in one cycle are a burst: then no 000h of that cycle is believed."""
+"""So many implausible 000h in one cycle are a burst: then no 000h of that cycle counts."""
 NAMED_SENSORS = 20
 """How many sensors one sentence names before it counts the rest."""
 
@@ -63,7 +63,7 @@ class ChainValues:
 
 
 class ChainDecoder:
-    """Decodes the frames of one line; remembers the last good value of each sensor for the reset rule.
+    """Decodes the frames of one line; keeps the last good value of each sensor for the reset rule.
 
     A TMP102 reads exactly 000h from a reset of its node to its first conversion. Such a value is refused
     (`Reason.RESET`) unless the sensor's previous good value was within 2 degC of 0 degC and the cycle

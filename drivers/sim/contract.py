@@ -47,7 +47,7 @@ class SimulatedNc(Protocol):
 
 
 class SimulatedMachine(Protocol):
-    """A simulated machine, moved on by whoever owns it."""
+    """A simulated machine, moved on by its owner."""
 
     @property
     def time_s(self) -> float:

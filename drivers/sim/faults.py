@@ -28,7 +28,7 @@ class FaultKind(StrEnum):
     LOST_BYTES = "lost_bytes"
     """Bytes of a line vanish; amount: share of the bytes lost."""
     DEAD_LINE = "dead_line"
-    """A line breaks behind chain position `amount`: only positions 1..amount still speak (0: none)."""
+    """A line breaks behind chain position `amount`: only positions 1..amount still send (0: none)."""
     STUCK_SENSOR = "stuck_sensor"
     """A sensor repeats what it read when the fault began."""
     DRIFTING_SENSOR = "drifting_sensor"

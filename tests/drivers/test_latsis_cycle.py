@@ -222,7 +222,7 @@ def test_a_dead_tail_is_not_waited_for_any_more_and_heard_again_when_it_speaks()
     cycle = only(line.send(*(line.frame(i) for i in alive)))
     assert cycle.complete  # nothing waits for them
     assert line.reasons(cycle) == dict.fromkeys([1, 2, 3], Reason.NOT_RECEIVED)
-    assert "silent and not waited for any more: sensor 503 (ID 003h)" in cycle.faults[0]
+    assert "missing and no longer waited for: sensor 503 (ID 003h)" in cycle.faults[0]
     line.rest()
     only(line.one_pass())  # they speak again: too late for this cycle
     assert line.silent_ids == set()

@@ -1,4 +1,4 @@
-"""One day in the life of the simulated machine: everything that differs from day to day."""
+"""One day of the simulated machine: everything that differs from day to day."""
 
 from dataclasses import dataclass
 from typing import Literal

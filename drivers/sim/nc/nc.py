@@ -62,7 +62,7 @@ class MacroTable:
 
 
 class NumericalControl:
-    """State of the NC; whoever owns the machine moves it on."""
+    """State of the NC; the owner of the machine moves it on."""
 
     def __init__(
         self, *, program: int, clock_s: float, clock_ppm: float, power_on_count: int, tool_number: int

@@ -65,7 +65,7 @@ class SafePointApplication:
         return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
 
     def change_own_offset(self, axis: str, by_um: float) -> None:
-        """Let the operator add to his own offset by hand [um]."""
+        """Let the operator add to the own offset by hand [um]."""
         self._own_mm[axis] += by_um / 1000.0
         self.control.external_mm[self._axes[axis].number - 1] += by_um / 1000.0
 

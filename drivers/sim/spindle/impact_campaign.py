@@ -169,7 +169,7 @@ def _averaged(true: ComplexVector, rng: np.random.Generator) -> ComplexVector:
 
 
 def move(body: MachineBody, to_s: float) -> None:
-    """Let the machine run up to a time [s], with nobody watching."""
+    """Let the machine run up to a time [s], without taking results."""
     body.advance(to_s, leaving=_ignore, entered=_ignore)
 
 
