@@ -43,7 +43,7 @@ class CleansingRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CleansingState:
-    """What cleansing remembers, one entry per sensor of the machine. Never changed in place."""
+    """State of the cleansing, one entry per sensor of the machine. Never changed in place."""
 
     accepted_degc: FloatArray
     """Last accepted value [degC], NaN where there was none."""

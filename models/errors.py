@@ -1,4 +1,4 @@
-"""What the models refuse, and what all refusals of a person's input have in common."""
+"""Exceptions: what the models refuse, and the base of all refusals of a person's input."""
 
 
 class RefusedInputError(Exception):

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Quality(IntEnum):
-    """How far a value may be trusted."""
+    """Whether a value may be used."""
 
     GOOD = 0
     """Measured in this cycle and accepted."""

@@ -195,8 +195,8 @@ def _inhibit_of_estimate(memory: OutputMemory, inputs: OutputInputs, limits: Out
         axes = ", ".join(axis for axis, missing in zip(limits.axes, without, strict=True) if missing)
         return Inhibit(
             code=InhibitCode.NO_ESTIMATE,
-            text=f"no estimate for axis {axes}: sensors that its model counts from are silent, or were when the work "
-            "was positioned",
+            text=f"no estimate for axis {axes}: sensors that its model counts from have no value, or had none when "
+            "the work was positioned",
             remedy="bring them back, then position the work again, or switch the axis off",
         )
     in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)

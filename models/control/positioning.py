@@ -1,4 +1,4 @@
-"""Whether a positioning of the work may have passed between two polls of the CNC that nobody saw."""
+"""Decides whether a positioning of the work may have been missed between two polls of the CNC."""
 
 from models.control.program import IDLE
 from models.control.reference_records import CncSeen, ReferenceRules

@@ -1,4 +1,4 @@
-"""The life of the reference, as pure functions on events: asked for, in force, ended, kept for the tool settings.
+"""The lifecycle of the reference, as pure functions on events: asked for, in force, ended, kept for the tool settings.
 
 Every function takes what is remembered and what has happened, and returns what is remembered from then on and what
 follows from it: messages to the estimation, and what people are told. `TRANSITIONS` is the whole state machine: for
@@ -140,7 +140,7 @@ def request(
 
 
 def adopt(memory: ReferenceMemory, reference: Reference, rules: ReferenceRules, *, still_applied_um: float) -> Step:
-    """Take a reference that has come into force, or refuse it; nobody waits any more for what was asked before it."""
+    """Take a reference that has come into force, or refuse it; what was asked for before it is no longer waited for."""
     asked = _request_for(memory, reference.reference_id)
     why = _refusal(memory, reference, asked, rules, still_applied_um)
     if why:
@@ -171,7 +171,7 @@ def refuse(memory: ReferenceMemory, reference_id: str, why: str) -> Step:
 
 
 def withdraw(memory: ReferenceMemory, reference_id: str) -> ReferenceMemory:
-    """Return the memory when nobody waits for this reference any more."""
+    """Return the memory when this reference is no longer waited for."""
     left = tuple(asked for asked in memory.requests if asked.reference_id != reference_id)
     return moved(replace(memory, requests=left))
 
@@ -323,7 +323,7 @@ def _retreated(memory: ReferenceMemory, sample: CncSample, rules: ReferenceRules
 
 
 def _unanswered(memory: ReferenceMemory, sample: CncSample, rules: ReferenceRules) -> str:
-    """Return why work that was positioned has no reference although nobody refused one, '' while one may come."""
+    """Return why work that was positioned has no reference although none was refused, '' while one may come."""
     latest_s = sample.time.monotonic_s - rules.answer_within_s
     if any(asked.positioning and asked.asked_s < latest_s for asked in memory.requests):
         return f"the work was positioned again, and no reference has come within {rules.answer_within_s:g} s"

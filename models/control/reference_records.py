@@ -1,4 +1,4 @@
-"""The records of the reference: what is remembered of it, what a restart takes up again, and what it says to others."""
+"""The records of the reference: its memory, what a restart takes up again, and its messages to other parts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -127,7 +127,7 @@ def _not_resumed(
     rules: ReferenceRules,
     request_counter: int | None,
 ) -> str:
-    """Return what may have happened while nobody polled the CNC that ends the reference."""
+    """Return what ends the reference and may have happened while the CNC was not polled."""
     if unseen := _unseen(left, sample, rules):
         return unseen
     assert left.seen is not None
@@ -138,7 +138,7 @@ def _not_resumed(
 
 
 def _unseen(left: ReferenceDocument, sample: CncSample, rules: ReferenceRules) -> str:
-    """Return why nothing is known of the control while nobody polled it, '' when it has just gone on."""
+    """Return why the control's state while it was not polled is unknown, '' when it has just gone on."""
     gap_s = away_s(left, sample)
     if left.seen is None or gap_s > rules.max_outage_s:
         return f"the CNC was not polled for longer than {rules.max_outage_s:g} s (reference.max_outage_s)"

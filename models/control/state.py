@@ -1,4 +1,4 @@
-"""What the output knows, remembers and is bounded by: the records of `models.control.compensation`."""
+"""The records of `models.control.compensation`: inputs, memory and limits of the output."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -66,7 +66,7 @@ class OutputInputs:
     applied_um: FloatArray
     """The guard's echo per axis [um]; NaN where it is unknown."""
     written_um: FloatArray | None = None
-    """What the block held at the latest read-back or poll [um]; None where nobody watches it."""
+    """What the block held at the latest read-back or poll [um]; None where it is not watched."""
     thermal_error_um: FloatArray
     """Estimated error per axis since the reference, without the tool [um]; NaN where there is none."""
     tool_term_um: FloatArray | None = None

@@ -154,7 +154,7 @@ def check_for_identification(measurement: Measurement, parameters: int, *, trust
     if imaginary[highest] > 0.0 and imaginary.sum() > 0.0:
         raise MeasurementError(
             f"at the highest peak, {frequency_hz[highest]:g} Hz, the imaginary part is positive, which no point does "
-            "that is hit and measured at once; the sensor looks against the hammer, or time runs as exp(-j w t): "
+            "that is hit and measured at once; the sensor points against the hammer, or time runs as exp(-j w t): "
             "turn the phase by 180 degrees, or take the complex conjugate"
         )
     inside = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])

@@ -1,4 +1,4 @@
-"""What may be wrong with a recording: sentences that name column and row, and say what to do."""
+"""Finds what may be wrong with a recording: sentences that name column and row, and say what to do."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is believed of a measured value: the dissertation's rules, bounded so that they cannot latch for ever."""
+"""Takes jumps off displacements that are not thermal: at switching of the spindle, and sudden ones."""
 
 from collections.abc import Sequence
 

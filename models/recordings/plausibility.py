@@ -1,4 +1,4 @@
-"""Single values of a recording that cannot be: what a broken wire or a full-scale input writes into its column."""
+"""Finds impossible single values of a recording: what a broken wire or a full-scale input writes into its column."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""Which spindle speed to take: the dissertation's rule (5-9), and a choice among all pockets by limiting depth."""
+"""Chooses a spindle speed: by the dissertation's rule (5-9), or among all pockets by limiting depth."""
 
 import math
 from collections.abc import Sequence

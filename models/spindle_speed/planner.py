@@ -1,4 +1,4 @@
-"""From the dynamics of the tool point to the speed that an operation should have, and how sure that is.
+"""Plans the speed of an operation from the dynamics of the tool point, and says how sure it is.
 
 This is the slow half of the tuning: it computes lobes, and may run anywhere. The quick half, `speed_tuning.step`,
 decides what of it is commanded, and when.

@@ -1,4 +1,4 @@
-"""What a tuner of the spindle speed needs to know of the tool point, whoever estimates it."""
+"""The tool point as the tuning of the spindle speed needs it, whatever estimates it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

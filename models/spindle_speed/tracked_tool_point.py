@@ -1,4 +1,4 @@
-"""The tool point of a spindle model whose bearings follow temperatures, as the tuning of the speed wants it."""
+"""The tool point of a spindle model whose bearings follow temperatures, as the tuning of the speed needs it."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,7 @@ AXES = ("x", "y")
 FAR_HZ = 20.0
 """A peak this far off after one step of a sensor is another one [Hz]."""
 LEAST_SHARE = 0.5
-"""At least this share of a signal's sensors must have a value: one that drifts must not speak for all."""
+"""At least this share of a signal's sensors must have a value: one that drifts must not stand for all."""
 
 
 class TrackedToolPoint:

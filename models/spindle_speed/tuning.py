@@ -111,7 +111,7 @@ class SpeedTuningInputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedTuningMemory:
-    """What the tuning remembers from step to step."""
+    """Memory of the tuning from step to step."""
 
     programmed_rpm: float
     """Of the operation that is under way [1/min]; another value begins another operation."""

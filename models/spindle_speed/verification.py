@@ -1,4 +1,4 @@
-"""Verifies a chosen speed beyond the zeroth order, whose pockets have too steep flanks, and denies it in any doubt.
+"""Verifies a chosen speed beyond the zeroth order, whose pockets have too steep flanks; denies what it cannot verify.
 
 Where teeth cut one after the other, the true boundary leaves that of the zeroth-order solution at the low end of a
 pocket by several per cent of the speed. Modes are fitted to the response, and the vibration must die away fast enough

@@ -1,4 +1,4 @@
-"""What stability lobes are, whatever method found them, and what no method can use."""
+"""Stability lobes as records, whatever method found them, and what no method can use."""
 
 import math
 from collections.abc import Sequence

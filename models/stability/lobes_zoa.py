@@ -22,7 +22,7 @@ ZOOM_POINTS = 33
 ZOOM_ROUNDS = 4
 NEXT_TO_ZERO = 1e-9
 MOST_LOBES = 20_000
-"""More lobes at one speed are a speed that nobody mills at."""
+"""Above so many lobes the speed is too low to mill at."""
 MOST_REFINED = 8
 """So many of the highest peaks are looked at between the samples; noise has more."""
 NEAR_RANGE = 1.02

@@ -1,4 +1,4 @@
-"""What a recording of an accelerometer must be before a verdict on chatter is drawn from it."""
+"""Checks that a recording of an accelerometer is good enough for a verdict on chatter."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a thermal model on line takes and gives, whichever its family."""
+"""Inputs and results of a thermal model on line, whichever its family."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Samples = Iterable[tuple[float, FloatArray, float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """What a model on line must know of the machine."""
+    """What a model on line is told of the machine."""
 
     components: Mapping[int, str]
     """Component of each sensor, by its ID."""
@@ -32,7 +32,7 @@ class Estimation:
     in_domain: bool
     """Every usable sensor, and the change since the reference, lie within what training covered."""
     imputed: tuple[int, ...]
-    """IDs of the sensors that do not count; the others speak for them."""
+    """IDs of the sensors that do not count; they are imputed from the others."""
     outside: tuple[int, ...]
     """IDs of the sensors outside the range that training covered."""
     band_factor: float = 1.0

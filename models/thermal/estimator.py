@@ -1,4 +1,4 @@
-"""Runs a linear model sample by sample: what it remembers is an explicit record.
+"""Runs a linear model sample by sample: its state is an explicit record.
 
 `LinearEstimator.rebuild` makes a `ModelState` of a history, `advance` takes every further sample into
 it, the state at the instant of a reference is kept as the reference, and `estimate` gives the
@@ -34,7 +34,7 @@ DOMAIN_MARGIN_K = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelState:
-    """What a model remembers from one sample to the next."""
+    """State of a model from one sample to the next."""
 
     time_min: float
     """Time of the latest sample [min], on the caller's clock."""

@@ -107,7 +107,7 @@ class LinearOnline:
 
     @property
     def excluded(self) -> dict[int, str]:
-        """Sensors whose values were found wrong; a silent one counts again when it has values again."""
+        """Sensors whose values were found wrong; a missing one counts again when it has values again."""
         signs = {} if self._state is None else fault_signs(self.model, self._state)
         return self._left_out | {sensor_id: sign for sensor_id, sign in signs.items() if sign != MISSING}
 

@@ -1,4 +1,4 @@
-"""What a thermal model that is linear in its features consists of; it proves itself whenever it is made.
+"""The parts of a thermal model that is linear in its features; its test vectors are checked whenever it is made.
 
 Features are temperatures, their first-order lags and lagged spindle speed. The model of increments since a
 reference, telescoped, is the one without lags.

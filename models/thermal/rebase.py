@@ -1,4 +1,4 @@
-"""A sensor that returns goes on from where it was imputed."""
+"""Sets a returning sensor so that it goes on from where it was imputed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What training knows of healthy temperature sensors: limits, and a prediction of each from all others.
+"""Limits of healthy temperature sensors from training, and a prediction of each from all others.
 
 With P the inverse of the damped covariance of all columns, sensor s departs from its prediction by
 ``(P[S, S]^-1 P[S, :] x)[0]``, S its own columns: no regression per sensor is needed. Leaving a suspect

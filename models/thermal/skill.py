@@ -1,4 +1,4 @@
-"""Does the estimate help? Measured errors, as probes and displacement sensors bring them, against what it leaves."""
+"""Compares the errors that probes and displacement sensors measure with what the estimate would leave of them."""
 
 from dataclasses import dataclass, replace
 

@@ -28,7 +28,7 @@ CONFIRM_MIN = 10.0
 MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
 MISSING = "missing"
-"""Sign of a sensor that is silent: no fault of its values, so it counts again when it has a value."""
+"""Sign of a missing sensor: no fault of its values, so it counts again when it has a value."""
 EXPLAINED = 0.75
 """An exclusion explains an alarm when the others then depart by no more than this share of their limits ..."""
 EXPLAINED_SHARE = 0.3
@@ -50,7 +50,7 @@ class SensorFault:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WatchState:
-    """What the watch remembers from one sample to the next."""
+    """State of the watch from one sample to the next."""
 
     time_min: float
     degc: FloatArray

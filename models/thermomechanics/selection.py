@@ -1,4 +1,4 @@
-"""Which temperatures explain the bearings: groups of like signals, and the best of each (Figs 5-10, 5-11)."""
+"""Chooses the temperatures that explain the bearings: groups of like signals, and the best of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

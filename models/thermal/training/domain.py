@@ -1,4 +1,4 @@
-"""How far features have gone from a reference, against the farthest that training went: where estimates are guesses.
+"""How far features have gone from a reference, against the farthest that training went: beyond that they extrapolate.
 
 A ridge with penalty p on columns with cross products G says of a change x how little training knows of it:
 ``p x^T (G + p)^-1 x``, its leverage. With Gaussian weights that is the variance of the estimate but for a

@@ -1,4 +1,4 @@
-"""How good an estimate is: residuals with and without it, from one reference on."""
+"""Measures how good an estimate is: residuals with and without it, from one reference on."""
 
 from dataclasses import dataclass
 

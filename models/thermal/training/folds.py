@@ -1,4 +1,4 @@
-"""Which rows are left out together: whole spindle cycles, whole runs or whole blocks, never single rows."""
+"""Chooses which rows are left out together: whole spindle cycles, whole runs or whole blocks, never single rows."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Makes the model that the daemon loads of what was fitted."""
+"""Makes the model that the daemon loads from what was fitted."""
 
 import hashlib
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Whether a fitted model may be used at all, and how wide its prediction band is: both from training rows alone."""
+"""Decides whether a fitted model may be used, and how wide its prediction band is: both from training rows alone."""
 
 from dataclasses import dataclass
 
@@ -61,7 +61,7 @@ class Trust:
 def judge(
     inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem, *, probe_min: float | None = None
 ) -> Trust:
-    """Return whether a model may be trusted, and its band.
+    """Return whether a model may be used, and its band.
 
     The gate: at least two alternating excursions of more than 30 % of the span, or three separate
     runs; positive skill on what was left out; and positive skill in every forward-chained fold,
@@ -81,7 +81,7 @@ def judge(
     nothing = np.full(len(inputs.channels), np.nan)
     if len(numbers) < 2:
         return Trust(
-            refused="nothing could be left out, so nobody knows how good the model is; record longer",
+            refused="nothing could be left out, so it is not known how good the model is; record longer",
             band_um=nothing,
             held_out_relative_rmse=float("nan"),
             forward_skill=(),

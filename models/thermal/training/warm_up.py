@@ -1,4 +1,4 @@
-"""How a displacement goes on under constant rotation: a sum of first-order responses fitted to what was measured."""
+"""Extrapolates a displacement under constant rotation: a sum of first-order responses fitted to what was measured."""
 
 from dataclasses import dataclass
 
