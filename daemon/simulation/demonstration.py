@@ -1,4 +1,4 @@
-"""The demonstration: what it counts, what it demands of itself, and how it is watched."""
+"""The demonstration: runs until a given time, counts what arrived and was written, and checks the result."""
 
 import time
 from collections import deque

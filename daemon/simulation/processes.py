@@ -1,4 +1,4 @@
-"""A simulated machine and a daemon as two processes on real wires, watched by a third.
+"""A simulated machine and a daemon as two processes on real wires, started by a third.
 
 `toolpoint demo` and `toolpoint replay` both stand on this: they differ in the machine.
 """
@@ -32,7 +32,7 @@ MOST_LEADS = 4
 REQUEST_REAL_S = 2.0
 """A request of the NC program waits at least this long for its answer [s of the wall clock]."""
 LOOK_AHEAD = 1.5
-"""The guard believes blocks this much longer than they are written for, polls included."""
+"""The guard accepts blocks this much longer than they are written for, polls included."""
 POSITIONING_S = 15.0
 """The simulated part programs stand at work positioning for longer than this [s]."""
 STOP_PATIENCE_S = 15.0
@@ -43,7 +43,7 @@ class SimulationError(RefusedInputError):
 
 
 def free_port() -> int:
-    """Return a TCP port of the loopback interface that nobody uses now."""
+    """Return a free TCP port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

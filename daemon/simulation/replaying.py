@@ -1,4 +1,4 @@
-"""A recording played over real wires while the whole daemon runs: its configuration and its account."""
+"""Plays a recording over real wires while the whole daemon runs: its configuration and its result."""
 
 import json
 from pathlib import Path

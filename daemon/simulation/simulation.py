@@ -52,7 +52,7 @@ class Simulation:
         report: Report,
         server_key: Path | None = None,
     ) -> None:
-        """Run the machine's faces until cancelled; lines speak from simulated time 0 on."""
+        """Run the machine's faces until cancelled; lines send from simulated time 0 on."""
         faults = read_faults(faults_path, self.configuration)
         try:
             await run_simulated_machine(

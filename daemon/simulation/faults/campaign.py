@@ -91,7 +91,7 @@ class Campaign:
         self.result.wall_s = time.monotonic() - began
         return self.result
 
-    # --- the daemon's lives -----------------------------------------------------------------
+    # --- starts and ends of the daemon -----------------------------------------------------------------
 
     def _live(self) -> None:
         """Answer one question of the daemon; start it first where there is none."""

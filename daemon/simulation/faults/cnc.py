@@ -1,4 +1,4 @@
-"""How the simulated CNC of a fault campaign answers: as a good one, or slowly, falsely or not at all."""
+"""The simulated CNC of a fault campaign: answers as a healthy one, or slowly, wrongly or not at all."""
 
 import random
 from collections.abc import Callable, Sequence
@@ -13,14 +13,14 @@ Answer = tuple[str, float, Any]
 """Verdict (ok, lost, silent, refused), delay [s], content."""
 
 FOREIGN_UM = 7.3
-"""What a stranger adds to a value [um]."""
+"""What a foreign program adds to a value [um]."""
 LIE_UM = 2.0
 """By so much a lying CNC's variable differs from what was written [um]."""
 FOREIGN_PROGRAM = 7777
 
 
 class CncFace:
-    """Answers the daemon's calls; keeps what it knows of tampering, so that its discovery can be demanded."""
+    """Answers the daemon's calls; records foreign writes, so that the campaign can check that they are found."""
 
     def __init__(self, machine: CfrpMachine, macros: MacroMapConfig, seed: int) -> None:
         self._machine = machine

@@ -1,4 +1,4 @@
-"""What must hold of a daemon whatever happens, checked from the machine's side.
+"""Checks from the machine's side what must hold of a daemon whatever happens.
 
 Every check has its own arithmetic: nothing here is taken from the control law or the session. The
 daemon's claims (its state, the axes it believes are switched on) are used only where the sentence
@@ -170,7 +170,7 @@ class WriteWatch:
     # --- what changes around it -----------------------------------------------------------
 
     def restarted(self, time_s: float) -> None:
-        """A daemon has begun to live."""
+        """A daemon has been started."""
         self._marks = {"restart": time_s}
         self._block = None
         self._state_at_write = ""
@@ -255,7 +255,7 @@ class WriteWatch:
     def _unsteppy(self, time_s: float, axis: str, last_s: float, distances_um: tuple[float, float], where: str) -> None:
         """After a reference and a restart the command begins at the tool; after switching, where it was or there.
 
-        As long as the echo is vacant nobody can tell where the tool is, and the command stays where it was.
+        As long as the echo is vacant the tool's position is unknown, and the command stays where it was.
         """
         per_s = self._axes[axis].slew_um_per_min / 60.0
         nearest_um, from_tool_um = distances_um

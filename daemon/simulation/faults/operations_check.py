@@ -1,4 +1,4 @@
-"""What must hold when the NC program asks, the policy is zero_first, a model is exchanged or a reference ends."""
+"""Checks requests of the NC program, the policy zero_first, an exchange of models, and the end of a reference."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from drivers.sim.contract import SimulatedNc
 from drivers.sim.faults import FaultKind
 
 ANSWERED_WITHIN_S = 9.0
-"""A request has its answer so soon while nothing is wrong; the NC program gives up after 10 s [s]."""
+"""A request has its answer so soon while nothing is wrong; the NC program waits for 10 s [s]."""
 ENDED_WITHIN_S = 10.0
 """A reference that the CNC has shown to be over counts no longer so soon [s]."""
 TAKEN_UP_AFTER_S = 60.0
@@ -21,7 +21,7 @@ CALM_S = 60.0
 """Requests and models are judged when nothing else has happened for so long [s]."""
 ENDS_A_REFERENCE = (Incident.POWER_CYCLE, Incident.OTHER_PROGRAM, Incident.WORK_OFFSET)
 QUIET = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, Incident.WRONG_SENSOR)
-"""A single sensor keeps nobody from answering."""
+"""The fault of a single sensor prevents no answer."""
 FOUND_K = 3.0
 """A sensor of the watching model that is so far off must not count [K] ..."""
 FOUND_AFTER_S = 900.0
@@ -94,7 +94,7 @@ class OperationsWatch:
             self._to_show = None
 
     def restarted(self, time_s: float) -> None:
-        """A daemon begins to live."""
+        """A daemon is started."""
         self._busy_until_s = max(self._busy_until_s, time_s + 2 * CALM_S)
         self._ended = self._model_due = self._reference = None
         self._waiting = None

@@ -128,7 +128,7 @@ class DaemonProcess:
 
 
 def _is_defect(line: str) -> bool:
-    """Tell whether a line of the log speaks of something that nobody expected."""
+    """Return whether a line of the log reports something unexpected."""
     if not line.startswith("{"):
         return line.startswith("Traceback")
     try:
@@ -166,14 +166,14 @@ class KillPlan:
         self._sequence_a = sequence_a
         self._after_groups: tuple[int, Happening] | None = None
         self.due: Happening | None = None
-        """Why the daemon is to die now; None while it may live."""
+        """Why the daemon is to be killed now; None while it may run."""
 
     def in_write(self, happening: Happening) -> None:
         """Kill after so many groups of the next block."""
         self._after_groups = (int(happening.amount), happening)
 
     def clear(self) -> None:
-        """Forget what is planned: the daemon is dead."""
+        """Clear what is planned: the daemon has ended."""
         self.due = self._after_groups = None
 
     def before(self, group: tuple[tuple[int, float], ...]) -> bool:

@@ -1,4 +1,4 @@
-"""Whether the output comes back to the state that its table gives, and how soon.
+"""Checks whether the output returns to the state that the table gives, and how soon.
 
 After every incident the situation is worked out from what the machine's side knows to be true, and the
 specification's table of states (`state_oracle`, not the product's own) is followed from the state that the
@@ -27,7 +27,7 @@ class Truth:
     temperatures: bool
     """Temperatures arrive."""
     distrust: bool
-    """The daemon has been shown something that it must not trust, and nobody has acknowledged since."""
+    """The daemon has been shown something that it must not trust, and no person has acknowledged since."""
     echo_known: bool
     at_zero: bool
     """The NC applies nothing."""
@@ -164,7 +164,7 @@ class RecoveryWatch:
 
     def left_fault(self, time_s: float, *, acknowledged: bool) -> None:
         """FAULT has been left: only a person may have done that; it leads to HOLD, and the way back begins anew."""
-        self.ledger.check("fault_is_latched", acknowledged, f"{time_s:.1f} s: FAULT was left, nobody acknowledged it")
+        self.ledger.check("fault_is_latched", acknowledged, f"{time_s:.1f} s: FAULT was left, not acknowledged")
         if self._case is not None and self._case.good_s is not None:
             self._case.state_then = "HOLD"
             self._case.good_s, self._case.wrong_since_s = time_s, None

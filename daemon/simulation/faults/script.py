@@ -1,4 +1,4 @@
-"""What happens to a machine and its daemon in a fault campaign, and when: a script, and chance by a seed."""
+"""The script of a fault campaign: what happens to machine and daemon, and when; random by a seed."""
 
 import math
 import random
@@ -23,7 +23,7 @@ class Incident(StrEnum):
     """What may happen beyond the faults of `FaultKind`."""
 
     BLIND = "blind"
-    """All lines are dead."""
+    """No line sends anything."""
     SLOW_CNC = "slow_cnc"
     """Answers come late by up to `amount` [s]."""
     REFUSING_CNC = "refusing_cnc"
@@ -85,7 +85,7 @@ ON_LINES = (
 )
 ON_SENSORS = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR)
 RESTARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE, Incident.OTHER_POLICY)
-"""After these a daemon begins to live."""
+"""After these a daemon is started."""
 POLICIES = 3
 """Of so many changes of the policy one leads to zero_first."""
 WATCHED_SENSORS = (26, 64, 72, 87, 93, 99, 102, 110, 125, 138, 180, 200, 230, 260, 290, 301)
@@ -161,7 +161,7 @@ HABITS: dict[Kind, _Habit] = {
     Incident.ZEROED: _Habit(per_day=1, duration_s=(60, 900)),
     Incident.HAND_REFERENCE: _Habit(per_day=1),
 }
-"""Rates are far above any real machine's, so that many meetings of two faults are seen in a month."""
+"""Rates are far above any real machine's, so that many overlaps of two faults happen in a month."""
 
 
 def campaign(days: float, seed: int, lines: Sequence[LineConfig]) -> tuple[Happening, ...]:

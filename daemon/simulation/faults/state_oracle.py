@@ -1,6 +1,6 @@
-"""Where the output must be: the specification's table of states, written down a second time.
+"""The state that the output must be in: the specification's table of states, written down a second time.
 
-A campaign that asked the product's own table where the output belongs would believe every mistake in it.
+A campaign that asked the product's own table where the output belongs would accept every mistake in it.
 This page takes nothing from `models.control.compensation`; a test holds the two against each other.
 """
 
@@ -30,7 +30,7 @@ class Situation:
     asked_for: bool
     """A person has switched at least one axis on."""
     trusted: bool
-    """The CNC has shown nothing that must not be believed."""
+    """The CNC has shown nothing that must not be trusted."""
     zero_first: bool
     """The offset is being taken out before the work is positioned."""
     connected: bool
@@ -78,5 +78,5 @@ def resting_state(state: str, now: Situation) -> str:
 
 
 def unlawful(changes: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the changes of state that the specification does not know."""
+    """Return the changes of state that the specification does not allow."""
     return [(before, after) for before, after in changes if after not in FOLLOWERS.get(before, frozenset())]

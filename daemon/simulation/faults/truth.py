@@ -1,4 +1,4 @@
-"""What the machine's side of a fault campaign knows to be true at a moment."""
+"""Keeps what is true on the machine's side of a fault campaign."""
 
 from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims
@@ -11,7 +11,7 @@ from drivers.sim.nc.nc import RunCode
 from drivers.sim.nc.program import RETREAT
 
 TEMPERATURES_LATE_S = 25.0
-"""Temperatures arrive when a line has been heard within this time [s]."""
+"""Temperatures arrive when a line has sent a whole cycle within this time [s]."""
 BLIND_BEFORE_S = 90.0
 """A reference is the mean of its last minute; a line that was silent for a part of that may be missing in it [s]."""
 ZERO_UM = 1e-6

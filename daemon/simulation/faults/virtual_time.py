@@ -30,7 +30,7 @@ class VirtualClock:
         self.epoch_utc_s = epoch_utc_s
         self.monotonic_s = monotonic_s
         self.utc_step_s = 0.0
-        """By how much somebody has set the calendar clock forward [s]."""
+        """By how much the calendar clock was set forward [s]."""
 
     def now(self) -> Instant:
         """Return the moment; what would be the computer's own monotonic clock is virtual too."""

@@ -1,6 +1,6 @@
 """The simulated machine as a daemon on virtual time sees it: bytes on lines, answers of a CNC, the hour.
 
-The machine lives in another process, which owns time. The two speak in turns over a socket pair: the
+The machine lives in another process, which owns time. The two exchange messages in turn over a socket pair: the
 daemon's side asks, the machine's side answers. Every answer says until when nothing will happen by
 itself, so that the daemon's side need not ask before.
 """

@@ -1,4 +1,4 @@
-"""What mills in a warm-up: the truth of one simulated machine on one day, and what its user knows of it."""
+"""The machine of a warm-up: its true behaviour on one day, and what a user has measured of it."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -39,5 +39,5 @@ class MillingMachine(Protocol):
         ...
 
     def estimator(self) -> ToolPointEstimator:
-        """Return what the user knows of the tool point, afresh: it has seen no temperature yet."""
+        """Return a new estimator of the tool point, as the user has fitted it; it has had no temperature yet."""
         ...

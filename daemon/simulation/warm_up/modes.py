@@ -40,7 +40,7 @@ class CaseMachine:
     """A machine with the modes of a case, warmed by a law of its own."""
 
     def __init__(self, case: StabilityCase, range_rpm: tuple[float, float], machine_seed: int, day_seed: int) -> None:
-        """Hit the machine on other days, and fit what its user knows; raises StabilityError."""
+        """Run impact tests on other days, and fit the user's model; raises StabilityError."""
         self.sensors: Sequence[SensorConfig] = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.sensors
         self.day = Day.draw(day_seed, start="cold")
         self._modes = WarmingModes(cold_modes(case, range_rpm), machine_seed)
@@ -54,7 +54,7 @@ class CaseMachine:
         return self._modes.at(node_degc)
 
     def estimator(self) -> ToolPointEstimator:
-        """Return what the user knows of the tool point, afresh."""
+        """Return a new estimator of the tool point, as the user has fitted it."""
         return ModalEstimator(self._regression, self._labels)
 
 

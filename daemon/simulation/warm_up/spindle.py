@@ -1,8 +1,8 @@
 """The machine of a warm-up whose tool point is that of the simulated spindle's finite elements.
 
-Its user knows it as a real one would: an impact campaign at the bare nose on a day of the machine's past goes through
-files into `toolpoint dynamics campaign`, which gives a model of the bearings over temperature; the tool point follows
-from that model, the spindle file and the tool. Truth and estimate share no formula.
+What is known of it is what a real user would measure: an impact campaign at the bare nose on an earlier day goes
+through files into `toolpoint dynamics campaign`, which gives a model of the bearings over temperature; the tool point
+follows from that model, the spindle file and the tool. Truth and estimate share no formula.
 """
 
 import tempfile

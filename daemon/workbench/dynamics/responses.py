@@ -35,7 +35,7 @@ def frequencies(from_hz: float, to_hz: float, points: int | None, step_hz: float
     if not LOWEST_HZ <= from_hz < to_hz <= HIGHEST_HZ:
         raise ResponseError(
             f"frequencies from {from_hz:g} to {to_hz:g} Hz: a spindle is computed between {LOWEST_HZ:g} and "
-            f"{HIGHEST_HZ:g} Hz; beyond there is nothing that a beam says"
+            f"{HIGHEST_HZ:g} Hz; beyond that the beam model does not hold"
         )
     if points is not None and step_hz is not None:
         raise ResponseError("give --points or --df, not both")

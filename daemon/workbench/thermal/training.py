@@ -66,7 +66,7 @@ def _selected(recording: Recording, selection: Selection) -> Recording:
 
 
 def write_model_file(model: ThermalModel, path: Path) -> None:
-    """Write a model's file in one step, so that nobody ever reads half of one; raises OSError."""
+    """Write a model's file in one step, so that it is never read half-written; raises OSError."""
     write_whole(path, model.to_json())
 
 
