@@ -59,7 +59,7 @@ log = structlog.get_logger(__name__)
 STOP_CALLS = 4
 """The control task may end this many calls to the CNC before it is cancelled."""
 ALIVE_PERIOD_S = 10.0
-"""The store is told this often that the daemon lives [s of the wall clock]; a restart measures its outage by it."""
+"""How often the store records that the daemon runs [s of the wall clock]; a restart measures its outage by it."""
 
 
 def load_record(configuration: Configuration) -> CommissioningRecord | None:

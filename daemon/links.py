@@ -1,4 +1,4 @@
-"""Keeps every link alive: temperature lines, CNC, displacement files, local socket, metrics."""
+"""Keeps every link open: temperature lines, CNC, displacement files, local socket, metrics."""
 
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from dataclasses import replace
@@ -27,7 +27,7 @@ Serve = Callable[[Callable[[], None]], Awaitable[None]]
 
 
 class Links:
-    """Opens each link anew when it is lost, and knows how each one fares."""
+    """Opens each link anew when it is lost, and keeps the state of each."""
 
     def __init__(self, configuration: Configuration, clock: Clock, parts: Parts, cnc: CncLink) -> None:
         self._configuration = configuration
@@ -46,7 +46,7 @@ class Links:
             self.shown.append(self.planner_health)
 
     def snapshots(self) -> tuple[LinkSnapshot, ...]:
-        """Return how the links to the machine fare."""
+        """Return the state of the links to the machine."""
         return tuple(health.snapshot() for health in self.shown)
 
     def temperatures(self, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Iterator[Coroutine[Any, Any, None]]:
@@ -55,11 +55,11 @@ class Links:
             yield self._line(line, take)
 
     def cnc(self) -> Coroutine[Any, Any, None]:
-        """Return the work that keeps the session with the CNC alive."""
+        """Return the work that keeps the session with the CNC open."""
         return self._keep(self._cnc.health, self._cnc.attempt)
 
     def planner(self, attempt: Callable[[], Awaitable[None]]) -> Coroutine[Any, Any, None]:
-        """Return the work that keeps the process alive that plans the spindle speed."""
+        """Return the work that keeps the process running that plans the spindle speed."""
         return self._keep(self.planner_health, attempt)
 
     def displacements(self, after_utc_s: Callable[[], float | None], log_: "DisplacementLog") -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""What the tasks say to each other, both ways through the other's inbox, and what a person may ask of the output."""
+"""The messages between the tasks, both ways through the other's inbox, and the requests of people."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass

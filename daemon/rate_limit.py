@@ -1,4 +1,4 @@
-"""Lets the first of many reports pass at once and sums the rest up, so that a log neither floods nor stays silent."""
+"""Lets the first of many reports pass at once and counts the rest, so that a log neither floods nor misses one."""
 
 import asyncio
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a daemon is composed of at its edges: the drivers, and the side process that cleans the store."""
+"""The parts of the daemon that a simulation replaces: the drivers, and the process that cleans the store."""
 
 import sys
 from collections.abc import Awaitable, Callable, Sequence

@@ -1,4 +1,4 @@
-"""What each task last said of itself: one frozen record per task, and the board from which the monitor reads them."""
+"""Snapshots: one frozen record of each task's latest state, and the board from which the monitor reads them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from models.records import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalSnapshot:
-    """The thermal task: what arrived, what is believed, what is estimated."""
+    """The thermal task: what arrived, what counts, what is estimated."""
 
     temperatures: MachineTemperatures | None
     estimate: ThermalErrorEstimate | None
@@ -85,7 +85,7 @@ class ControlSnapshot:
     reference_ended: str
     """Why there is none, as far as that is known."""
     reference_by_hand: str | None
-    """What became of the latest reference by hand: '' in force, else why not; None while nobody knows."""
+    """What became of the latest reference by hand: '' in force, else why not; None while it is not decided."""
     tools_set: tuple[int, ...]
     """Numbers of the tools with a setting of their own."""
     cnc: CncSnapshot | None

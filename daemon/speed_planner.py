@@ -22,7 +22,7 @@ from daemon.spindle_speed.planning import SpeedPlanning
 MOST_MEMORY_BYTES = 256 << 20
 """Of its own data; the unit has 512 MiB for everything."""
 NICENESS = 5
-"""Planning waits for the loop, which has to meet its times."""
+"""Planning has a lower priority than the loop, which has deadlines."""
 SIGNAL_WITH_THE_PARENT = 1
 """PR_SET_PDEATHSIG of prctl."""
 

@@ -1,4 +1,4 @@
-"""Retry: every link is opened anew, for ever, with bounded and jittered waits."""
+"""Retries: opens every link anew, for ever, with bounded and jittered waits."""
 
 import asyncio
 import random
@@ -19,7 +19,7 @@ STEADY_S = 10.0
 
 
 class LinkHealth:
-    """How one link fares: written by its supervisor and by who uses the link, shown by status and telemetry."""
+    """The state of one link: written by its supervisor and by what uses the link, shown by status and telemetry."""
 
     def __init__(self, name: str) -> None:
         self.name = name

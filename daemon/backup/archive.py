@@ -1,4 +1,4 @@
-"""Read a back-up that anybody may have made: all of it is proved before anything is written.
+"""Reads a back-up of unknown origin: all of it is checked before anything is written.
 
 A back-up is a plain tar: regular files one after another, each named in the manifest, nothing else. Every header is
 read here, so that links, devices, sparse files and headers that announce more than there is are refused by their

@@ -1,4 +1,4 @@
-"""Make a back-up, also while the daemon writes its store."""
+"""Makes a back-up, also while the daemon writes its store."""
 
 import io
 import os

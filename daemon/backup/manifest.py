@@ -1,4 +1,4 @@
-"""What a back-up holds, and how each file in it is proved."""
+"""Lists what a back-up holds, and checks each file in it."""
 
 from pathlib import Path
 from typing import Literal

@@ -1,8 +1,8 @@
-"""Restore a back-up: prove all of it, put nothing over what is there, and let nothing move by itself afterwards.
+"""Restores a back-up: checks all of it, overwrites nothing, and leaves the machine at rest until a person acknowledges.
 
-An archive may be anybody's, and whoever restores it is root. So it is read whole and proved before anything is
-written, and what it says about places is compared, never followed. It is unpacked into a folder that is held open
-and that only root can change, also where it lies in a folder of the daemon's.
+An archive may come from anywhere, and the person who restores it is root. So it is read whole and checked before
+anything is written, and what it says about places is compared, never followed. It is unpacked into a folder that is
+held open and that only root can change, also where it lies in a folder of the daemon's.
 
 What a restored store says of the CNC is old: somebody has written to the macros since. Therefore the
 restored store forgets what was switched on, the reference and everything else that a start would
@@ -132,7 +132,7 @@ def _refuse_small_disk(archive: Archive, store: Path) -> None:
 
 @contextmanager
 def _private_folder(parent: Path) -> Iterator[Path]:
-    """Yield a folder of our own that stays the same one, even if somebody else renames it."""
+    """Yield a folder of our own that stays the same one, even if another process renames it."""
     with tempfile.TemporaryDirectory(prefix=".toolpoint-restore-", dir=parent) as work:
         descriptor = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
@@ -177,7 +177,7 @@ class _stopped:
 
 
 def disarm(store: Path, manifest: Manifest, person: str) -> None:
-    """Check the store in the back-up, bring it up to date, and make it forget what a start would take up again."""
+    """Check the store in the back-up, bring it up to date, and clear what a start would take up again."""
     said = (
         f"the history was restored from the back-up of {manifest.created}, so what the CNC holds is unknown here: "
         "compare the macro variables with the machine, then acknowledge"
@@ -210,7 +210,7 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
 
 
 def _refuse_foreign_schema(connection: sqlite3.Connection) -> None:
-    """Refuse a store that would do more than store: triggers and views of somebody else act when it is changed."""
+    """Refuse a store that would do more than store: foreign triggers and views act when it is changed."""
     active = "SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
     if (found := connection.execute(active).fetchone()) is not None:
         raise BackupError(f"the store in the back-up holds a {ascii(found[0])[1:-1]}, which none has; take another one")

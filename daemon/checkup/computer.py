@@ -1,4 +1,4 @@
-"""What `toolpoint doctor` looks at on this computer."""
+"""`toolpoint doctor`: checks this computer."""
 
 import os
 import re
@@ -99,7 +99,7 @@ def _serial_ports() -> Finding:
 
 
 def _model(config_path: Path) -> Finding:
-    """Look at the model as the daemon's account will: out of its reach, released, unchanged."""
+    """Check the model as the daemon's account will: it cannot change the file, which is released and unchanged."""
     try:
         return model_finding(load_configuration(config_path))
     except ConfigurationError as error:

@@ -1,4 +1,4 @@
-"""`toolpoint check`: does everything that the configuration names answer?"""
+"""`toolpoint check`: checks everything that the configuration names."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -29,7 +29,7 @@ class Finding:
     passed: bool
     detail: str
     pending: bool = False
-    """Not passed because nobody has set it up yet: the configuration does not name it."""
+    """Not passed because it is not set up yet: the configuration does not name it."""
 
     @property
     def failed(self) -> bool:

@@ -1,4 +1,4 @@
-"""Who and what may move the machine: everything that inhibits switching an axis on, or writing at all."""
+"""Decides whether an axis may be switched on, and whether anything may be written to the CNC at all."""
 
 from collections.abc import Callable, Iterator
 

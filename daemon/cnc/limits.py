@@ -1,4 +1,4 @@
-"""From the configuration's words to the vectors and records that the mathematics takes."""
+"""Turns axes, bounds and commissioned factors of the configuration into arrays and records for the control law."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""The block of macro variables: encoding a command, decoding the echo, telling ours from foreign."""
+"""The block of macro variables: encodes a command, decodes the echo, and tells our values from foreign ones."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

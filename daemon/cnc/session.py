@@ -46,7 +46,7 @@ class CncSession:
         self._enabled = False
         self._seen: Mapping[int, float | None] = {}
         self._after_expiry = block.expires_to_zero
-        """The guard may have taken an expired block's offset out and not yet put it back; nobody knows at the start."""
+        """The guard may have taken an expired block's offset out and not yet put it back; unknown at the start."""
         self.sample: CncSample | None = None
         self.echo: Echo | None = None
         self.last_write_s = -np.inf
@@ -108,7 +108,7 @@ class CncSession:
         self._acceptable = {number: (value,) for number, value in ours.items() if value is not None}
 
     def _adopt(self, sample: CncSample) -> list[str]:
-        """Take over a block that nobody here has written: only a whole, disabled one."""
+        """Take over a block that this daemon has not written: only a whole, disabled one."""
         found = {number: sample.macros.get(number) for number in self._block.ours}
         problems = self._block.vacant(found)
         if self._block.enabled(sample.macros):
@@ -128,7 +128,7 @@ class CncSession:
     async def write(self, command: CompensationCommand, *, validity_s: float, trace: Trace, cause: str) -> Receipt:
         """Write the block first to last over what is known to stand there, and read it back."""
         if self.sample is None or self._acceptable is None:
-            raise FatalDriverError("nobody here knows what the block holds; nothing was sent")
+            raise FatalDriverError("it is not known what the block holds; nothing was sent")
         now = self._clock.now()
         clock_s = self.sample.clock_s + (now.monotonic_s - self.sample.time.monotonic_s)
         self._sequence = self._sequence % LAST_SEQUENCE + 1

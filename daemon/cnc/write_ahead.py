@@ -1,4 +1,4 @@
-"""What our macros may hold, kept beside the store from before a write is sent.
+"""Keeps what our macros may hold in a file beside the store, from before a write is sent.
 
 The audit's commit takes a disk's time and the write does not wait for it, so a daemon that is
 killed in between would find a block in the CNC that its audit does not know. These few bytes are

@@ -21,7 +21,7 @@ class Dialogue(Protocol):
     """One person."""
 
     interactive: bool
-    """Questions reach somebody; otherwise only what options have answered is known."""
+    """Questions reach a person; otherwise only what options have answered is known."""
 
     def say(self, text: str) -> None:
         """Tell something."""

@@ -1,4 +1,4 @@
-"""The macro variables of the block before anything is written: vacant, ours, or somebody else's."""
+"""Sorts the macro variables of the block before anything is written: vacant, ours, or foreign."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

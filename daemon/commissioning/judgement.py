@@ -1,4 +1,4 @@
-"""What readings prove: the right axis, the right sign, the right scale, or none of it."""
+"""Judges readings: whether they prove axis, sign and scale."""
 
 from collections.abc import Mapping
 
@@ -112,13 +112,13 @@ def _refuse_no_return(axis: str, written_um: float, readings: AxisReadings) -> N
 
 def _refuse_wrong_axis(axis: str, written_um: float, moved_um: float, others_um: Mapping[str, float]) -> None:
     limit_um = UNMOVED_SHARE * abs(written_um)
-    strangers = {other: um for other, um in others_um.items() if abs(um) > limit_um}
-    words = " and ".join(f"axis {other} by {um:.2f} um" for other, um in strangers.items())
+    moved = {other: um for other, um in others_um.items() if abs(um) > limit_um}
+    words = " and ".join(f"axis {other} by {um:.2f} um" for other, um in moved.items())
     if abs(moved_um) <= limit_um:
-        instead = f", {words} instead" if strangers else ""
+        instead = f", {words} instead" if moved else ""
         advice = (
             "the axes are swapped: check cnc.macros.values and the order of compensation.axes against the guard"
-            if strangers
+            if moved
             else "look which axis moved (are two axes swapped in cnc.macros.values or in the guard?), whether the "
             "instrument touches, and whether the value is taken for a far larger unit (inch mode: 1/25.4)"
         )
@@ -126,7 +126,7 @@ def _refuse_wrong_axis(axis: str, written_um: float, moved_um: float, others_um:
             f"axis {axis}: {written_um:g} um were commanded and applied by the guard's own account, and the instrument "
             f"moved by {moved_um:.2f} um{instead}. Nothing is proved: {advice}"
         )
-    if strangers:
+    if moved:
         raise CommissioningRefusedError(
             f"axis {axis}: it moved by {moved_um:.2f} um, but {words} moved as well, and must not. Check that the "
             "guard adds each value to one axis only, and that the instruments stand square to the axes"

@@ -1,4 +1,4 @@
-"""The way back after an early end: offsets to zero at the slew rate, and what is left when that is not possible."""
+"""Takes the offsets back at the slew rate after an early end, and says what is left when that is not possible."""
 
 import asyncio
 from collections.abc import Callable

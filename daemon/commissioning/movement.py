@@ -1,4 +1,4 @@
-"""Moving an axis by the guard's hand: the value is written, a person has the guard called, the echo answers."""
+"""Moves an axis through the guard: writes the value, has a person call the guard, waits for the echo."""
 
 from collections.abc import Callable
 

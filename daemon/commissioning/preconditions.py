@@ -1,4 +1,4 @@
-"""What must hold before anything is asked of the machine."""
+"""Checks what must hold before the machine is asked for anything."""
 
 import socket
 from pathlib import Path
@@ -38,7 +38,7 @@ def refuse_running_daemon(path: Path) -> None:
         except OSError as error:
             raise CommissioningRefusedError(f"{path}: whether the daemon runs is unknown ({error.strerror})") from error
     raise CommissioningRefusedError(
-        f"the daemon is running ({path} answers), and it would take the commissioning's values for a stranger's: "
+        f"the daemon is running ({path} answers), and it would find the commissioning's values foreign: "
         "switch compensation off (`toolpoint disable --zero`), wait for OFF, stop it (`systemctl stop toolpoint`), "
         "and begin again"
     )

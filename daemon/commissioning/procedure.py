@@ -169,8 +169,8 @@ class Commissioning:
 
     async def _overwrite(self, found: BlockFound) -> None:
         self._say(
-            f"These variables are configured as ours, but hold what nobody here has written: {found.foreign_in_words}. "
-            "Another program may use them. They would be set to 0."
+            "These variables are configured as ours, but hold values that Toolpoint has not written: "
+            f"{found.foreign_in_words}. Another program may use them. They would be set to 0."
         )
         if not self._plan.overwrite_foreign and not await self._dialogue.confirm_expressly("Overwrite them?"):
             raise CommissioningRefusedError(

@@ -1,4 +1,4 @@
-"""Where readings of the movement come from: a displacement channel, an option, or a person's eyes."""
+"""Reads the movement: from a displacement channel, an option that a person confirms, or a person at the instrument."""
 
 import asyncio
 from collections import deque
@@ -150,13 +150,13 @@ class Instruments:
         return readings
 
     async def _confirm(self, axis: str, moment: Moment, um: float) -> None:
-        """Have a person see now what --reading said beforehand, or it would prove a movement that nobody has seen."""
+        """Have a person confirm now what --reading said beforehand: else it would prove a movement that nobody saw."""
         if not await self._dialogue.confirm_expressly(
             f"Does the instrument along {axis} read {um:g} um {WORDS[moment]}, as --reading says?"
         ):
             raise CommissioningRefusedError(
-                f"axis {axis}: nobody has seen {um:g} um {WORDS[moment]}, so --reading proves nothing; leave it "
-                "out and answer with what the instrument shows, or read it from a --channel"
+                f"axis {axis}: no person has confirmed {um:g} um {WORDS[moment]}, so --reading proves nothing; leave "
+                "it out and answer with what the instrument shows, or read it from a --channel"
             )
 
     async def _by_channel(self, axes: Sequence[str]) -> dict[str, Reading]:

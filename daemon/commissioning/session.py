@@ -108,7 +108,7 @@ async def commission_by(
     """Ask who is there and what with, and whether an old record may go; then commission."""
     person = plan.person.strip() or await dialogue.text("Your name (it stands in the record and the audit):")
     if not person:
-        raise CommissioningRefusedError("nobody is named who answers for the readings; give --person")
+        raise CommissioningRefusedError("no person is named who answers for the readings; give --person")
     instrument = plan.instrument.strip()
     if not instrument and not plan.initialise_only:
         instrument = await dialogue.text("Instrument (kind and number):")

@@ -1,4 +1,4 @@
-"""The CNC while offsets are applied: one session, a heartbeat that never pauses, values that move at the slew rate.
+"""The CNC while offsets are applied: keeps one session, renews the validity, ramps values at the slew rate.
 
 One task owns every call to the CNC. It polls at each tick, moves the value towards its target at the
 slew rate, and renews `valid_until`, however long the person looks at the instrument.
@@ -247,7 +247,7 @@ class Station:
 
 
 def refuse_unsafe(sample: CncSample) -> None:
-    """Refuse a state in which nobody may stand at the machine with an instrument."""
+    """Refuse a state in which no person may stand at the machine with an instrument."""
     if sample.alarm:
         raise CommissioningRefusedError(
             "an alarm is active at the CNC: clear it there, and begin again. An alarm of the guard because of an "

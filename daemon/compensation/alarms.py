@@ -1,4 +1,4 @@
-"""What a person at the machine must be told about the output."""
+"""The alarms of the output, as sentences for the person at the machine."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""When the guard has taken over what a cycle led to.
+"""Finds out when the guard has applied the value that a cycle led to.
 
 A value counts as echoed at the first poll that shows three things: the guard has run since the
 value was read back (the time in its echo has changed), it applied (status 0), and every enabled

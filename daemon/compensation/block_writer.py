@@ -1,4 +1,4 @@
-"""When the block is written, and what becomes of the outcome."""
+"""Decides when the block is written, and handles the outcome."""
 
 import numpy as np
 

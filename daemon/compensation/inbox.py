@@ -1,4 +1,4 @@
-"""What waits for the control task, and what wakes it."""
+"""The inbox of the control task: messages in their order, and the event that wakes it."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""From what the control task knows to what one step of the output may depend on."""
+"""Builds the inputs of one step of the output from what the control task knows."""
 
 from dataclasses import dataclass
 

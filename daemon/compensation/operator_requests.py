@@ -1,4 +1,4 @@
-"""What people have asked for and nobody has decided on yet, and when the output's turns fall due."""
+"""Keeps the requests of people until they are decided, and says when the output's next step is due."""
 
 import asyncio
 from functools import partial
@@ -66,7 +66,7 @@ class Requests:
 
     @property
     def reference_by_hand(self) -> str | None:
-        """What became of the latest reference by hand: '' in force, else why not; None while nobody knows."""
+        """What became of the latest reference by hand: '' in force, else why not; None while it is not decided."""
         identity, refusal = self._references.memory.outcome
         return refusal if identity == self._reference_by_hand else None
 

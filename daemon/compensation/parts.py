@@ -1,4 +1,4 @@
-"""What the control task is made of, as the composition root hands it in."""
+"""The parts of the control task, which the composition root hands in."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

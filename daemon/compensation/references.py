@@ -1,4 +1,4 @@
-"""Owns the reference: hands it what happens, carries out what follows, and keeps it for a restart."""
+"""Owns the reference: feeds its lifecycle with events, carries out the results, and keeps it for a restart."""
 
 import uuid
 from collections.abc import Callable

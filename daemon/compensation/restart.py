@@ -1,4 +1,4 @@
-"""What a previous run of the daemon left behind, and whether it may be taken up again."""
+"""Decides what of a previous run of the daemon may be taken up again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,13 +33,13 @@ class ResumePoint:
     resumable: bool = True
     """The outage was short enough to go on as before."""
     faults: tuple[str, ...] = ()
-    """The reasons of the latched FAULT that nobody has acknowledged."""
+    """The reasons of the latched FAULT that has not been acknowledged."""
 
 
 def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
     """Return which axes stay switched on at the first contact with the CNC.
 
-    After too long an outage that is only what still carries an offset: it is held until a person speaks.
+    After too long an outage that is only what still carries an offset: it is held until a person decides.
     """
     if resume.resumable and in_time:
         return resume.wanted
@@ -143,7 +143,7 @@ class StartupRecovery:
         return request
 
     def inhibit(self) -> Inhibit | None:
-        """Return for which axes a person must speak first, None when for none."""
+        """Return for which axes a person must decide first, None when for none."""
         if not self._waiting:
             return None
         axes = " ".join(sorted(self._waiting))

@@ -1,4 +1,4 @@
-"""Watches on line whether the estimate helps, wherever displacements or probe values arrive."""
+"""Compares the estimate with displacements and probe values while the daemon runs, and inhibits one that does harm."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What status shows of the control task, and what a person may ask of it."""
+"""The snapshot of the control task, for status and for commands."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The tool in the spindle: its number, and when its own expansion begins to count."""
+"""Follows the tool in the spindle: its number, and from when its own expansion counts."""
 
 from daemon.compensation.references import References
 from models.control.reference_records import ToolOrigin

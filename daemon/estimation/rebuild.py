@@ -1,4 +1,4 @@
-"""Means per period of what the store holds, for states that must be rebuilt."""
+"""Reads means per period from the store, from which a model's states are rebuilt."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

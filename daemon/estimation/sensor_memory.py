@@ -1,4 +1,4 @@
-"""What is known of the sensors since the reference; it is kept with the reference, so a restart forgets none of it."""
+"""Keeps which sensors are missing or excluded since the reference, and what they count from, also over a restart."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class SinceReference:
         self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
 
     def begin(self, reference: Reference) -> None:
-        """Count from a new reference: nobody has been away since, and nobody is excluded."""
+        """Count from a new reference: no sensor has been missing since, and none is excluded."""
         self._reference_id = reference.reference_id
         self._told = None
         self._reference_min = reference.time.monotonic_s / 60.0
@@ -105,9 +105,9 @@ class SinceReference:
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
     def update(self, degc: FloatArray, online: ModelInUse) -> None:
-        """Remember who was away in an estimate, and who is excluded.
+        """Record which sensors were missing in an estimate, and which are excluded.
 
-        A sensor that the model does not know counts as away until a model sets it anew.
+        A sensor that the model does not know counts as missing until a model sets it anew.
         """
         away = self.absent.copy()
         away[online.places] = False

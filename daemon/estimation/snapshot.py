@@ -1,4 +1,4 @@
-"""What status shows of the thermal task."""
+"""The snapshot of the thermal task."""
 
 from types import MappingProxyType
 from typing import TYPE_CHECKING

@@ -161,7 +161,7 @@ class ThermalTask:
             await self.use_model(item)
 
     async def _take_up(self, message: ReferenceTakenUp) -> None:
-        """Go on from a reference of before; what the model needs of the store is read while everybody else goes on."""
+        """Go on from a reference of before; what the model needs of the store is read in a thread."""
         reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
         self._since.take_up(reference, message.sensors)

@@ -1,4 +1,4 @@
-"""Open the store: its schema, migration and refusal."""
+"""Opens the store: creates or migrates its schema, or refuses it."""
 
 import sqlite3
 from importlib import resources
@@ -95,7 +95,7 @@ def _open_read_only(path: Path) -> sqlite3.Connection:
                 f"{path}: cannot be read ({error}); reading beside the daemon needs read and write permission "
                 "on the -shm file beside the store: join the store's group"
             ) from error
-        # Without a -wal file nobody writes; a reader that may not create one reads the file as it is.
+        # Without a -wal file there is no writer; a reader that may not create one reads the file as it is.
         connection = sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
     except sqlite3.DatabaseError as error:
         connection.close()

@@ -1,4 +1,4 @@
-"""The bounded queue between whoever has a record and the thread that writes it."""
+"""The bounded queue between those who record and the thread that writes the store."""
 
 import asyncio
 import concurrent.futures

@@ -1,4 +1,4 @@
-"""What stands at which position of the records of one machine."""
+"""The order of sensors, channels and axes in the records of one machine."""
 
 import json
 from dataclasses import dataclass

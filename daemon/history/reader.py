@@ -1,4 +1,4 @@
-"""Read the store, from any process, while the daemon writes; raw rows and packed hours alike."""
+"""Reads the store, from any process, while the daemon writes; raw rows and packed hours alike."""
 
 import json
 import sqlite3

@@ -1,4 +1,4 @@
-"""Housekeeping on the writing connection: rows for chunks, what is too old, free pages; and back-ups."""
+"""Housekeeping on the writing connection: packs rows, deletes what is too old, frees pages, makes back-ups."""
 
 import sqlite3
 from contextlib import closing

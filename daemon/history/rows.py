@@ -1,4 +1,4 @@
-"""From records to the parameters of SQL statements."""
+"""Turns records into the parameters of SQL statements."""
 
 import json
 import math

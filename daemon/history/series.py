@@ -1,4 +1,4 @@
-"""What the reader gives: records as columns over time, and the audit as records."""
+"""The results of the reader: records as columns over time, and the audit as records."""
 
 from dataclasses import dataclass
 

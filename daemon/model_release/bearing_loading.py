@@ -1,4 +1,4 @@
-"""The daemon's own look at the bearing model that the tuning of the spindle speed follows."""
+"""Loads the released bearing model for the tuning of the spindle speed, after the daemon's own checks."""
 
 from config.schema import Configuration
 from daemon.model_release.file_access import Account

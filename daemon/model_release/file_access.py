@@ -1,4 +1,4 @@
-"""Could the daemon change a file? A model that it could change is no safeguard against the daemon itself."""
+"""Says whether the daemon could change a file: a model that it could change protects against nothing."""
 
 import os
 import stat

@@ -26,7 +26,7 @@ def training_inhibit(model: ThermalModel) -> str:
 
 
 def gate_inhibit(model: ThermalModel, configuration: Configuration) -> str:
-    """Return why nobody may release a model, '' when its own figures speak for it."""
+    """Return why a model may not be released, judged by its own figures; '' when it may."""
     return next(_inhibits(model, configuration), "")
 
 
@@ -37,7 +37,7 @@ def _inhibits(model: ThermalModel, configuration: Configuration) -> Iterator[str
         band_um = float(model.band_um[model.channels.index(channel)])
         if np.isnan(band_um):
             yield (
-                f"channel {channel}: nothing was held out when the model was trained, so nobody knows how good it is; "
+                f"channel {channel}: nothing was held out when the model was trained, so how good it is is unknown; "
                 "train it on more recordings"
             )
         elif band_um > widest_um:

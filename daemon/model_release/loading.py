@@ -1,4 +1,4 @@
-"""The daemon's own look at its models: out of its reach, released, unchanged, and fit for this machine."""
+"""Loads a released model after checks of its own: released, unchanged, fit, and not writable by this account."""
 
 import os
 from collections.abc import Callable, Iterable

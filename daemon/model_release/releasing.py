@@ -1,4 +1,4 @@
-"""Release a proposed model, go back to an earlier one, or let the policy decide."""
+"""Releases a proposed model, goes back to an earlier one, or lets the policy decide."""
 
 import os
 import pwd

@@ -1,4 +1,4 @@
-"""Where released models stand: one folder per release, and a symbolic link that names the active one.
+"""The folder of released models: one folder per release, and a symbolic link that names the active one.
 
     model.json -> releases/0003/model.json
     releases/0001/model.json, release.json
@@ -39,7 +39,7 @@ class ReleaseError(Exception):
 
 
 def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
-    """Return the record of the active release (None where there is none), and why it is not to be believed."""
+    """Return the record of the active release (None where there is none), and why it must not be used."""
     real = Path(os.path.realpath(model_file))
     beside = real.with_name(RECORD_NAME)
     if not beside.exists():
@@ -90,7 +90,7 @@ class ReleaseRepository:
         return found
 
     def active(self) -> ReleaseRecord | None:
-        """Return the record that the link leads to; raises ReleaseError when it cannot be believed."""
+        """Return the record that the link leads to; raises ReleaseError when it must not be used."""
         if not self.model_file.is_symlink():
             if self.model_file.exists():
                 raise ReleaseError(
@@ -181,5 +181,5 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def proposals_folder(configuration: Configuration) -> Path:
-    """Return where the daemon and its jobs put models that somebody may release."""
+    """Return where the daemon and its jobs put models that a person may release."""
     return configuration.history.path.parent / "proposals"

@@ -1,4 +1,4 @@
-"""Train a model on the daemon's own history and put it among the proposals; run in a process of its own."""
+"""Trains a model on the daemon's own history and puts it among the proposals; run in a process of its own."""
 
 import time
 from datetime import UTC, datetime

@@ -79,7 +79,7 @@ def pack(found: LoadedModel[ThermalModel], file: io.FileIO) -> None:
 
 
 def unpack(descriptor: int) -> LoadedModel[ThermalModel]:
-    """Return what `pack` wrote; its arrays are the file's pages, which nobody may write."""
+    """Return what `pack` wrote; its arrays are the file's pages, which cannot be written."""
     view = memoryview(mmap.mmap(descriptor, 0, prot=mmap.PROT_READ, flags=mmap.MAP_PRIVATE))
     (count,) = _COUNT.unpack_from(view)
     at = _COUNT.size * (1 + count)

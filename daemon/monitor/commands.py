@@ -1,4 +1,4 @@
-"""What a person may ask of the running daemon over its local socket."""
+"""Serves the commands that people send to the running daemon over its local socket."""
 
 import asyncio
 from collections.abc import Mapping

@@ -49,7 +49,7 @@ def peer_name(connection: socket.socket) -> str:
 
 
 def clear_the_way(path: Path) -> None:
-    """Remove a socket that nobody serves any more; raises OSError when somebody answers there."""
+    """Remove a socket that is no longer served; raises OSError when a process answers there."""
     if not path.is_socket():
         path.unlink(missing_ok=True)
         return
@@ -61,7 +61,7 @@ def clear_the_way(path: Path) -> None:
             path.unlink(missing_ok=True)
             return
         except (TimeoutError, BlockingIOError):
-            pass  # nobody takes the connection at once, but somebody listens
+            pass  # the connection is not accepted at once, but a process listens
     raise OSError(errno.EADDRINUSE, "another daemon serves this socket; stop it, or give this one a socket of its own")
 
 

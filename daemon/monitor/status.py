@@ -1,4 +1,4 @@
-"""What the daemon tells people and programs about itself: one picture, ready for JSON, made from the snapshots."""
+"""Makes the daemon's status, ready for JSON, from the snapshots of its tasks."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ SHOWN_FAULTS = 5
 
 
 class StatusBoard:
-    """Makes the picture from the latest snapshots; knows no task."""
+    """Makes the status from the latest snapshots; holds no task."""
 
     def __init__(
         self,

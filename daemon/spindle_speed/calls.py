@@ -1,4 +1,4 @@
-"""The calls of the speed program: each is taken once, whole, and joined with a poll that came after it."""
+"""Takes the calls of the speed program: each once, whole, and joined with a poll that came after it."""
 
 from dataclasses import dataclass, replace
 
@@ -21,7 +21,7 @@ class SpeedOperation:
     place: int | None
     """Of its configuration; None: not configured, or not to be tuned."""
     problem: str = ""
-    """Why a call cannot be believed; such an operation is not tuned."""
+    """Why a call cannot be used; such an operation is not tuned."""
 
     @property
     def wanted(self) -> bool:
@@ -38,7 +38,7 @@ class SpeedCalls:
 
     A call counts once two readings have shown the same, so that none is taken half told, and once a poll came after
     the first of them, so that tool and program are those of the call. What polls show later in the operation changes
-    nothing in it: a subprogram, a guard, a tool that is got ready.
+    nothing in it: a subprogram, a guard, a tool that is prepared.
     """
 
     def __init__(self, configuration: Configuration, tuning: SpindleSpeedConfig, block: SpeedBlock) -> None:
@@ -130,7 +130,7 @@ class SpeedCalls:
         )
 
     def _disbelief(self, call: SpeedCall, sample: CncSample) -> str:
-        """Return why a call is not believed, '' when it is."""
+        """Return why a call cannot be used, '' when it can."""
         if call.text != self._text:
             return (
                 f"the control runs the text {call.text:.0f} of the speed program, this configuration makes "
@@ -139,7 +139,7 @@ class SpeedCalls:
         if call.operation.tool_number != sample.tool_number:
             return (
                 f"the call says tool {call.operation.tool_number:g} (#{self._tuning.tool_variable}), the CNC says "
-                f"{sample.tool_number}: call after the tool change and before the next tool is got ready, or set "
+                f"{sample.tool_number}: call after the tool change and before the next tool is prepared, or set "
                 "spindle_speed.tool_variable"
             )
         return ""

@@ -1,4 +1,4 @@
-"""Which speed an operation should have now: joins its latest plan with what has been decided for it before."""
+"""Decides which speed an operation should have now, from its latest plan and what was decided for it before."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class OperationState:
     memory: SpeedTuningMemory
     command: SpindleSpeedCommand | None = None
     decided: bool = False
-    """The operation has had a decision at a safe block from dynamics of now, so that the block may speak for it."""
+    """The operation has had a decision at a safe block from present dynamics, so the block may be written for it."""
     known_s: float = -math.inf
     """Latest dynamics that could be followed [s]."""
     moved: bool = False
@@ -67,7 +67,7 @@ class SpeedDecision:
             flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
         )
         command, memory = step(before.memory, inputs, self._settings)
-        if operation.wanted and planned is None:  # nobody knows yet how far the target is off: that stays noted
+        if operation.wanted and planned is None:  # it is not known yet how far the target is off: that stays noted
             memory = replace(memory, off_since_s=before.memory.off_since_s)
         known_s = now_s if plan is not None else before.known_s
         outdated = now_s - known_s > KEPT_S

@@ -1,4 +1,4 @@
-"""The macros of the spindle speed: what the NC program says, what the block holds, what is to be written."""
+"""The macros of the spindle speed: decodes calls and block, encodes what is to be written."""
 
 import math
 from collections.abc import Mapping

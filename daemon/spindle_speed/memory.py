@@ -1,4 +1,4 @@
-"""Where each operation's speed stands, so that it goes on in steps when the operation comes again."""
+"""Keeps the speed that each operation has come to, so that it goes on in steps when the operation comes again."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the daemon and the process that plans the spindle speed say to each other, one JSON text a line."""
+"""The messages between the daemon and the process that plans the spindle speed, one JSON text a line."""
 
 import json
 from dataclasses import asdict, dataclass

@@ -134,7 +134,7 @@ class PlannerProcess:
                 raise self._gone(_how_it_ended(await ended))
             reply = REPLY.validate_json(text)
         except (ValidationError, ValueError) as error:
-            raise self._gone(f"has answered what nobody understands ({error})") from error
+            raise self._gone(f"has given an answer that cannot be read ({error})") from error
         finally:
             overdue.cancel()
             reading.cancel()

@@ -1,4 +1,4 @@
-"""What status shows of the operation whose spindle speed is tuned, of its plan and of the command."""
+"""The snapshot of the tuning: the operation, its plan and the command, for status."""
 
 from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedOperation

@@ -119,7 +119,7 @@ class _Follower:
         self._found: MacroValues = {}
         self._session: CncSession | None = None
         self._fault_raised = any(reason.startswith(OUR_FAULT) for reason in journal.faults)
-        """A FAULT has been raised here that nobody has acknowledged yet."""
+        """A FAULT has been raised here that has not been acknowledged yet."""
         self._inhibited = NO_LINK
         """Why nothing may be decided or written, '' when it may."""
         self._unreadable: tuple[CncSession, str] | None = None

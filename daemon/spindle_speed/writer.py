@@ -1,4 +1,4 @@
-"""Writes the pair of the spindle speed, and knows what its macros may hold; owned by the control task."""
+"""Writes the pair of the spindle speed, and keeps what its macros may hold; owned by the control task."""
 
 import math
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ class SpeedWriter:
         self._adopted = self._certain = False
         self._written_s = -math.inf
         self.pair = DISABLED
-        """What the block says, or is to say once more after a write that nobody knows the end of."""
+        """What the block says, or is to say once more after a write with an unknown outcome."""
 
     def close(self) -> None:
         """Release the file."""
@@ -63,9 +63,9 @@ class SpeedWriter:
         if not self._adopted and (self._known is None or foreign):
             if self._known is None or not self._block.unrecorded(self._known, found):
                 if not self._block.whole(found):
-                    return f"{foreign or 'nobody here has written the block, and'}; its sequence numbers differ"
+                    return f"{foreign or 'the daemon has not written the block, and'}; its sequence numbers differ"
                 if self._block.enabled(found, clock_s):
-                    return f"{foreign or 'nobody here has written the block'}, and it is enabled and valid"
+                    return f"{foreign or 'the daemon has not written the block'}, and it is enabled and valid"
             foreign = ""
         if not foreign and not self._adopted:
             self._adopt(found, clock_s, now_s)
@@ -95,7 +95,7 @@ class SpeedWriter:
         return self.pair.enable and self._certain and now_s - self._written_s <= self._tuning.validity_s
 
     def due(self, pair: SpeedPair, now_s: float) -> bool:
-        """Whether a pair has to be written: it is another one, its validity runs out, or nobody knows what is there."""
+        """Whether a pair has to be written: it is another one, its validity runs out, or what is there is unknown."""
         stale = pair.enable and now_s - self._written_s > RENEW_SHARE * self._tuning.validity_s
         return stale or pair != self.pair or not self._certain
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaemonAlive:
-    """When the daemon was last seen to live; a restart measures its outage by it."""
+    """When the daemon last recorded that it runs; a restart measures its outage by it."""
 
     utc_s: float
 

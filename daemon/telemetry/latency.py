@@ -1,4 +1,4 @@
-"""What a delay is made of, and percentiles of many.
+"""Delays: their parts, and percentiles of many.
 
 A delay has two kinds of parts. Waiting for a sensor's turn and for the wire happens in the
 machine's time, which a simulation scales; what the product adds happens on this computer and is

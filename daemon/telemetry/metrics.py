@@ -1,4 +1,4 @@
-"""Where the time of every cycle goes, and what else Prometheus should see."""
+"""The metrics for Prometheus: delays of every cycle, writes, states, links."""
 
 import ctypes
 from collections.abc import Iterable, Mapping

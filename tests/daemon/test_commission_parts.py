@@ -321,9 +321,9 @@ async def test_a_reading_given_beforehand_counts_only_once_a_person_has_seen_it(
     asked = answered(b"y\nn\n")
     seen = instruments(asked)
     assert (await seen.take("z", Moment.BEFORE, ("z",)))["z"].um == 0.0
-    with pytest.raises(CommissioningRefusedError, match="nobody has seen 5 um with the offset applied"):
+    with pytest.raises(CommissioningRefusedError, match="no person has confirmed 5 um with the offset applied"):
         await seen.take("z", Moment.AT_OFFSET, ("z",))
-    with pytest.raises(CommissioningRefusedError, match="nobody has seen 0 um"):
+    with pytest.raises(CommissioningRefusedError, match="no person has confirmed 0 um"):
         await instruments(answered(b"", consent=True)).take("z", Moment.BEFORE, ("z",))
 
 

@@ -121,7 +121,7 @@ async def test_the_record_of_another_control_or_macro_map_does_not_count(bench):
 
 
 async def test_without_a_model_nothing_is_enabled(bench):
-    async with running(bench.rig(model_obstacle="no thermal model is configured")) as rig:
+    async with running(bench.rig(model_problem="no thermal model is configured")) as rig:
         await rig.turn()
         assert "no thermal model" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
 

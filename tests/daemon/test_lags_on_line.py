@@ -327,6 +327,6 @@ async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model_wit
 async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_filled(tmp_path):
     why = "the states of model m need 16.0 h of temperatures without a longer gap, and 2.0 h are there"
     bench = Bench(tmp_path)
-    async with running(bench.rig(model_obstacle=why)) as rig:
+    async with running(bench.rig(model_problem=why)) as rig:
         await rig.turn()
         assert rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p") == why

@@ -162,9 +162,9 @@ async def test_one_that_needs_too_much_memory_ends_and_says_so(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("program", "words"),
     [
-        ("print('{\"opened\": 3}')", "nobody understands"),
+        ("print('{\"opened\": 3}')", "an answer that cannot be read"),
         ("print('{}')", "has not said what it opened"),
-        ("print('x' * 3_000_000)", "nobody understands"),
+        ("print('x' * 3_000_000)", "an answer that cannot be read"),
         ("raise SystemExit(7)", "has ended with status 7"),
     ],
 )
@@ -187,7 +187,7 @@ async def test_a_plan_of_something_else_or_without_a_speed_is_not_taken(tmp_path
         "change_per_step_rpm": {},
     }
     model = dict.fromkeys(("model_id", "sha256", "release", "released_by", "released"))
-    opened = {"obstacle": "", "words": "", "model": model | {"problem": "", "warning": ""}}
+    opened = {"inhibit": "", "words": "", "model": model | {"problem": "", "warning": ""}}
     replies = [json.dumps({"opened": opened}), json.dumps({"planned": planned})]
     program = f"import sys\nfor reply in {replies!r}:\n    sys.stdin.readline()\n    print(reply, flush=True)"
     async with supervised(tmp_path, (sys.executable, "-c", f"{program}\nsys.stdin.readline()")) as child:

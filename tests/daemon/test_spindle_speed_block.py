@@ -51,7 +51,7 @@ def fill(bench: SpeedRig, *, valid_for_s: float | None = None, **changes: float)
 @pytest.mark.parametrize(
     "found,sentence",
     [
-        ({"valid_for_s": 500.0}, "nobody here has written the block, and it is enabled and valid"),
+        ({"valid_for_s": 500.0}, "the daemon has not written the block, and it is enabled and valid"),
         ({"valid_for_s": -5.0, "sequence_a": 9.0}, "its sequence numbers differ"),
         ({"valid_for_s": 500.0, "enable": 3.0}, "enabled and valid"),
     ],

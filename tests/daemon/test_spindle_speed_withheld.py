@@ -52,7 +52,7 @@ async def test_a_tool_that_is_got_ready_lends_its_pair_to_none_in_the_spindle(be
     bench.nc.tool_number = 2
     await bench.pass_by(5.0, CUT)
     assert "T2 is in the spindle" in bench.picture()["reason"]
-    bench.nc.tool_number = 1  # what #4120 says when T1 is got ready while T2 cuts
+    bench.nc.tool_number = 1  # what #4120 says when T1 is prepared while T2 cuts
     assert bench.call() == (*PROGRAMMED, DISABLED)
 
 

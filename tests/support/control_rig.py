@@ -147,7 +147,7 @@ class Rig:
         clock: Clock,
         *,
         record: CommissioningRecord | None,
-        model_obstacle: str = "",
+        model_problem: str = "",
         resume: ResumePoint | None = None,
         model_id: str = "made-up",
         planner: Planner | None = None,
@@ -172,7 +172,7 @@ class Rig:
         self.resume = resume if resume is not None else loaded
         self.link = CncLink(nc.open, self._open_session)
         journal = Journal(self.history, StateStore(self.history, clock), self.resume.faults)
-        self.interlocks = Interlocks(configuration, clock, record, lambda: model_obstacle)
+        self.interlocks = Interlocks(configuration, clock, record, lambda: model_problem)
         self.speed = SpindleSpeedOutput(configuration, clock, journal, self.interlocks, planner)
         self.temperature = TemperatureMacro(configuration, self.telemetry, journal, self.interlocks)
         self.control = ControlTask(

@@ -45,7 +45,7 @@ def guard(
     if configuration.cnc.guard != unchanged.cnc.guard:
         click.echo(
             f"This is not the guard that {config_path} describes. Say the same there (cnc.guard.on_expiry, program) "
-            "before you load it: the daemon tells by it what the guard may do, and takes anything else for a FAULT",
+            "before you load it: the daemon expects the guard that is configured there, and anything else is a FAULT",
             err=True,
         )
     if sheet is not None and output is not None:

@@ -31,7 +31,7 @@ def parse_simulated_clock(text: str) -> ScaledClock:
 
 
 def hold_reload_back() -> None:
-    """Keep SIGHUP waiting while nobody can serve it: without a handler it would end the daemon."""
+    """Keep SIGHUP waiting until it can be served: without a handler it would end the daemon."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
 
 

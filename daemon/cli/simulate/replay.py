@@ -57,7 +57,7 @@ def replay(
     The reference is the mean of the first block played. Reports the error per channel without and with compensation.
     """
     if speed > FASTEST:
-        click.echo(f"--speed {speed:g} is taken as {FASTEST:g}: the wires keep no more", err=True)
+        click.echo(f"--speed {speed:g} is taken as {FASTEST:g}: the simulated wires are no faster", err=True)
         speed = FASTEST
     try:
         recording_map = map_of(recording, map_path)

@@ -134,7 +134,7 @@ def _show(found: dict[str, Any]) -> None:
     chosen = compact_text(found["hyper_parameters"])
     click.echo(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}", err=True)
     if not held_out["channels"]:
-        click.echo("nothing could be left out, so nobody knows how good this model is: record longer", err=True)
+        click.echo("nothing could be left out, so it is not known how good this model is: record longer", err=True)
         return
     folds = held_out["folds"]
     click.echo(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}", err=True)
