@@ -135,7 +135,7 @@ class SinceReference:
         return tuple(self._sensor_ids[place] for place in places)
 
     def _label_origin(self, label: str, mean: MeanIncrement) -> LabelOrigin:
-        """Return what a label's mean counts from; nothing of it changes while nobody comes or goes."""
+        """Return what a label's mean counts from; it does not change while no sensor leaves or returns."""
         counts_from = (mean.reference_degc, mean.counted, mean.offset_k, mean.rest.amount)
         known = self._origins.get(label)
         if known is not None and all(now is then for now, then in zip(counts_from, known[0], strict=True)):

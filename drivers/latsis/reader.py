@@ -1,4 +1,4 @@
-"""What brings the bytes of a LATSIS line into the event loop; on a serial port, a thread.
+"""Brings the bytes of a LATSIS line into the event loop; on a serial port, by a thread.
 
 Ports are opened by pyserial. Where the port has a file descriptor (serial ports, pseudo-terminals, `socket://`) the
 thread waits on it and on a stop pipe at once, so that it wakes for bytes and for nothing else; other kinds

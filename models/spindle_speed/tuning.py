@@ -1,4 +1,4 @@
-"""A planned spindle speed, and when it may be commanded: safe blocks, hysteresis, dwell, one pair of S and F.
+"""Decides when a planned spindle speed may be commanded: safe blocks, hysteresis, dwell, one pair of S and F.
 
 `step` takes what is known now and what was remembered, and returns the command and the new memory.
 It knows neither clock nor wire. Within a cut nothing changes, whatever happens to the data.

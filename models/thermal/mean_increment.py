@@ -1,4 +1,4 @@
-"""The mean increment of some sensors since a reference, in which no coming or going is a step."""
+"""The mean increment of some sensors since a reference, which does not jump when a sensor leaves or returns."""
 
 from dataclasses import dataclass, field, replace
 
@@ -68,7 +68,7 @@ def renewed_mean_increment(before: MeanIncrement, degc: FloatArray, time_min: fl
 
     """
     known = np.isfinite(degc)
-    if known.all() and before.counted.all():  # nobody comes or goes: the usual case
+    if known.all() and before.counted.all():  # no sensor leaves or returns: the usual case
         return replace(before, increment_k=degc - before.reference_degc, time_min=time_min)
     stayed, left = known & before.counted, before.counted & ~known
     if not stayed.any() and np.isnan(before.increment_k[left]).any():

@@ -93,7 +93,7 @@ def _readings(
 )
 @option("--patience-s", type=POSITIVE, default=300.0, help="Wait this long for the guard to be called [s].")
 @option("--yes", is_flag=True, help="Agree to every step beforehand; foreign values are not covered.")
-@option("--overwrite-foreign", is_flag=True, help="Set our variables to 0 though they hold strangers' values.")
+@option("--overwrite-foreign", is_flag=True, help="Set our variables to 0 although they hold foreign values.")
 @option("--accept-reversed", multiple=True, metavar="AXIS", help="Record a reversed sign (repeatable).")
 @option("--accept-scale", multiple=True, metavar="AXIS", help="Record a scale that is not 1 (repeatable).")
 @option(
