@@ -3,7 +3,7 @@
 A sensor that was away is expected to have gone on as before, but for what those beside it did otherwise. One that
 its own past explains counts as before. One at another level is another sensor, or it is wrong: its distance is taken
 off from then on (`shift_k`), and when it jumps back the shift is undone. Where neither past nor neighbours prove a
-level, `doubt_k` says by how much it may be wrong until the next reference.
+level, `uncertainty_k` says by how much it may be wrong until the next reference.
 """
 
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ class SensorLevels:
 
     shift_k: FloatArray
     """Taken off what it reads [K]."""
-    doubt_k: FloatArray
+    uncertainty_k: FloatArray
     """By how much its level since the reference may be wrong, with sign [K]."""
     degc: FloatArray
     """Latest believed temperatures, shifts taken off [degC]; NaN where there is none or it is too old."""
@@ -89,7 +89,7 @@ class BelievedValues:
 def first_levels(sensor_count: int) -> SensorLevels:
     """Return the levels before any value: nothing is shifted and nothing doubted."""
     return SensorLevels(
-        shift_k=np.zeros(sensor_count), doubt_k=np.zeros(sensor_count), degc=np.full(sensor_count, np.nan)
+        shift_k=np.zeros(sensor_count), uncertainty_k=np.zeros(sensor_count), degc=np.full(sensor_count, np.nan)
     )
 
 
@@ -105,7 +105,7 @@ def with_past(levels: SensorLevels, degc: FloatArray, at_s: FloatArray) -> Senso
 
 def trusted_anew(levels: SensorLevels) -> SensorLevels:
     """Return the levels at a new reference, which holds every sensor as it is: nothing is doubted."""
-    return replace(levels, doubt_k=np.zeros_like(levels.doubt_k))
+    return replace(levels, uncertainty_k=np.zeros_like(levels.uncertainty_k))
 
 
 def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues) -> SensorLevels:
@@ -191,7 +191,7 @@ def _left_at(levels: SensorLevels, moment: int | None, now_s: float) -> Left:
 def _judged(
     levels: SensorLevels, group: GroupArray, seen: BelievedValues, judged: BoolArray, degc: FloatArray
 ) -> tuple[SensorLevels, FloatArray]:
-    shift_k, doubt_k, changes = levels.shift_k.copy(), levels.doubt_k.copy(), list(levels.changes)
+    shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
     counted = degc.copy()
     for place in np.flatnonzero(judged):
         index = int(seen.indices[place])
@@ -204,18 +204,18 @@ def _judged(
         if abs(off_k) <= near_k:
             continue
         if before_k != 0.0 and abs(before_k + off_k) <= near_k:
-            shift_k[index], doubt_k[index] = 0.0, 0.0
-        elif not seen.returned[place] and abs(doubt_k[index] + off_k) <= near_k:
-            doubt_k[index] = 0.0
+            shift_k[index], uncertainty_k[index] = 0.0, 0.0
+        elif not seen.returned[place] and abs(uncertainty_k[index] + off_k) <= near_k:
+            uncertainty_k[index] = 0.0
         elif not (seen.returned[place] and seen.new_level[place]):
-            doubt_k[index] += off_k
+            uncertainty_k[index] += off_k
         else:
             shift_k[index] += off_k
-            doubt_k[index] += np.copysign(min(max(spread_k, near_k), abs(off_k)), off_k)
+            uncertainty_k[index] += np.copysign(min(max(spread_k, near_k), abs(off_k)), off_k)
         if shift_k[index] != before_k:
             changes.append((seen.now_s, index, float(before_k)))
             counted[index] = seen.degc[place] - shift_k[index]
-    found = replace(levels, shift_k=shift_k, doubt_k=doubt_k, changes=tuple(changes[-CHANGES_KEPT:]))
+    found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-CHANGES_KEPT:]))
     return found, counted
 
 

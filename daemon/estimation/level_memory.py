@@ -26,7 +26,11 @@ class LevelMemory:
     def keep(self, levels: SensorLevels) -> None:
         """Store the levels, unless they are what is stored."""
         before, self._kept = self._kept, levels
-        same = (levels.left is before.left, levels.doubt_k is before.doubt_k, levels.shift_k is before.shift_k)
+        same = (
+            levels.left is before.left,
+            levels.uncertainty_k is before.uncertainty_k,
+            levels.shift_k is before.shift_k,
+        )
         if not all(same):
             self._store.put(self._document(levels))
 
@@ -37,8 +41,8 @@ class LevelMemory:
             return levels
         place = {sensor_id: index for index, sensor_id in enumerate(self._sensor_ids)}
         since_s = self._to_utc_s()
-        shift_k, doubt_k = levels.shift_k.copy(), levels.doubt_k.copy()
-        for values, of_store in ((shift_k, kept.shift_k), (doubt_k, kept.doubt_k)):
+        shift_k, uncertainty_k = levels.shift_k.copy(), levels.uncertainty_k.copy()
+        for values, of_store in ((shift_k, kept.shift_k), (uncertainty_k, kept.uncertainty_k)):
             for sensor_id, value in of_store.items():
                 if sensor_id in place:
                     values[place[sensor_id]] = value
@@ -52,7 +56,7 @@ class LevelMemory:
             (c.utc_s - since_s, place[c.sensor_id], c.shift_k) for c in kept.changes if c.sensor_id in place
         )
         return SensorLevels(
-            shift_k=shift_k, doubt_k=doubt_k, degc=levels.degc, left=MappingProxyType(left), changes=changes
+            shift_k=shift_k, uncertainty_k=uncertainty_k, degc=levels.degc, left=MappingProxyType(left), changes=changes
         )
 
     def _to_utc_s(self) -> float:
@@ -67,7 +71,7 @@ class LevelMemory:
         return SensorLevelsDocument(
             sensor_ids=self._sensor_ids,
             shift_k=self._by_id(levels.shift_k),
-            doubt_k=self._by_id(levels.doubt_k),
+            uncertainty_k=self._by_id(levels.uncertainty_k),
             left=tuple(
                 SensorsLeft(
                     away=tuple(away),

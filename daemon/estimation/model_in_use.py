@@ -119,9 +119,9 @@ class ModelInUse:
         degc[self.places] = counted
         return replace(reference, degc=degc)
 
-    def level_um(self, doubt_k: FloatArray) -> float:
+    def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        return self._online.level_um(doubt_k[self.places])
+        return self._online.level_um(uncertainty_k[self.places])
 
     @property
     def excluded(self) -> dict[int, str]:

@@ -267,14 +267,14 @@ class ThermalTask:
 
     def _unsure_of_levels(self, online: ModelInUse) -> str:
         """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
-        doubt_k = self._cleansing.levels.doubt_k
-        if not doubt_k.any():
+        uncertainty_k = self._cleansing.levels.uncertainty_k
+        if not uncertainty_k.any():
             return ""
-        unsure_um = online.level_um(doubt_k) + float(np.abs(doubt_k) @ self._tool_um_per_k)
+        unsure_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ self._tool_um_per_k)
         if unsure_um <= UNSURE_UM:
             return ""
-        worst = sorted(np.flatnonzero(doubt_k), key=lambda i: -abs(doubt_k[i]))[:NAMED]
-        named = ", ".join(f"sensor {self._sensor_ids[i]} by {abs(doubt_k[i]):.1f} K" for i in worst)
+        worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
+        named = ", ".join(f"sensor {self._sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)
         return (
             f"the level of {named} has changed since the reference and nothing explains it, which may be "
             f"{unsure_um:.1f} um: position the work again"

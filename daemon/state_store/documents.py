@@ -78,6 +78,6 @@ class SensorLevelsDocument:
 
     sensor_ids: tuple[int, ...]
     shift_k: Mapping[int, float]
-    doubt_k: Mapping[int, float]
+    uncertainty_k: Mapping[int, float]
     left: tuple[SensorsLeft, ...]
     changes: tuple[LevelChange, ...]

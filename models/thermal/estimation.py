@@ -97,7 +97,7 @@ class OnlineModel(Protocol):
         """
         ...
 
-    def level_um(self, doubt_k: FloatArray) -> float:
+    def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
         ...
 

@@ -42,25 +42,25 @@ class LeftOut:
         known = self.imputed(change, excluded)
         return float(np.sqrt(leverage(self.model.solutions, known[None])[0] / limit))
 
-    def level_um(self, doubt_k: FloatArray, excluded: tuple[int, ...]) -> float:
+    def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return by how much the thermal error may be wrong, of the worst channel [um].
 
         Parameters
         ----------
-        doubt_k : shape (n_sensors,)
+        uncertainty_k : shape (n_sensors,)
             By how much each sensor's level may be wrong since the reference [K].
         excluded
             Indices of the sensors that do not count.
 
         """
-        doubted = np.flatnonzero(doubt_k)
+        doubted = np.flatnonzero(uncertainty_k)
         if not len(doubted):
             return 0.0
         layout = self.model.layout
         columns = self.coefficients(excluded)[: layout.temperature_columns]
         by_lag = columns.reshape(-1, layout.sensors, columns.shape[1])[:, doubted]
         worst = np.abs(np.cumsum(by_lag, axis=0)).max(axis=0)  # a lag follows its temperature later
-        return float((np.abs(doubt_k[doubted]) @ worst).max())
+        return float((np.abs(uncertainty_k[doubted]) @ worst).max())
 
     def share(self, excluded: tuple[int, ...]) -> float:
         """Return how much of the model counts without some sensors, 0..1.

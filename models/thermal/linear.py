@@ -150,9 +150,9 @@ class LinearOnline:
         self._excluded = excluded_sensors(state, self._reference.state)
         return estimate_since(self._estimator, state, self._reference), anew
 
-    def level_um(self, doubt_k: FloatArray) -> float:
+    def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        return self._estimator.left_out.level_um(doubt_k, self._excluded)
+        return self._estimator.left_out.level_um(uncertainty_k, self._excluded)
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""
