@@ -213,7 +213,7 @@ class SigningKey:
         try:
             path = private_key_path()
             there = path.exists()
-        except (OSError, RuntimeError) as error:  # an account without a home, or with somebody else's
+        except (OSError, RuntimeError) as error:  # an account without a home, or with that of another one
             if keys:
                 raise SigningError(
                     f"this account has no place for a key to sign with ({error}); set {KEY_VARIABLE}"

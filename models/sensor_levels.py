@@ -20,16 +20,16 @@ OWN_K = 0.5
 OWN_SHARE = 0.5
 """And by this share of what those beside it did otherwise than before."""
 LEAST_BESIDE = 2
-"""So many on its component tell what is expected of a sensor; with fewer of them all others do."""
+"""With so many on its component these predict a sensor; with fewer all others do."""
 ALONE_K_PER_MIN = 1.0
 """By so much a sensor with fewer others may have departed [K/min]."""
 TREND_S = 300.0
 """How a sensor was going is seen over so long before it left [s]."""
 SHORTEST_TREND_S = 120.0
 MOMENT_S = 10.0
-"""Moments that are remembered lie so far apart [s]."""
+"""Moments that are kept lie so far apart [s]."""
 CHANGES_KEPT = 200
-"""So many changes of shifts are remembered."""
+"""So many changes of shifts are kept."""
 
 Changes = tuple[tuple[float, int, float], ...]
 """Time [s], index of a sensor, and its shift before that [K]."""
@@ -39,7 +39,7 @@ GroupArray = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Left:
-    """All temperatures when some sensors were last believed."""
+    """All temperatures when a value of some sensors last counted."""
 
     at_s: float
     degc: FloatArray
@@ -57,9 +57,9 @@ class SensorLevels:
     uncertainty_k: FloatArray
     """By how much its level since the reference may be wrong, with sign [K]."""
     degc: FloatArray
-    """Latest believed temperatures, shifts taken off [degC]; NaN where there is none or it is too old."""
+    """Latest temperatures that counted, shifts taken off [degC]; NaN where there is none or it is too old."""
     left: Mapping[int, Left] = field(default_factory=lambda: MappingProxyType({}))
-    """By index of each sensor that is away: how everything was when it was last believed."""
+    """By index of each missing sensor: all temperatures when its value last counted."""
     recent: tuple[tuple[float, FloatArray], ...] = ()
     """Time [s] and `degc` of the last moments, oldest first."""
     changes: Changes = ()
@@ -68,14 +68,14 @@ class SensorLevels:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BelievedValues:
-    """What cleansing believes of one cycle of a line; arrays in the cycle's order."""
+    """What cleansing accepts of one cycle of a line; arrays in the cycle's order."""
 
     now_s: float
     indices: GroupArray
     degc: FloatArray
-    """As measured [degC]; NaN where nothing is believed in this cycle."""
+    """As measured [degC]; NaN where nothing counts in this cycle."""
     returned: BoolArray
-    """First values, and values after a silence; a level that took long to be believed is none."""
+    """First values, and values after a gap; a level that took long to be accepted is none."""
     new_level: BoolArray
     """Values farther from the sensor's past than the elapsed time explains."""
     jump_k: FloatArray
@@ -83,7 +83,7 @@ class BelievedValues:
     stale: BoolArray
     """Which sensors of the machine have no value that is new enough, shape (n_sensors,)."""
     at_s: FloatArray
-    """When each was last believed [s], shape (n_sensors,)."""
+    """When a value of each last counted [s], shape (n_sensors,)."""
 
 
 def first_levels(sensor_count: int) -> SensorLevels:

@@ -69,7 +69,7 @@ class CommissionedAxis(Section):
 
 
 class CommissioningRecord(Section):
-    """Who saw which axes of which control move, through which macros and which guard."""
+    """The proof that axes of a control move the right way, through which macros and which guard."""
 
     format_version: int = Field(RECORD_FORMAT, ge=1, le=RECORD_FORMAT)
     cnc_identity: str = Field(description="what the control calls itself")
@@ -153,7 +153,7 @@ def commissioning_inhibit(
 ) -> str:
     """Return why these axes may not be compensated, '' when the record covers them.
 
-    `guard_version` is what the guard echoes; None where it has not been heard.
+    `guard_version` is what the guard echoes; None where it is not known.
     """
     if record is None:
         return f"this machine has no commissioning record, so sign and scale have not been proved: {ADVICE}"

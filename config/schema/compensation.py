@@ -32,7 +32,7 @@ class ToolTermConfig(Section):
 
 
 class AxisConfig(Section):
-    """One axis of the machine. Bound, slew rate and step have no defaults: somebody must choose them."""
+    """One axis of the machine. Bound, slew rate and step have no defaults: a person must choose them."""
 
     estimate: Name | None = Field(
         None,
@@ -101,7 +101,7 @@ class ReferenceConfig(Section):
     )
     mean_s: Seconds = Field(60.0, description="the reference is the mean of this long; so is the model's input")
     max_outage_s: Seconds = Field(
-        600.0, description="after a longer outage of the daemon an old reference is not taken up again"
+        600.0, description="after a longer outage of the daemon an old reference is not used again"
     )
 
     @model_validator(mode="after")
@@ -191,7 +191,7 @@ class CompensationConfig(Section):
     )
     allow_writable_model_directory: bool = Field(
         False,
-        description="load a model that the daemon could write or that nobody released, all the same (shown everywhere)",
+        description="load a model although the daemon could write it or it was not released (shown everywhere)",
     )
     release: ReleaseConfig = Field(default_factory=ReleaseConfig, description="release of thermal models")
     retraining: RetrainingConfig | None = Field(

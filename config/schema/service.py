@@ -36,7 +36,7 @@ class HistoryConfig(Section):
 
 
 class SignaturesConfig(Section):
-    """Who may answer for releases, commissioning records and back-ups."""
+    """The keys that are accepted for releases, commissioning records and back-ups."""
 
     public_keys: Path = Field(
         Path("keys"),

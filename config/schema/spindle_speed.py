@@ -28,7 +28,7 @@ class SpeedMacrosConfig(Section):
     enable: MacroNumber = Field(description="1: the pair counts; 0: the programmed one does", examples=[539])
     sequence_b: MacroNumber = Field(description="written last", examples=[540])
     calls: MacroNumber = Field(
-        description="raised by the NC with each call of the speed program; negative while the call is being told",
+        description="raised by the NC with each call of the speed program; negative while the call is being written",
         examples=[550],
     )
     called_tool: MacroNumber = Field(description="tool of the operation, by `tool_variable`", examples=[551])

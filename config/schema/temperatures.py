@@ -144,7 +144,7 @@ class CleansingConfig(Section):
     min_degc: float = Field(-20.0, description="lower values are impossible here")
     max_degc: float = Field(100.0, description="higher values are impossible here")
     stale_after_s: Seconds = Field(
-        60.0, description="a held value older than this is missing, and the sensor begins anew when it comes back"
+        60.0, description="a held value older than this is missing, and the sensor begins anew when it returns"
     )
 
     @model_validator(mode="after")

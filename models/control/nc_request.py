@@ -174,7 +174,7 @@ def _tool_number(macros: Mapping[int, float | None], numbers: RequestMacros) -> 
 
 
 def _may_have_positioned(macros: Mapping[int, float | None], numbers: RequestMacros) -> bool:
-    """Say whether a refused request may have told of a positioning, as a reference of all axes does."""
+    """Return whether a refused request may have announced a positioning, as a reference of all axes does."""
     if counter_of(macros, numbers) is None:
         return True
     kind = _whole(macros, numbers.kind)

@@ -1,4 +1,4 @@
-"""What polls of the CNC tell: where the part program is, and whether the control was switched off meanwhile."""
+"""Reads from polls of the CNC where the part program is, and whether the control was switched off meanwhile."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -10,7 +10,7 @@ IDLE = (CncRun.RESET, CncRun.STOP)
 CLOCK_STEP_S = 1.0
 """The CNC's clock going back by more than this means that it was switched off [s]."""
 CLOCK_GAP_REAL_S = 2.0
-"""After a silence as long as this the CNC's clock is held against ours [s of the wall clock]."""
+"""After a gap as long as this the CNC's clock is compared with ours [s of the wall clock]."""
 CLOCK_DRIFT = 0.02
 """Share of the elapsed time by which two clocks may differ."""
 

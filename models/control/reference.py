@@ -37,18 +37,18 @@ SWITCHED_OFF = "the CNC was switched off and on"
 CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
 
 Step = tuple[ReferenceMemory, tuple[Effect, ...]]
-"""What is remembered after an event, and what follows from it."""
+"""The memory after an event, and what follows from it."""
 
 
 class Condition(StrEnum):
     """What may leave a state."""
 
-    IN_FORCE = "a reference came that holds"
+    IN_FORCE = "a valid reference was set"
     ASKED_FOR = "one is asked for"
-    HOLDS_NO_LONGER = "the one in force holds no longer"
+    HOLDS_NO_LONGER = "the one in force is no longer valid"
     NOTHING_COUNTS = "nothing may count from the one that has ended"
-    KEPT = "nobody asks, and tool settings count from one that has ended"
-    NOBODY_ASKS = "nobody asks for one any more"
+    KEPT = "none is asked for, and tool settings count from one that has ended"
+    NOBODY_ASKS = "none is asked for any more"
 
 
 TRANSITIONS: dict[ReferenceState, tuple[tuple[Condition, ReferenceState], ...]] = {
@@ -301,7 +301,7 @@ def _refusal(
 ) -> str:
     what = f"reference of {reference.source} refused"
     if asked is None:
-        return f"{what}: nobody waits for it any more"
+        return f"{what}: it is no longer waited for"
     if rules.zero_first and still_applied_um > 0.0:
         return (
             f"{what}: the policy is zero_first and {still_applied_um:.1f} um are still applied; let the program wait "

@@ -41,7 +41,7 @@ class ReferenceRules:
     answer_within_s: float = 5.0
     """Work that was positioned has no reference when none has come within this time [s]."""
     max_outage_s: float = 600.0
-    """After a longer outage of the daemon nothing is taken up again [s]."""
+    """After a longer outage of the daemon nothing is resumed [s]."""
     guard_programs: frozenset[int] = frozenset()
     """Programs that part programs call for us."""
 
@@ -98,7 +98,7 @@ class LabelOrigin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorsSinceReference:
-    """The sensors since the reference: who is away, who must not count, what returned ones count from."""
+    """The sensors since the reference: which are missing, which must not count, what returned ones count from."""
 
     reference_id: str
     absent: tuple[int, ...] = ()
@@ -159,7 +159,7 @@ class ReferenceDocument:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceMemory:
-    """What is remembered from event to event."""
+    """The memory from event to event."""
 
     state: ReferenceState = ReferenceState.NONE
     record: ReferenceRecord | None = None

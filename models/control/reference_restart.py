@@ -1,4 +1,4 @@
-"""What the previous run of the daemon left of the reference, and whether it may be taken up again."""
+"""Decides whether the reference of the previous run of the daemon may be resumed."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -107,7 +107,7 @@ class OutputInputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputMemory:
-    """What the output remembers from step to step."""
+    """Memory of the output from step to step."""
 
     state: OutputState
     since_s: float

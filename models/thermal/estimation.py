@@ -45,13 +45,13 @@ class OnlineReference:
 
     time_min: float
     now_min: float
-    """When it is set: later than the reference itself when it is taken up again."""
+    """When it is set: later than the reference itself when it is resumed."""
     degc: FloatArray
     """Temperatures at the reference [degC], in the model's order, NaN where there is none."""
     history: Samples | None = None
     """Samples up to the reference, when it lies back and states must be rebuilt."""
     excluded: Mapping[int, str] | None = None
-    """Of a reference that is taken up again: sensors found wrong since (ID: sign). None: a new one admits all."""
+    """Of a reference that is resumed: sensors found wrong since (ID: sign). None: a new one admits all."""
     kept: Mapping[str, Any] | None = None
     """What this or another model kept since, see `OnlineModel.kept`."""
 

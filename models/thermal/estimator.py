@@ -196,7 +196,7 @@ class LinearEstimator:
         return self.begun(advanced, np.flatnonzero(returned).tolist()) if returned.any() else advanced
 
     def begun(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
-        """Return the state in which the lags of sensors (indices) that speak again begin where the others expect them.
+        """Return the state in which the lags of sensors (indices) that return begin where the others expect them.
 
         They are filled from then on as those of the others are.
         """
@@ -321,7 +321,7 @@ class LinearEstimator:
         return tuple(self.model.sensor_ids[index] for index in indices)
 
     def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
-        """Return the state in which sensors (indices) that were silent are watched anew, see `Watcher.reinitialised`.
+        """Return the state in which sensors (indices) that were missing are watched anew, see `Watcher.reinitialised`.
 
         A model without a watch has nothing to begin anew.
         """

@@ -131,7 +131,7 @@ class LinearOnline:
     def estimate(
         self, time_min: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
     ) -> tuple[Estimation | None, tuple[int, ...]]:
-        """Return the thermal error between the states now and at the reference, and who was set anew for it."""
+        """Return the thermal error between the states now and at the reference, and the sensors set anew for it."""
         state = self._now(time_min, self._counted(degc))
         if state is None or self._reference is None:
             return None, ()

@@ -100,7 +100,7 @@ class Watcher:
         _, self._usual = self._map(())
 
     def reinitialised(self, state: WatchState, sensors: Sequence[int]) -> WatchState:
-        """Return the state in which some sensors that were silent are watched anew, from what is expected of them.
+        """Return the state in which some sensors that were missing are watched anew, from what is expected of them.
 
         Their memory holds what they said before their silence, perhaps in another frame; from now on only what
         they do counts. That they were missing is held against them no longer; any other sign is.
