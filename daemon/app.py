@@ -307,7 +307,7 @@ class Daemon:
         self._history.event(kind, text, "daemon")
 
     def _on_bearings(self, opened: OpenedModel) -> None:
-        """Note which model speeds are planned with; it is told once, however often the planner is started."""
+        """Note which model speeds are planned with; it is logged once, however often the planner is started."""
         if opened.inhibit:
             self._links.planner_health.went_down(opened.inhibit, self._clock.now().utc_s)
         else:

@@ -20,7 +20,7 @@ from models.records import DisplacementSample, TemperatureCycle
 log = structlog.get_logger(__name__)
 
 PROBLEM_BURST = 3
-"""So many problems of displacement files are told one by one; then the latest once a minute, with their number."""
+"""So many problems of displacement files are reported one by one; then the latest once a minute, with their number."""
 
 Serve = Callable[[Callable[[], None]], Awaitable[None]]
 """Serves until cancelled; calls what it gets when it can be connected to."""
@@ -50,7 +50,7 @@ class Links:
         return tuple(health.snapshot() for health in self.shown)
 
     def temperatures(self, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Iterator[Coroutine[Any, Any, None]]:
-        """Yield the work that keeps each line alive; `take` may wait, the line then drops what it cannot hold."""
+        """Yield the work that keeps each line open; `take` may wait, the line then drops what it cannot hold."""
         for line in self._configuration.temperatures.lines:
             yield self._line(line, take)
 
@@ -110,7 +110,7 @@ class Links:
 
 
 class DisplacementLog:
-    """Hands rows of the A/D logger on and tells log, audit and status what could not be read."""
+    """Passes rows of the A/D logger on, and reports to log, audit and status what could not be read."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class DisplacementLog:
         self._limit(problem)
 
     def flush(self) -> None:
-        """Tell what is still held back; call it when nothing more comes."""
+        """Report what is still held back; call it when nothing more comes."""
         self._limit.flush()
 
     def _change(self, snapshot: DisplacementSnapshot) -> None:

@@ -110,7 +110,7 @@ class Archive:
         return b"".join(self._proved(name))
 
     def extract(self, folder: Path) -> None:
-        """Write every file but the manifest into a folder that nobody else can change, each as the manifest says."""
+        """Write every file but the manifest into a folder that no other account can change, as the manifest says."""
         for item in self.manifest.files:
             path = folder / item.name
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -302,7 +302,7 @@ def _aside(store: Path, in_the_way: list[Path]) -> list[tuple[Path, Path]]:
 
 
 def _place(source: Path, path: Path) -> None:
-    """Copy a file or folder to its place, as the property of whoever owns the folder there; never through a link."""
+    """Copy a file or folder to its place, owned by the account that owns the folder there; never through a link."""
     if source.is_dir():
         path.mkdir()
         _make_readable(path, 0o755)
@@ -329,7 +329,7 @@ def _make_readable(path: Path, mode: int) -> None:
 
 
 def give_to_owner_of_folder(path: Path) -> None:
-    """Let a file that root has made belong to whoever owns its folder: the daemon's user must write its store."""
+    """Give a file that root has made to the account that owns its folder: the daemon's user must write its store."""
     if os.geteuid() == 0:
         owner = path.parent.stat()
         os.chown(path, owner.st_uid, owner.st_gid, follow_symlinks=False)

@@ -1,4 +1,4 @@
-"""What the person at the machine is told and asked."""
+"""The dialogue with the person at the machine."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ class Dialogue(Protocol):
     """Questions reach a person; otherwise only what options have answered is known."""
 
     def say(self, text: str) -> None:
-        """Tell something."""
+        """Show a sentence."""
         ...
 
     async def confirm(self, question: str) -> bool:

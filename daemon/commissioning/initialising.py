@@ -79,4 +79,4 @@ class CommissioningRefusedError(Exception):
 
 
 class ForeignWriterError(CommissioningRefusedError):
-    """Somebody else writes the block: nothing more may be written, not even a retreat."""
+    """Another program writes the block: nothing more may be written, not even a retreat."""

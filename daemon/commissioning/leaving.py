@@ -37,7 +37,7 @@ class SafeExit:
             return
         if isinstance(error, ForeignWriterError):
             self._dialogue.say(
-                "Somebody else writes the block, so nothing more is written; the block expires in the CNC."
+                "Another program writes the block, so nothing more is written; the block expires in the CNC."
             )
         else:
             self._dialogue.say(f"Stopped ({why}). Going back to zero; press Ctrl-C to leave the machine as it is.")

@@ -150,7 +150,7 @@ class Instruments:
         return readings
 
     async def _confirm(self, axis: str, moment: Moment, um: float) -> None:
-        """Have a person confirm now what --reading said beforehand: else it would prove a movement that nobody saw."""
+        """Have a person confirm now what --reading said beforehand: else it proves a movement that no person saw."""
         if not await self._dialogue.confirm_expressly(
             f"Does the instrument along {axis} read {um:g} um {WORDS[moment]}, as --reading says?"
         ):

@@ -64,5 +64,5 @@ class ControlParts:
 
     @property
     def max_outage_s(self) -> float:
-        """After a longer outage nothing is taken up again [s]."""
+        """After a longer outage nothing is resumed [s]."""
         return self.configuration.compensation.reference.max_outage_s

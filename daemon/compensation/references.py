@@ -30,10 +30,10 @@ from models.control.state import OutputMemory
 from models.records import CncSample, FloatArray, Phase, Reference
 
 KEPT_PERIOD_REAL_S = 10.0
-"""The store is told this often what the CNC said [s of the wall clock]."""
+"""How often the store gets what the CNC said [s of the wall clock]."""
 
 ToThermal = ReferenceRequest | ReferenceEnded | ReferenceTakenUp
-"""What the thermal task is told."""
+"""The messages to the thermal task."""
 
 
 class References:
@@ -112,7 +112,7 @@ class References:
         self._step(reference.refuse(self.memory, identity, why))
 
     def withdraw(self, identity: str) -> None:
-        """Nobody waits for this reference any more."""
+        """The reference is no longer waited for."""
         self.memory = reference.withdraw(self.memory, identity)
 
     def end(self, why: str) -> None:

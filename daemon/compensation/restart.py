@@ -1,4 +1,4 @@
-"""Decides what of a previous run of the daemon may be taken up again."""
+"""Decides what of a previous run of the daemon may be resumed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumePoint:
-    """What the previous run of the daemon left, as far as it may be taken up again."""
+    """What the previous run of the daemon left, as far as it may be resumed."""
 
     wanted: tuple[bool, ...]
     known_macros: dict[int, tuple[float, ...]] | None
@@ -129,7 +129,7 @@ class StartupRecovery:
         return self._references.restart(memory, self._axes, self._model_id, resumable=resumable)
 
     def heed(self, request: OperatorRequest) -> OperatorRequest:
-        """Take what a person says of the axes that wait; who speaks for one lets the others go on waiting.
+        """Take a person's decision on axes that wait; a decision on one leaves the others waiting.
 
         An axis that nobody had switched on is switched off with the first one that is enabled: its
         offset is not followed again, it retreats.

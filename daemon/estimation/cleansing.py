@@ -109,7 +109,7 @@ class Cleansing:
         return self.latest
 
     def _after_silence(self, indices: IndexArray, usable: npt.NDArray[np.bool_], now_s: float) -> npt.NDArray[np.bool_]:
-        """Return which sensors of a line have said nothing for too long since they were last believed."""
+        """Return which sensors of a line have had no value for too long since one last counted."""
         self._silent[indices] |= usable & (now_s - self._usable_at_s[indices] > self._rules.stale_after_s)
         self._usable_at_s[indices[usable]] = now_s
         return self._silent[indices].copy()

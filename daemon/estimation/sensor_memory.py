@@ -22,7 +22,7 @@ Places = npt.NDArray[np.intp]
 
 
 class SinceReference:
-    """Who is away, who is excluded, and what every label's mean counts from; owned by the thermal task."""
+    """Which sensors are missing or excluded, and what every label's mean counts from; owned by the thermal task."""
 
     def __init__(self, sensor_ids: Sequence[int], labels: Mapping[str, Places]) -> None:
         self._sensor_ids = tuple(sensor_ids)
@@ -117,7 +117,7 @@ class SinceReference:
         self.of_model = online.kept
 
     def changed(self) -> SensorsSinceReference | None:
-        """Return what is to be kept for a restart when it has changed since it was told, else None."""
+        """Return what is to be kept for a restart when it has changed since it was last returned, else None."""
         sensors = SensorsSinceReference(
             reference_id=self._reference_id,
             absent=self._ids(np.flatnonzero(self.absent)),

@@ -67,7 +67,7 @@ class Engine:
         on_lost: Callable[[str], object],
         kept: Callable[[], Kept],
     ) -> None:
-        """`on_lost` hears that the store was lost and is begun anew; `kept` returns the states that a new one gets."""
+        """`on_lost` is called when a lost store is begun anew; `kept` returns the states that a new one gets."""
         self._path, self._intake, self._layout, self._lock = path, intake, layout, lock
         self._on_lost, self._kept = on_lost, kept
         self._identity = StoreIdentity()
@@ -185,7 +185,7 @@ class Engine:
             raise StoreLostError(lost)
 
     def _secure_log(self, connection: sqlite3.Connection) -> None:
-        """Bring what is committed from the log into the store itself when somebody has deleted the log."""
+        """Bring what is committed from the log into the store itself when the log was deleted."""
         log_path = Path(f"{self._path}-wal")
         there = log_path.stat().st_ino if log_path.exists() else None
         if self._log_inode in (None, there):
@@ -202,7 +202,7 @@ class Engine:
             connection = self._open()
             self._prove()
             result = job.execute(connection, self._layout_ids)
-        except Exception as error:  # whoever asked for the job gets its error; closing rolls back
+        except Exception as error:  # the caller of the job gets its error; closing rolls back
             self._close()
             job.commit.fail(error)
         else:

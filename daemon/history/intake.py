@@ -19,7 +19,7 @@ Execute = Callable[[sqlite3.Connection, LayoutIds], object]
 class Commit:
     """Resolves when the record is committed; awaitable in a loop, or `result(timeout_s)` in a thread.
 
-    Hardly anybody waits for one of the many commits, so a future is made only for who does.
+    Hardly any caller waits for one of the many commits, so a future is made only for one that does.
     """
 
     __slots__ = ("_error", "_future", "_value", "done")

@@ -16,14 +16,14 @@ from daemon.model_release.repository import RECORD_NAME, ReleaseError, ReleaseRe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signable:
-    """One file that somebody answers for."""
+    """One file that a person answers for."""
 
     path: Path
     purpose: Purpose
     content: bytes
     in_words: str
     signed_by: str
-    """'' where nobody has signed it."""
+    """'' where it is not signed."""
     problem: str
     """Why its signature does not count, '' when it does or where no signature is asked for."""
 
@@ -63,7 +63,7 @@ def _releases(configuration: Configuration) -> Iterator[tuple[Path, Purpose, byt
                 record, content = read_release_record(path)
                 repository.content(record.number)
             except (ReleaseRecordError, ReleaseError):
-                continue  # nobody can answer for what does not belong together
+                continue  # what does not belong together cannot be signed
             yield path, "release record", content, f"release {record.number}: {record.model_id}, by {record.person}"
 
 

@@ -28,7 +28,7 @@ WAITING_CONNECTIONS = 64
 """So many connections wait in the kernel until they are taken."""
 
 PROBE_S = 1.0
-"""Somebody who serves the socket already takes a connection within this [s]."""
+"""A process that serves the socket already accepts a connection within this [s]."""
 
 Handler = Callable[[dict[str, Any], str], Awaitable[dict[str, Any]]]
 

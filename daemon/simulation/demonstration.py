@@ -109,7 +109,7 @@ def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, 
 
 
 class Trail:
-    """The last minutes of the simulated truth per axis, for the live view."""
+    """The last minutes of the true error per axis, for the live view."""
 
     def __init__(self, kept: int = 720) -> None:
         self._kept = kept

@@ -68,7 +68,7 @@ class SpeedBlock:
         self.ours = macros.ours
 
     def call(self, found: MacroValues) -> SpeedCall | None:
-        """Return the latest call of the NC program; None before the first, and while one is being told."""
+        """Return the latest call of the NC program; None before the first, and while one is being written."""
         told = self._map
         values = [found.get(number) for number in (told.calls, *self._called, told.called_text)]
         numbers = [value for value in values if value is not None and math.isfinite(value)]

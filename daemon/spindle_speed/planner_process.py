@@ -116,7 +116,7 @@ class PlannerProcess:
         finally:
             if not answer.done():
                 answer.set_exception(LinkError(self._lost or STARTING))
-                answer.exception()  # whoever asked may have gone
+                answer.exception()  # the caller may have gone
 
     async def _answer(self, process: asyncio.subprocess.Process, ended: asyncio.Task[int], line: bytes) -> Reply:
         """Return the answer to a line; raises LinkError where none comes."""

@@ -54,7 +54,7 @@ class SpindleSpeedSwitch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorsLeft:
-    """How everything was when some sensors were last believed; lists follow `SensorLevelsDocument.sensor_ids`."""
+    """The state of all sensors when a value of some last counted; lists follow `SensorLevelsDocument.sensor_ids`."""
 
     away: tuple[int, ...]
     """IDs of those that are away since."""

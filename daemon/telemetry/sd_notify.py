@@ -30,5 +30,5 @@ class ServiceManager:
         try:
             self._socket.sendto(message.encode(), address)
         except OSError:
-            # Nobody listens any more; the watchdog then does its work, which is the right outcome.
+            # The socket has no listener any more; the watchdog then does its work, which is the right outcome.
             return

@@ -27,7 +27,7 @@ Answer = TypeVar("Answer")
 
 
 def _ignore(*_: object) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 class _File:

@@ -12,7 +12,7 @@ from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardTextError, 
 
 SPEED_PROGRAM_VERSION = 3
 TEXT_NUMBERS = 1_000_000
-"""The text is known by a number below this, which the program tells with every call."""
+"""The text is identified by a number below this, which the program reports with every call."""
 ROUNDING_RPM = 0.5
 """The NC takes whole speeds, so limits are this much wider in its text [1/min]."""
 Rows = list[dict[str, str]]

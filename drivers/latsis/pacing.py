@@ -11,7 +11,7 @@ from models.records import Instant
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 LONGEST_PAUSE_REAL_S = 0.2
-"""Bounds the delay where a pass ends earlier than expected (the tail of the chain has gone silent)."""
+"""Bounds the delay where a pass ends earlier than expected (the tail of the chain sends nothing)."""
 SHORTEST_PAUSE_REAL_S = 0.0003
 """A shorter sleep costs more than it saves."""
 FINAL_BYTES = 4
@@ -58,7 +58,7 @@ class ReadPacer:
     def _is_faster(self, count: int, now_real_s: float) -> bool:
         """Return whether more bytes came than the line can have delivered since the last read.
 
-        Only the sleep and one packet's time count: whoever waits for bytes, awake, misses none.
+        Only the sleep and one packet's time count: a reader that waits for bytes misses none.
         """
         elapsed_s = 0.0 if self._last_real_s is None else now_real_s - self._last_real_s
         self._last_real_s = now_real_s

@@ -70,7 +70,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 @option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
 @option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
 @option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")
-@option("--accept-unsigned", is_flag=True, help="Restore although nobody who counts here has signed it.")
+@option("--accept-unsigned", is_flag=True, help="Restore although no accepted key has signed it.")
 @option("--store", type=FILE, help="Where the history goes.")
 @option("--commissioning-file", type=FILE, help="Where the commissioning record goes.")
 @option("--model-file", type=FILE, help="Where the model goes, its releases beside it.")

@@ -45,7 +45,8 @@ def make(name: str, config_path: Path) -> None:
             file.write(key.public)
         public.chmod(0o644)
     except OSError as error:
-        click.echo(f"{public}: the public key cannot be put there ({error.strerror}); somebody who may must", err=True)
+        cause = f"the public key cannot be put there ({error.strerror})"
+        click.echo(f"{public}: {cause}; an account that may write there must do it", err=True)
         sys.exit(FAILED)
     click.echo(f"public key: {public} ({key.number}); keep a copy of both apart", err=True)
     click.echo("what is not signed is refused from now on: `toolpoint keys sign`", err=True)
@@ -55,7 +56,7 @@ def make(name: str, config_path: Path) -> None:
 @config_option
 @json_option
 def list_command(config_path: Path, json_path: str | None) -> None:
-    """Show whose keys count, and what on this machine is signed by whom."""
+    """Show which keys are accepted, and who has signed what on this machine."""
     from config.signing import TrustedKeys
     from daemon.model_release.resigning import signables
 
@@ -80,16 +81,16 @@ def list_command(config_path: Path, json_path: str | None) -> None:
     if not trusted.keys:
         click.echo(f"no key counts ({trusted.folder}), so no signature is asked for")
     for each in found:
-        click.echo(f"{each.in_words}: {each.problem or 'signed by ' + (each.signed_by or 'nobody who counts')}")
+        click.echo(f"{each.in_words}: {each.problem or 'signed by ' + (each.signed_by or 'no accepted key')}")
 
 
 @keys.command()
 @click.option("--yes", is_flag=True, help="Answer for all of it without being asked.")
 @config_option
 def sign(yes: bool, config_path: Path) -> None:
-    """Sign the releases and the commissioning record on this machine that nobody who counts has signed.
+    """Sign the releases and the commissioning record on this machine that no accepted key has signed.
 
-    You answer for them as if you had made them: look at each first. So a machine of before there were signatures, or
+    You answer for them as if you had made them: check each first. So a machine of before there were signatures, or
     one whose key was lost, is taken over.
     """
     from config.signing import SigningKey, private_key_path

@@ -105,7 +105,7 @@ class CncFace:
         return "ok", self._delay_s(), True
 
     def forget_connection(self) -> None:
-        """Nobody is connected any more."""
+        """No client is connected any more."""
         self._dropped = True
 
     def _store(self, group: Sequence[tuple[int, float]]) -> None:

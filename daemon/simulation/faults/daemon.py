@@ -202,7 +202,7 @@ class _Noted:
 
 
 def main() -> None:
-    """Live; called in the daemon's process."""
+    """Run; called in the daemon's process."""
     path, machine, acknowledged, epoch_utc_s, seed = sys.argv[1:6]
     configuration = load_configuration(Path(path))
     configure_logging(configuration.service.log_level, terminal=False)

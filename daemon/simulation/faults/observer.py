@@ -78,7 +78,7 @@ class Observer:
         """A person has acknowledged in this life, and no FAULT was left since."""
 
     def restarted(self, time_s: float) -> None:
-        """A daemon begins to live."""
+        """A daemon is started."""
         self.operations.restarted(time_s)
         self._heart.disturbed(time_s)
         self._writes.restarted(time_s)

@@ -19,7 +19,7 @@ LONG_HOLD_S = 240.0
 
 
 class Person:
-    """Speaks to the daemon over its local socket; never waits for an answer."""
+    """Sends requests to the daemon over its local socket; never waits for an answer."""
 
     def __init__(self, path: Path, axes: tuple[str, ...]) -> None:
         self._path = path

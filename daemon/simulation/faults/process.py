@@ -177,7 +177,7 @@ class KillPlan:
         self.due = self._after_groups = None
 
     def before(self, group: tuple[tuple[int, float], ...]) -> bool:
-        """Tell whether the daemon is to die before this group."""
+        """Return whether the daemon is to be killed before this group."""
         if self._after_groups is None:
             return False
         left, happening = self._after_groups

@@ -102,7 +102,7 @@ class GoodInput:
         self._cnc |= kind is not Incident.BLIND
 
     def cycle(self, line: str) -> None:
-        """A line was heard whole and undisturbed."""
+        """A line sent a whole, undisturbed cycle."""
         self._any_line = False
         if line in self._cycles:
             self._cycles[line] -= 1

@@ -33,7 +33,7 @@ class Incident(StrEnum):
     CUT_WRITE = "cut_write"
     """The connection is lost after `amount` groups of a block; the next group arrives all the same, or does not."""
     FOREIGN_WRITE = "foreign_write"
-    """Somebody else writes one of our macros."""
+    """Another program writes one of our macros."""
     VACANT_MACRO = "vacant_macro"
     """One of our macros becomes vacant."""
     ECHO_VACANT = "echo_vacant"

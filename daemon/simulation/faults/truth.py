@@ -13,12 +13,12 @@ from drivers.sim.nc.program import RETREAT
 TEMPERATURES_LATE_S = 25.0
 """Temperatures arrive when a line has sent a whole cycle within this time [s]."""
 BLIND_BEFORE_S = 90.0
-"""A reference is the mean of its last minute; a line that was silent for a part of that may be missing in it [s]."""
+"""A reference is the mean of its last minute; a line that sent nothing for a part of that may be missing in it [s]."""
 ZERO_UM = 1e-6
 
 
 class TruthKeeper:
-    """Hears the wires and looks at the NC, where the daemon has only what it is told."""
+    """Sees what is on the wires and in the NC, where the daemon has only what it receives."""
 
     def __init__(
         self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, models: CampaignModels

@@ -43,7 +43,7 @@ class VirtualClock:
 
 
 class World(Protocol):
-    """Whoever moves time on."""
+    """What moves time on."""
 
     def pass_time(self, timeout_s: float | None) -> None:
         """Move the clock on by at most `timeout_s` (None: to whatever comes next) and deliver what happens then."""

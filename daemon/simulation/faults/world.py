@@ -27,7 +27,7 @@ SAFE_LOOK_S = 0.5
 
 
 class Watcher(Protocol):
-    """Whoever watches the machine."""
+    """What observes the machine."""
 
     def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
         """A pass over a line has ended; `heard`: a listener got bytes of it, `whole`: all of them, undisturbed."""
@@ -60,7 +60,7 @@ class _Event:
 
 
 class _Line:
-    """One line: its transmitter, and who listens."""
+    """One line: its transmitter, and its listener."""
 
     def __init__(self, transmitter: LineTransmitter) -> None:
         self.transmitter = transmitter
@@ -225,7 +225,7 @@ class CampaignWorld:
         self._lines[name].listening_since_s = math.inf
 
     def desert(self) -> None:
-        """Nobody is there any more: the daemon's process has ended."""
+        """The daemon's process has ended."""
         for name in self._lines:
             self.leave(name)
         self.cnc.forget_connection()

@@ -117,7 +117,7 @@ class DisplacementCsv:
         return f"{values[channel] / self._scale_um[channel]:.3f}".replace(".", self._file.decimal)
 
     def _append(self, data: bytes) -> None:
-        """Open, write and close, so that whoever moves or cuts the file meets no open handle."""
+        """Open, write and close, so that a program that moves or cuts the file finds no open handle."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab") as file:
             file.write((self._head() if file.tell() == 0 else b"") + data)
