@@ -150,7 +150,7 @@ def test_a_refused_positioning_leaves_the_work_without_a_reference_and_a_refused
 def test_a_reference_that_nobody_waits_for_or_that_holds_no_longer_is_refused():
     memory, question = asked_for(polled(ReferenceMemory(), sample())[0])
     late, _ = reference.adopt(reference.withdraw(memory, "r1"), answered(question), RULES, still_applied_um=0.0)
-    assert late.state is NONE and "nobody waits" in late.outcome[1]
+    assert late.state is NONE and "no longer waited for" in late.outcome[1]
     moved, _ = polled(memory, sample(10.5, work_offset=55))
     moved, _ = reference.adopt(moved, answered(question), RULES, still_applied_um=0.0)
     assert moved.in_force is None and "meanwhile the work offset" in moved.outcome[1]
@@ -161,7 +161,7 @@ def test_an_answer_to_what_was_asked_before_the_reference_in_force_comes_too_lat
     memory, question = asked_for(memory, "r2")
     memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
     memory, _ = reference.adopt(memory, answered(hand), RULES, still_applied_um=0.0)
-    assert memory.in_force.reference_id == "r2" and "nobody waits" in memory.outcome[1]
+    assert memory.in_force.reference_id == "r2" and "no longer waited for" in memory.outcome[1]
 
 
 def test_work_that_was_positioned_is_not_followed_with_the_old_reference_when_no_answer_comes():
