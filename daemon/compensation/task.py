@@ -241,10 +241,10 @@ class ControlTask:
         inputs = self._inputs(self.requests.take())
         self.memory, self.command = step(before, inputs, self.limits)
         self._record(before, self.memory, inputs)
+        if lost := self._measured.settle(inputs, self.memory):  # before a write that may lose the link: the step counts
+            self._desk.fail(lost)
         if session is not None and self.command.write:
             await self.writer.write_when_due(session, self.command, estimate)
-        if lost := self._measured.settle(inputs, self.memory):
-            self._desk.fail(lost)
         if session is not None and self.session is session and inputs.link and not self.journal.fault:
             await self._desk.answer(session, self.memory)
         self._parts.telemetry.output(self.command, inputs.applied_um)

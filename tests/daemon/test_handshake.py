@@ -75,6 +75,25 @@ async def test_a_probe_value_corrects_the_output_and_stands_in_the_history(rig, 
     assert probe.thermal_error_um == pytest.approx(-8.0)
 
 
+async def test_a_probe_value_that_was_taken_is_not_refused_when_the_link_is_lost_in_the_write_after_it(rig, bench):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, PROBE, Z_AXIS, 0.003)
+    await rig.control._guarded(rig.control._poll())
+    bench.nc.groups_until_lost = 1
+    bench.clock.monotonic_s += 1.0
+    await rig.control._guarded(rig.control._act(rig.estimate(0.0, -8.0)))
+    assert rig.link.session is None
+    await rig.control._guarded(rig.control._act(None))
+    await rig.connected()
+    await rig.follow(0.0, -8.0, 40)
+    assert (answer(bench), rig.applied["z"]) == (1.0, pytest.approx(5.0, abs=0.11)), "the answer is what the tool does"
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        (probe,) = reader.probes(0.0, 2.0**40)
+    assert probe.accepted, probe.reason
+
+
 @pytest.mark.parametrize(
     ("axis", "value_mm", "words"),
     [(Z_AXIS, 0.05, "more than the bound"), (0, 0.001, "needs one axis"), (1, 0.001, "no estimate")],
