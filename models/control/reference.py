@@ -165,7 +165,7 @@ def refuse(memory: ReferenceMemory, reference_id: str, why: str) -> Step:
     if asked is not None and asked.positioning:
         memory, more = end(memory, f"the work was positioned again, and that set none ({why})")
         effects += more
-    if memory.record is not None:
+    if memory.record is not None and not memory.requests:  # one that is still to come would be lost by going back
         effects += (ReferenceTakenUp(reference=memory.record.reference, sensors=memory.record.sensors),)
     return memory, effects
 

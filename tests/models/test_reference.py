@@ -147,6 +147,17 @@ def test_a_refused_positioning_leaves_the_work_without_a_reference_and_a_refused
         assert effects[-1] == ReferenceTakenUp(reference=memory.record.reference), "the estimate goes on from it"
 
 
+def test_the_refusal_of_one_that_was_given_up_does_not_take_the_estimate_away_from_the_next():
+    memory, late = asked_for(in_force(), "late")
+    memory, _ = reference.end(reference.withdraw(memory, "late"), "the NC program gave up waiting")
+    memory, question = asked_for(memory, "next")  # the estimation sets both before it takes any word on the first
+    memory, effects = reference.adopt(memory, answered(late), RULES, still_applied_um=0.0)
+    assert memory.state is REQUESTED and "nobody waits" in memory.outcome[1]
+    assert not any(isinstance(effect, ReferenceTakenUp) for effect in effects), "it would estimate from r1 for ever"
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    assert memory.in_force.reference_id == "next"
+
+
 def test_a_reference_that_nobody_waits_for_or_that_holds_no_longer_is_refused():
     memory, question = asked_for(polled(ReferenceMemory(), sample())[0])
     late, _ = reference.adopt(reference.withdraw(memory, "r1"), answered(question), RULES, still_applied_um=0.0)
