@@ -22,6 +22,7 @@ from models.control.reference_records import (
     ReferenceEnded,
     ReferenceMemory,
     ReferenceRequest,
+    ReferenceState,
     ReferenceTakenUp,
     SensorsSinceReference,
     ToolOrigin,
@@ -88,6 +89,8 @@ class References:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
         self._step(reference.on_sample(self.memory, polled, self._rules, asked_s=asked_s, new_id=new_id()))
         assert self.sample is not None
+        if any(asked.positioning for asked in self.memory.requests):
+            self._end_what_was_left("the work was positioned again before the output had begun")
         self.phase = phase_of(self.sample, self._safe_sequence_numbers, self._safe_flag)
 
     def request(self, identity: str, source: str, *, positioning: bool, handshake: bool = False) -> None:
@@ -117,6 +120,7 @@ class References:
 
     def end(self, why: str) -> None:
         """End the reference in force, and what was asked for before."""
+        self._end_what_was_left(why)
         self._step(reference.end(self.memory, why))
 
     def rebase(self, found: Reference) -> None:
@@ -180,6 +184,15 @@ class References:
         if changed or now_s - self._kept_real_s >= KEPT_PERIOD_REAL_S:
             self._kept, self._kept_real_s = document, now_s
             self._store.put(document)
+
+    def _end_what_was_left(self, why: str) -> None:
+        """End what the previous run left, and what has not been taken up yet: that waits for the CNC's echo."""
+        left = self.left
+        if left is not None and left.state is ReferenceState.VALID and left.record is not None:
+            source = left.record.reference.source
+            self._journal.say("notice", f"the reference of {source} is not taken up again: {why}")
+            self.left = replace(left, state=ReferenceState.ENDED, ended=why)
+            self._store.put(self.left)
 
     def _step(self, step: reference.Step) -> None:
         self.memory, effects = step

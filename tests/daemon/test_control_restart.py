@@ -8,10 +8,11 @@ from control_rig import (
 )
 
 from daemon.history import HistoryReader
-from daemon.messages import ReferenceTakenUp
+from daemon.messages import ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
+ECHO_Y = 512
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 
 
@@ -230,6 +231,32 @@ async def test_a_cnc_that_is_reached_late_is_no_short_outage(bench):
         bench.clock.monotonic_s += 8 * 3600.0
         bench.nc.reachable = True
         await rig.connected()
+        await rig.turn()
+        assert rig.state == "HOLD" and rig.control.reference is None
+
+
+@pytest.mark.parametrize("again", [False, True])
+async def test_work_that_is_positioned_before_the_echo_is_known_ends_what_the_previous_run_left(bench, again):
+    await leave(bench)
+    applied = bench.nc.macros.get(ECHO_Y)
+    bench.nc.macros.set(ECHO_Y, None)
+    async with running(bench.rig()) as rig:
+        await rig.turn(safe=False)
+        bench.nc.sequence_number = 100
+        await rig.turn(safe=False)
+        (asked,) = [each for each in rig.asked if isinstance(each, ReferenceRequest)]
+        rig.control.deliver(ReferenceRefused(reference_id=asked.reference_id, why="no temperature has arrived"))
+        bench.nc.sequence_number = 200
+        await rig.turn(safe=False)
+        assert rig.state == "none"
+        if not again:
+            bench.nc.macros.set(ECHO_Y, applied)
+            await rig.turn(safe=False)
+            assert rig.state == "HOLD" and rig.control.reference is None
+            assert "positioned again" in rig.control.reference_ended
+        assert any("is not taken up again" in notice for notice in rig.control.journal.notices)
+    bench.nc.macros.set(ECHO_Y, applied)
+    async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.state == "HOLD" and rig.control.reference is None
 
