@@ -194,8 +194,9 @@ class ControlTask:
                 for client in self._parts.macro_clients:
                     client.on_temperatures(message)
             case Reference():
-                self._unseen_reference = not (refusal := self._references.adopt(message, self.applied_um()))
-                if refusal:
+                if not (refusal := self._references.adopt(message, self.applied_um())):
+                    self._unseen_reference = True
+                else:
                     self._desk.refused(message.reference_id, refusal)
                     self.journal.notice(refusal)
             case ReferenceRebased():

@@ -275,6 +275,16 @@ async def test_what_is_delivered_waits_for_the_control_task_and_changes_nothing_
     assert rig.control.reference is not None and rig.control.journal.notices[-1] == "made up"
 
 
+async def test_a_refusal_behind_a_reference_does_not_hide_that_the_echo_is_looked_at_first(rig):
+    await rig.active()
+    rig.set_reference("r2")
+    rig.set_reference("late", positioning=False)
+    rig.control._references.withdraw("late")
+    await rig.hear()
+    assert rig.control.reference.reference_id == "r2" and "nobody waits" in rig.control.journal.notices[-1]
+    assert rig.control._unseen_reference, "the baseline is where the guard stands now, not at the last poll"
+
+
 async def test_a_defect_while_a_message_is_taken_is_a_fault_and_the_next_message_is_taken(rig, monkeypatch):
     await rig.active()
     await rig.follow(0.0, -5.0, 15)
