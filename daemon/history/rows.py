@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, WRITES
 from daemon.history.layout import Layout, MachineLayout
 from models.json_values import finite_or_none
 from models.quality import Quality
@@ -32,30 +33,16 @@ Parameters = tuple[Any, ...]
 _ENCODER = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 
 
-def _insert(table: str, columns: str) -> str:
-    names = columns.split()
+def _insert(table: str, *columns: str) -> str:
+    names = " ".join(columns).split()
     return f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"
 
 
-INSERT_CYCLE = _insert(
-    "temperature_cycles",
-    "layout_id utc_ms monotonic_ms number duration_ms complete faults counts flags",
-)
-INSERT_CNC = _insert(
-    "cnc_samples",
-    "utc_ms monotonic_ms mode run alarm program sequence_number spindle_speed_rpm motor_temperature_degc "
-    "clock_ms power_on_count work_offset tool_number macros",
-)
-INSERT_DISPLACEMENT = _insert("displacements", "utc_ms um reasons source")
-INSERT_ESTIMATE = _insert(
-    "estimates",
-    "utc_ms monotonic_ms line cycle_utc_ms delay_us thermal_error_um band_um label_degc label_reference_degc "
-    "in_domain confidence imputed model_id reference_id",
-)
-INSERT_INTENT = _insert(
-    "writes",
-    "write_id utc_ms monotonic_ms cause person state reason requested_um compensation_um enable limits_hit macros",
-)
+INSERT_CYCLE = _insert(CYCLES.table, "layout_id", *CYCLES.names, "counts", "flags")
+INSERT_CNC = _insert(CNC.table, *CNC.names)
+INSERT_DISPLACEMENT = _insert(DISPLACEMENTS.table, *DISPLACEMENTS.names)
+INSERT_ESTIMATE = _insert(ESTIMATES.table, *ESTIMATES.names)
+INSERT_INTENT = _insert(WRITES.table, *WRITES.names[: WRITES.names.index("macros") + 1])
 UPDATE_OUTCOME = (
     "UPDATE writes SET outcome = ?, sequence = ?, detail = ?, read_back = ?, applied_um = ?, "
     "outcome_after_ms = ? - utc_ms, cycle_age_ms = utc_ms - ?, "
@@ -65,8 +52,7 @@ UPDATE_OUTCOME = (
 UPDATE_ECHOED = "UPDATE writes SET echoed_after_ms = ? WHERE write_id = ?"
 INSERT_EVENT = _insert("events", "utc_ms monotonic_ms kind text person")
 INSERT_PROBE = _insert(
-    "probes",
-    "utc_ms monotonic_ms axis deviation_um applied_um thermal_error_um reference_id accepted reason",
+    "probes", "utc_ms monotonic_ms axis deviation_um applied_um thermal_error_um reference_id accepted reason"
 )
 INSERT_REFERENCE = _insert(
     "reference_points",

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from daemon.monitor.control_socket import RequestError
-from daemon.simulation.processes import RunningSimulation, SimulationError
+from daemon.simulation import SimulationError
+from daemon.simulation.processes import RunningSimulation
 
 JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""

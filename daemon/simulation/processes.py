@@ -22,9 +22,9 @@ import yaml
 from config.loader import load_configuration
 from config.schema import Configuration
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
+from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.opcua.certificates import create_application_certificate
-from models.errors import RefusedInputError
 
 FIRST_LEAD_S = 4.0
 """The simulated time starts this long after the processes [s]; doubled when they were not ready."""
@@ -36,10 +36,6 @@ LOOK_AHEAD = 1.5
 POSITIONING_S = 15.0
 """The simulated part programs stand at work positioning for longer than this [s]."""
 STOP_PATIENCE_S = 15.0
-
-
-class SimulationError(RefusedInputError):
-    """The simulation could not be set up, or it broke off; the text says why."""
 
 
 def free_port() -> int:

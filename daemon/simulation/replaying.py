@@ -22,18 +22,6 @@ LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, 
 """Wide enough not to hide what the model does; a real machine gets its own."""
 
 
-def parse_hours(text: str) -> tuple[float, float]:
-    """Return the hours that 'A-B' names; raises ValueError."""
-    first, separator, last = text.partition("-")
-    try:
-        hours = float(first), float(last)
-    except ValueError as error:
-        raise ValueError(f"hours are written A-B, such as 32-46, not {text!r}") from error
-    if not separator or not 0 <= hours[0] < hours[1]:
-        raise ValueError(f"hours are written A-B with A before B, not {text!r}")
-    return hours
-
-
 def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
     """Return the given map, or the usual one for the recording's column names."""
     return load_recording_map(map_path) if map_path is not None else usual_map(read_header(recording))

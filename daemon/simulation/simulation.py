@@ -9,6 +9,7 @@ from typing import Any
 from config.recordings.recording_map import RecordingMap
 from config.schema import Configuration
 from config.schema.cnc_drivers import OpcUaConfig
+from daemon.simulation import SimulationError
 from drivers.clock import ScaledClock
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
@@ -21,16 +22,11 @@ from drivers.sim.machine.recorded import RecordedMachine
 from drivers.sim.nc.program import demo_program, standing_program
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
-from models.errors import RefusedInputError
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
 
 Report = Callable[[dict[str, Any]], None]
-
-
-class SimulationError(RefusedInputError):
-    """The simulated machine cannot be built; the text says why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from config.records.commissioning import CommissioningError, load_commissioning
 from daemon.cli import main
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.model_release.loading import read_model
-from daemon.simulation.processes import SimulationError
+from daemon.simulation import SimulationError
 
 
 def refused(*arguments):

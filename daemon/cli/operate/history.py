@@ -93,11 +93,7 @@ def rows_of(reader: HistoryReader, what: str, from_utc_s: float) -> list[dict[st
 
 
 def _probe_row(probe: ProbeSample) -> dict[str, Any]:
-    numbers = {
-        "deviation_um": probe.deviation_um,
-        "applied_um": probe.applied_um,
-        "thermal_error_um": probe.thermal_error_um,
-    }
+    numbers = {name: getattr(probe, name) for name in ("deviation_um", "applied_um", "thermal_error_um")}
     return {
         "time_utc": iso(probe.time.utc_s),
         "axis": probe.axis,

@@ -14,10 +14,10 @@ import yaml
 
 from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
+from daemon.simulation import SimulationError
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
 from daemon.simulation.processes import (
     RunningSimulation,
-    SimulationError,
     folder_for,
     start_simulation,
     write_simulation_configuration,

@@ -13,12 +13,13 @@ from daemon.cli.common import (
     NOT_NEGATIVE,
     POSITIVE,
     config_option,
+    hours_option,
     option,
     read_configuration,
     refuse,
 )
 from daemon.cli.operate.run import parse_simulated_clock
-from daemon.simulation.replaying import map_of, parse_hours
+from daemon.simulation.replaying import map_of
 from daemon.simulation.simulation import packed_simulation, recorded_simulation, simulated_day
 from daemon.telemetry.logs import configure_logging
 from drivers.contract import DriverError
@@ -52,7 +53,7 @@ from drivers.contract import DriverError
     type=EXISTING,
     help="Script (YAML) of a sensor that is moved between two packs (prepared by `toolpoint latency`).",
 )
-@option("--hours", metavar="A-B", help="Play these hours of the recording only.")
+@hours_option("--hours", help="Play these hours of the recording only.")
 @option("--faults", "faults_path", type=EXISTING, help="Fault script (YAML).")
 @option("--until-s", type=NOT_NEGATIVE, help="Send no cycle that would begin after this time [s].")
 @option("--report-s", type=POSITIVE, default=10.0, help="Time between reports [s].")
@@ -70,7 +71,7 @@ def simulate(
     recording: Path | None,
     map_path: Path | None,
     packs_path: Path | None,
-    hours: str | None,
+    hours: tuple[float, float] | None,
     faults_path: Path | None,
     until_s: float | None,
     report_s: float,
@@ -94,7 +95,7 @@ def simulate(
                 clock,
                 recording,
                 recording_map=map_of(recording, map_path),
-                hours=parse_hours(hours) if hours else None,
+                hours=hours,
             )
         else:
             work = simulated_day(configuration, clock, day, standing=standing)

@@ -1,5 +1,7 @@
 """The kinds of record that are packed, column by column, as the schema's tables have them."""
 
+from functools import partial
+
 from daemon.history.columns.frames import Column, ColumnType, Kind
 
 
@@ -7,20 +9,10 @@ def _columns(type_: ColumnType, names: str) -> tuple[Column, ...]:
     return tuple(Column(name=name, type=type_) for name in names.split())
 
 
-def _integers(names: str) -> tuple[Column, ...]:
-    return _columns(ColumnType.INTEGER, names)
-
-
-def _numbers(names: str) -> tuple[Column, ...]:
-    return _columns(ColumnType.NUMBER, names)
-
-
-def _texts(names: str) -> tuple[Column, ...]:
-    return _columns(ColumnType.TEXT, names)
-
-
-def _mappings(names: str) -> tuple[Column, ...]:
-    return _columns(ColumnType.MAPPING, names)
+_integers = partial(_columns, ColumnType.INTEGER)
+_numbers = partial(_columns, ColumnType.NUMBER)
+_texts = partial(_columns, ColumnType.TEXT)
+_mappings = partial(_columns, ColumnType.MAPPING)
 
 
 def _relative(name: str) -> Column:

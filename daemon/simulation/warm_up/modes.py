@@ -61,11 +61,7 @@ class CaseMachine:
 def cold_modes(case: StabilityCase, range_rpm: tuple[float, float]) -> VibrationModes:
     """Return the modes of a case as those of the cold machine.
 
-    Raises
-    ------
-    StabilityError
-        When a mode is not real, or one axis acts on the other: the simulated cut knows neither.
-
+    Raises StabilityError when a mode is not real, or one axis acts on the other: the simulated cut knows neither.
     """
     response, _ = modal_response_of(case, *range_rpm)
     if response.xy or response.yx:

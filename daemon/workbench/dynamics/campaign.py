@@ -201,15 +201,8 @@ def run_campaign(
 ) -> CampaignResult:
     """Identify all responses and fit the regressions.
 
-    Raises
-    ------
-    IdentificationError
-        When responses cannot be fitted, or minutes do not suffice.
-    MeasurementError
-        When a response is of another unit, unless `trust_units`.
-    ImpactIndexError
-        When runs do not fit together.
-
+    Raises IdentificationError when responses cannot be fitted, or minutes do not suffice; MeasurementError when a
+    response is of another unit, unless `trust_units`; ImpactIndexError when runs do not fit together.
     """
     if not spindle.shaft.supports:
         raise IdentificationError(f"{spindle_file}: describes no bearings; give their positions and groups")

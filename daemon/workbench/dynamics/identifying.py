@@ -40,11 +40,8 @@ class Band:
 def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
     """Return the average of all responses in the files, cut to the band.
 
-    Raises
-    ------
-    MeasurementError, MeasurementFileError
-        When a file cannot be read or the band cannot determine the parameters.
-
+    Raises MeasurementError or MeasurementFileError when a file cannot be read or the band cannot determine the
+    parameters.
     """
     whole = average([each for path in paths for each in read_measurements(path)])
     if not band.trust_units and len(whole.frequency_hz):
@@ -73,13 +70,8 @@ def bearings_summary(
 
     `auto` keeps what is not varied at the values of section 5.2.3 and, when that fits badly, at the file's.
 
-    Raises
-    ------
-    ResponseError
-        When the spindle has no bearings.
-    MeasurementError
-        When the response is of another unit, unless `trust_units`.
-
+    Raises ResponseError when the spindle has no bearings; MeasurementError when the response is of another unit,
+    unless `trust_units`.
     """
     if not spindle.shaft.supports:
         raise ResponseError("the file describes no bearings; give their positions and groups under `bearings`")
@@ -174,13 +166,8 @@ def contact_summary(
 ) -> dict[str, Any]:
     """Return what `toolpoint dynamics contact` prints.
 
-    Raises
-    ------
-    ResponseError
-        When the file lacks the joint's sides.
-    MeasurementError
-        When the response is of another unit, unless `trust_units`.
-
+    Raises ResponseError when the file lacks the joint's sides; MeasurementError when the response is of another unit,
+    unless `trust_units`.
     """
 
     def identified(measured: Measurement, method: Method) -> Identified:

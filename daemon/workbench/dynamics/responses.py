@@ -56,11 +56,7 @@ def frequencies(from_hz: float, to_hz: float, points: int | None, step_hz: float
 def properties(spindle: Spindle) -> BearingProperties:
     """Return the bearing properties that the file states, by group.
 
-    Raises
-    ------
-    ResponseError
-        When two bearings of one group differ.
-
+    Raises ResponseError when two bearings of one group differ.
     """
     found: dict[str, SpringDamper] = {}
     for support in spindle.shaft.supports:

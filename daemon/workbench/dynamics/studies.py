@@ -150,11 +150,7 @@ def _multiplied(told: Constants, moduli: tuple[str, ...], young: float, shear: f
 def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequency_hz: FloatArray) -> dict[str, Any]:
     """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside that of the first.
 
-    Raises
-    ------
-    ResponseError
-        Naming the file of the layout that has no such place, or no finite response.
-
+    Raises ResponseError naming the file of the layout that has no such place, or no finite response.
     """
     layouts: list[dict[str, Any]] = []
     for file, spindle in spindles:

@@ -73,11 +73,7 @@ def track_recording(
     progress
         Called with what is done, how much of it, and of how much.
 
-    Raises
-    ------
-    TrackingError
-        When a signal is missing, or no result comes out.
-
+    Raises TrackingError when a signal is missing, or no result comes out.
     """
     labels = {name: (index,) for index, name in enumerate(temperatures.signals)}
     assemblies = {axis: spindle.assembly(at) for axis, spindle in spindles.items()}

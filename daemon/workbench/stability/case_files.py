@@ -32,13 +32,7 @@ PLACES = {"x": (0, 0), "xy": (0, 1), "yx": (1, 0), "y": (1, 1)}
 def response_of(case: StabilityCase) -> ToolPointResponse:
     """Return the structure of a case: modes, or samples as soon as one direction is an FRF.
 
-    Raises
-    ------
-    MeasurementFileError
-        For a file that is no FRF.
-    StabilityError
-        When two FRFs have different frequencies.
-
+    Raises MeasurementFileError for a file that is no FRF; StabilityError when two FRFs have different frequencies.
     """
     directions = {name: direction for name in PLACES if isinstance(direction := getattr(case, name), DirectionCase)}
     files = {name: read_direction(case, name, direction) for name, direction in directions.items() if direction.frf}
@@ -58,13 +52,8 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
 def read_direction(case: StabilityCase, name: str, direction: DirectionCase) -> Measurement:
     """Return the frequency response that a direction (x, y, xy, yx) of a case names.
 
-    Raises
-    ------
-    MeasurementFileError
-        For a file that cannot be read.
-    StabilityError
-        When it is no response that a tool point of the case's diameter can have.
-
+    Raises MeasurementFileError for a file that cannot be read; StabilityError when it is no response that a tool
+    point of the case's diameter can have.
     """
     assert direction.frf is not None
     found = read_frf(direction.frf)
@@ -81,13 +70,8 @@ def read_direction(case: StabilityCase, name: str, direction: DirectionCase) -> 
 def read_frf(path: Path) -> Measurement:
     """Return the one frequency response of a file.
 
-    Raises
-    ------
-    MeasurementFileError
-        For a file that cannot be read.
-    StabilityError
-        When it holds several responses, hardly any frequencies, or another unit.
-
+    Raises MeasurementFileError for a file that cannot be read; StabilityError when it holds several responses, hardly
+    any frequencies, or another unit.
     """
     responses = read_measurements(path)
     if len(responses) != 1:
@@ -112,13 +96,8 @@ def modal_response(modes: dict[str, tuple[Mode, ...]]) -> ModalResponse:
 def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tuple[ModalResponse, tuple[str, ...]]:
     """Return the modes of a case, fitted where a direction is an FRF, and warnings about the fits.
 
-    Raises
-    ------
-    MeasurementFileError
-        For a file that is no FRF.
-    StabilityError
-        When an FRF does not cover the tooth-passing band of the speeds [1/min], or no modes follow it.
-
+    Raises MeasurementFileError for a file that is no FRF; StabilityError when an FRF does not cover the tooth-passing
+    band of the speeds [1/min], or no modes follow it.
     """
     modes: dict[str, tuple[Mode, ...]] = {}
     warnings: tuple[str, ...] = ()

@@ -1,14 +1,14 @@
 """Chatter and roughness from files."""
 
-import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from daemon.workbench.stability.csv_rows import csv_rows
 from drivers.files.accelerometer_recording import AccelerationRecording
 from models.errors import StabilityError
 from models.json_values import finite_or_none
@@ -76,14 +76,8 @@ def _content(verdict: ChatterVerdict, recording: AccelerationRecording, begin_s:
         "tooth_passing_hz": verdict.tooth_passing_hz,
         "sample_rate_hz": recording.sample_rate_hz,
         "frames": [
-            {
-                "time_s": frame.time_s + offset_s,
-                "chatter": frame.chatter,
-                "frequency_hz": frame.frequency_hz,
-                "power": frame.power,
-                "forced_power": frame.forced_power,
-                "prominence": frame.prominence,
-            }
+            {name: value for name, value in asdict(frame).items() if name != "tooth_passing_hz"}
+            | {"time_s": frame.time_s + offset_s}
             for frame in verdict.frames
         ],
     }
@@ -95,18 +89,11 @@ DEPTH_COLUMN = "depth_mm"
 
 def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
     """Return the roughness per depth of a profile (CSV: position_mm,height_um[,depth_mm]); raises StabilityError."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            names = [name.strip() for name in reader.fieldnames or []]
-            if missing := [name for name in PROFILE_COLUMNS if name not in names]:
-                raise StabilityError(f"{path}:1: there is no column {' and '.join(missing)} in {', '.join(names)}")
-            reader.fieldnames = names
-            rows = [_profile_row(path, number, row) for number, row in enumerate(reader, start=2)]
-    except OSError as error:
-        raise StabilityError(f"{path}: cannot be opened ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise StabilityError(f"{path}: is not UTF-8 text; export the profile as CSV") from error
+    with csv_rows(path, "profile") as reader:
+        names = reader.fieldnames or []
+        if missing := [name for name in PROFILE_COLUMNS if name not in names]:
+            raise StabilityError(f"{path}:1: there is no column {' and '.join(missing)} in {', '.join(names)}")
+        rows = [_profile_row(path, number, row) for number, row in enumerate(reader, start=2)]
     if not rows:
         raise StabilityError(f"{path}: holds no points after its header")
     table = np.array(rows)
@@ -115,13 +102,7 @@ def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
     except StabilityError as error:
         raise StabilityError(f"{path}: {error}") from None
     return [
-        {
-            "depth_mm": depth if DEPTH_COLUMN in names else None,
-            "ra_um": roughness.ra_um,
-            "rq_um": roughness.rq_um,
-            "rz_um": roughness.rz_um,
-            "points": roughness.points,
-        }
+        {"depth_mm": depth if DEPTH_COLUMN in names else None, **asdict(roughness)}
         for depth, roughness in found.items()
     ]
 

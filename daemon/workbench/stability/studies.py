@@ -11,6 +11,7 @@ import numpy as np
 
 from config.machine.stability_case import DirectionCase, StabilityCase, load_stability_case
 from daemon.workbench.stability.case_files import read_direction
+from daemon.workbench.stability.csv_rows import csv_rows
 from daemon.workbench.stability.lobes import LobesRequest, find_lobes
 from models.dynamics.measurement import Measurement
 from models.errors import StabilityError
@@ -77,27 +78,20 @@ def modes_content(fit: ModalFit) -> dict[str, Any]:
 
 def fit_force_file(path: Path, case: StabilityCase, depth_mm: float) -> CoefficientFit:
     """Return the coefficients of a table of mean forces (CSV); raises StabilityError naming file and line."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            table = _forces(path, file.read().splitlines())
-    except OSError as error:
-        raise StabilityError(f"{path}: cannot be opened ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise StabilityError(f"{path}: is not UTF-8 text; export the forces as CSV") from error
+    with csv_rows(path, "forces") as reader:
+        table = _forces(path, reader)
     try:
         return fit_mean_forces(case.cut(), depth_mm, table[:, 0], table[:, 1], table[:, 2], path.stem)
     except StabilityError as error:
         raise StabilityError(f"{path}: {error}") from None
 
 
-def _forces(path: Path, lines: Sequence[str]) -> FloatArray:
-    reader = csv.DictReader(lines)
-    names = [name.strip() for name in reader.fieldnames or []]
+def _forces(path: Path, reader: "csv.DictReader[str]") -> FloatArray:
+    names = reader.fieldnames or []
     if missing := [name for name in FORCE_COLUMNS if name not in names]:
         raise StabilityError(
             f"{path}:1: there is no column {', '.join(missing)}; mean forces have the header {','.join(FORCE_COLUMNS)}"
         )
-    reader.fieldnames = names
     rows = []
     for number, row in enumerate(reader, start=2):
         try:

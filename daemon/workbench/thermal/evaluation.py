@@ -1,7 +1,7 @@
 """Evaluates thermal models on recordings: what is trained on, what is tested, and the figures of both."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +85,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Return the figures of a family of models on recordings, for JSON.
 
-    Raises
-    ------
-    DatasetError
-        When the recordings cannot be trained on or tested as asked for.
-
+    Raises DatasetError when the recordings cannot be trained on or tested as asked for.
     """
     if protocol.leave_out == "runs":
         _require_different(recordings)
@@ -212,14 +208,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
         "refused": "; ".join(f"{o.name}: {o.trust.refused}" if several else str(o.trust.refused) for o in refusals)
         or None,
         "faults": [
-            {
-                "sensor": fault.sensor,
-                "kind": fault.kind,
-                "found_after_min": fault.found_after_min,
-                "max_ratio": fault.max_ratio,
-                "excluded_instead": list(fault.excluded_instead),
-                "blamed_instead": list(fault.excluded_instead),  # its name in 0.1.0
-            }
+            {**asdict(fault), "blamed_instead": fault.excluded_instead}  # its name in 0.1.0
             for o in outcomes
             for fault in o.faults
         ],

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -234,9 +234,7 @@ def _energy(recording: Recording, time_min: FloatArray, choices: ReportChoices) 
 def _process(process: Process, chiller_kw: float, rotating_share: float | None) -> dict[str, Any]:
     runs = {"always_on": 1.0, "idle_reduction": rotating_share, "off": 0.0}
     return {
-        "cut_kwh": process.cut_kwh,
-        "motor_kwh": process.motor_kwh,
-        "time_h": process.time_h,
+        **asdict(process),
         "productivity_per_h": round(productivity_per_h(process), 4),
         "energy_efficiency": {
             name: None
