@@ -1,6 +1,5 @@
 """A recording of temperatures and displacements, what may be wrong with it, and its parts."""
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,27 +143,6 @@ class Recording:
             temperatures_degc=temperatures_degc,
             displacements_um=displacements_um,
         )
-
-    def split_at_speed_changes(self, change_rpm: float = 100.0) -> list["Recording"]:
-        """Return the stretches of constant spindle speed.
-
-        Spindle deformation by inertia makes displacements jump at a change of speed; increments
-        that never cross one do not carry the jump.
-
-        Raises DatasetError when the speed was not recorded.
-
-        `change_rpm`: a stretch ends where the speed has left its first value by more than this [1/min].
-        """
-        if self.speed_rpm is None:
-            raise DatasetError(f"{self.name}: to split at changes of speed, the recording needs a speed column")
-        bounds = [0]
-        level_rpm = self.speed_rpm[0] if self.rows else 0.0
-        for row, speed_rpm in enumerate(self.speed_rpm):
-            if abs(speed_rpm - level_rpm) > change_rpm or np.isnan(level_rpm):
-                bounds.append(row)
-                level_rpm = speed_rpm
-        bounds.append(self.rows)
-        return [self.part(a, b) for a, b in itertools.pairwise(bounds) if b > a]
 
     def without_impossible(self) -> "Recording":
         """Return the recording in which single values that cannot be are missing (`models.recordings.plausibility`)."""

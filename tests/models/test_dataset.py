@@ -161,14 +161,6 @@ def test_down_sampling_averages_every_column_and_never_adds_rows() -> None:
     assert minutes.downsampled(10.0) is minutes
 
 
-def test_stretches_of_constant_speed() -> None:
-    speed = np.r_[np.full(5, 0.0), [600.0], np.full(20, 5000.0), np.full(34, 5040.0)]
-    parts = replace(recording(), speed_rpm=speed).split_at_speed_changes()
-    assert [part.rows for part in parts] == [5, 1, 54]
-    with pytest.raises(DatasetError, match="needs a speed column"):
-        replace(recording(), speed_rpm=None).split_at_speed_changes()
-
-
 def test_rows_of_recordings_that_are_used_together_count_together() -> None:
     short = recording(rows=20, sensors=30)
     with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
