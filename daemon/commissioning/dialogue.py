@@ -5,6 +5,7 @@ import contextlib
 import math
 import os
 import select
+import termios
 from typing import Protocol
 
 import click
@@ -13,6 +14,8 @@ from daemon.commissioning.initialising import CommissioningRefusedError
 
 LOOK_S = 0.05
 """Pause between two looks at the keyboard; the heartbeat to the CNC runs in it [s of the wall clock]."""
+MOST_READS = 256
+"""So many reads throw away what a person has typed; more comes from a program."""
 YES = ("y", "yes")
 NO = ("", "n", "no")
 
@@ -45,13 +48,15 @@ class Dialogue(Protocol):
 
 
 class TerminalDialogue:
-    """Asks on the terminal, without a thread that would wait for a key for ever."""
+    """Asks on the terminal, without a thread that would wait for a key for ever.
+
+    What was typed before a question is no answer to it, and is thrown away.
+    """
 
     def __init__(self, *, consent: bool, descriptor: int = 0) -> None:
         """`consent` says yes to every step beforehand, and asks for nothing."""
         self.interactive = not consent
         self._descriptor = descriptor
-        self._unread = b""
 
     def say(self, text: str) -> None:
         """Print a line; a terminal that is gone must not stop the way back to zero."""
@@ -97,22 +102,42 @@ class TerminalDialogue:
         return await self._ask(f"{question} ") if self.interactive else ""
 
     async def _ask(self, prompt: str) -> str:
+        if self._discard():
+            self.say("What was typed before this question does not count.")
         with contextlib.suppress(OSError):
             click.echo(prompt, nl=False)
-        while b"\n" not in self._unread:
-            ready, _, _ = select.select([self._descriptor], [], [], 0)
-            if not ready:
+        line = b""
+        while b"\n" not in line:
+            if not self._ready():
                 await asyncio.sleep(LOOK_S)
                 continue
-            try:
-                data = os.read(self._descriptor, 4096)
-            except OSError:
-                data = b""  # the terminal is gone
+            data = self._read()
             if not data:
                 raise CommissioningRefusedError(
                     f"nobody answered {prompt.strip()!r}: standard input has ended. Answer on a terminal, or with "
-                    "--yes, --person, --instrument and --channel"
+                    "--yes, --person, --instrument and --channel; what is there before it is asked for does not count"
                 )
-            self._unread += data
-        line, _, self._unread = self._unread.partition(b"\n")
-        return line.decode("utf-8", "replace").strip()
+            line += data
+        return line.partition(b"\n")[0].decode("utf-8", "replace").strip()
+
+    def _discard(self) -> bool:
+        """Throw away what has been typed so far, half a line too; return whether there was any."""
+        typed = False
+        if os.isatty(self._descriptor):
+            typed = self._ready()
+            with contextlib.suppress(termios.error):  # the terminal is gone
+                termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        for _ in range(MOST_READS):
+            if not (self._ready() and self._read()):
+                return typed
+            typed = True
+        raise CommissioningRefusedError("standard input does not end: answer on a terminal, question by question")
+
+    def _ready(self) -> bool:
+        return bool(select.select([self._descriptor], [], [], 0)[0])
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._descriptor, 4096)
+        except OSError:
+            return b""  # the terminal is gone

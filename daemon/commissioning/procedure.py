@@ -24,7 +24,7 @@ from daemon.commissioning.preconditions import (
     refuse_unchecked,
     told_text,
 )
-from daemon.commissioning.readings import DisplacementLog, Instruments, Moment, Reading
+from daemon.commissioning.readings import WORDS, DisplacementLog, Instruments, Moment, Reading
 from daemon.commissioning.station import Station
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import WantedAxes
@@ -231,9 +231,22 @@ class Commissioning:
         return found
 
     async def _read(self, axis: str, moment: Moment) -> Mapping[str, Reading]:
-        readings = await self._instruments.take(axis, moment, self._station.axes)
+        station = self._station
+        self._refuse_motion(axis, moment)
+        readings = await self._instruments.take(axis, moment, station.axes)
+        await station.next_beat()
+        self._refuse_motion(axis, moment)
         refuse_noise(axis, self._plan.offset_um, readings[axis])
         return readings
+
+    def _refuse_motion(self, axis: str, moment: Moment) -> None:
+        """Refuse a reading, before and after it is taken, unless the guard applies what was asked."""
+        station = self._station
+        if not station.applied(station.target_um) or np.any(station.command_um != station.target_um):
+            raise CommissioningRefusedError(
+                f"axis {axis}: the guard did not apply what was asked while the instrument was read {WORDS[moment]}: "
+                "the reading proves nothing; find what moves the axis, and begin again"
+            )
 
     def _record(self) -> CommissioningRecord:
         plan, outcome = self._plan, self._outcome

@@ -277,6 +277,15 @@ async def test_the_block_stays_valid_while_a_person_takes_his_time(bench):
     assert seen == [(True, 0.0)]
 
 
+async def test_a_reading_while_the_axis_is_not_where_it_was_asked_to_be_is_refused(bench):
+    bench.reset(program=STOPPED)
+    person = Obedient(bench)
+    person.when_applied("z", lambda: bench.machine.guard.place(bench.machine.nc.macros, {"z": 4.0}))
+    sentence = await refused(bench, person, axes=("z",))
+    assert "axis z: the guard did not apply what was asked while the instrument was read with the offset" in sentence
+    assert "Everything is back at zero" in person.text_said and bench.at_rest()
+
+
 # --- links, signals, strangers ---------------------------------------------------------
 
 

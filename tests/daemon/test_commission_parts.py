@@ -5,12 +5,14 @@ import json
 import os
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 import yaml
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from terminal import Terminal
 
 from config.loader import load_configuration
 from config.machines import shipped_file
@@ -193,26 +195,84 @@ def test_the_digest_follows_the_content():
 # --- dialogue --------------------------------------------------------------------------
 
 
-def answered(text: bytes, *, consent: bool = False) -> TerminalDialogue:
-    reading, writing = os.pipe()
-    os.write(writing, text)
-    os.close(writing)
-    return TerminalDialogue(consent=consent, descriptor=reading)
+@pytest.fixture
+def terminal():
+    with Terminal() as terminal:
+        yield terminal
+
+
+async def asked(capsys, asking, *lines, answer):
+    """Ask; answer each time the question is shown, as `answer` does it; return what was understood."""
+    waiting, shown = asyncio.create_task(asking), ""
+    for line in lines:
+        while "? " not in (piece := capsys.readouterr().out):
+            shown += piece
+            await asyncio.sleep(0)
+            assert not waiting.done(), "nobody has answered"
+        shown += piece
+        answer(line)
+    return await waiting, shown + capsys.readouterr().out
 
 
 async def test_answers_are_read_line_by_line(capsys):
-    dialogue = answered(b"maybe\ny\nno\n\nfive\n4,5\n-0.2\n\nDr. \xc3\xa4\n")
-    assert await dialogue.confirm("go?") is True
-    assert await dialogue.confirm("go?") is False
-    assert await dialogue.confirm("go?") is False
-    assert await dialogue.number("um:") == 4.5
-    assert await dialogue.number("um:") == -0.2
-    assert await dialogue.number("um:") is None
-    assert await dialogue.text("name:") == "Dr. ä"
-    said = capsys.readouterr().out
-    assert "answer y or n" in said and "'five' is no number" in said
+    reading, writing = os.pipe()
+    dialogue = TerminalDialogue(consent=False, descriptor=reading)
+
+    async def heard(asking, *lines):
+        return await asked(capsys, asking, *lines, answer=lambda line: os.write(writing, line))
+
+    found, said = await heard(dialogue.confirm("go?"), b"maybe\n", b"y\n")
+    assert found is True and "answer y or n" in said
+    assert (await heard(dialogue.confirm("go?"), b"no\n"))[0] is False
+    assert (await heard(dialogue.confirm("go?"), b"\n"))[0] is False
+    found, said = await heard(dialogue.number("um?"), b"five\n", b"4,5\n")
+    assert found == 4.5 and "'five' is no number" in said
+    assert (await heard(dialogue.number("um?"), b"-0.2\n"))[0] == -0.2
+    assert (await heard(dialogue.number("um?"), b"\n"))[0] is None
+    assert (await heard(dialogue.text("name?"), b"Dr. \xc3\xa4\n"))[0] == "Dr. ä"
+    os.close(writing)
     with pytest.raises(CommissioningRefusedError, match="standard input has ended"):
-        await dialogue.text("name:")
+        await dialogue.text("name?")
+    os.close(reading)
+
+
+async def test_readings_that_were_typed_before_they_were_asked_for_do_not_count(capsys, terminal):
+    dialogue = TerminalDialogue(consent=False, descriptor=terminal.inside)
+    terminal.type_ahead("0.2\n2.3\n0.25\n")
+    for um in (0.1, 4.9, 0.0):
+        found, said = await asked(capsys, dialogue.number("um?"), f"{um}\n7\n8", answer=terminal.type)
+        assert found == um
+        assert "What was typed before this question does not count." in said
+
+
+async def test_half_a_line_that_was_typed_before_is_no_beginning_of_the_answer(capsys, terminal):
+    dialogue = TerminalDialogue(consent=False, descriptor=terminal.inside)
+    terminal.type_ahead("4")
+    assert (await asked(capsys, dialogue.number("um?"), "5\n", answer=terminal.type))[0] == 5.0
+
+
+async def test_a_confirmation_that_was_typed_before_its_question_is_none(capsys, terminal):
+    dialogue = TerminalDialogue(consent=False, descriptor=terminal.inside)
+    terminal.type_ahead("y\ny\n")
+    assert (await asked(capsys, dialogue.confirm("overwrite?"), "n\n", answer=terminal.type))[0] is False
+
+
+async def test_lines_in_a_pipe_that_were_there_before_do_not_count(capsys):
+    reading, writing = os.pipe()
+    os.write(writing, b"0.2\n2.3\n0.25\n")
+    dialogue = TerminalDialogue(consent=False, descriptor=reading)
+    found, _ = await asked(capsys, dialogue.number("um?"), b"5\n", answer=lambda line: os.write(writing, line))
+    assert found == 5.0
+    os.write(writing, b"y\n")
+    os.close(writing)
+    with pytest.raises(CommissioningRefusedError, match="does not count"):
+        await dialogue.confirm("go?")
+    os.close(reading)
+
+
+async def test_an_input_that_never_ends_is_refused():
+    with Path("/dev/zero").open("rb") as endless, pytest.raises(CommissioningRefusedError, match="does not end"):
+        await TerminalDialogue(consent=False, descriptor=endless.fileno()).confirm("go?")
 
 
 async def test_waiting_for_a_person_lets_everything_else_go_on():
@@ -229,7 +289,7 @@ async def test_waiting_for_a_person_lets_everything_else_go_on():
 
 
 async def test_general_consent_covers_steps_but_no_foreign_values():
-    dialogue = answered(b"", consent=True)
+    dialogue = TerminalDialogue(consent=True)
     assert await dialogue.confirm("go?") is True
     assert await dialogue.confirm_expressly("overwrite?") is False
     assert await dialogue.number("um:") is None
@@ -312,19 +372,19 @@ def test_without_a_model_no_axis_is_moved_unless_it_is_named(tmp_path):
     assert found.exit_code == 1 and "unencrypted, anonymous connection" in found.output
 
 
-async def test_a_reading_given_beforehand_counts_only_once_a_person_has_seen_it():
+async def test_a_reading_given_beforehand_counts_only_once_a_person_has_seen_it(capsys, terminal):
     given = {("z", "z"): (0.0, 5.0, 0.0)}
 
     def instruments(dialogue):
         return Instruments(dialogue, log=None, channels={}, given=given, samples=2, patience_s=1.0)
 
-    asked = answered(b"y\nn\n")
-    seen = instruments(asked)
-    assert (await seen.take("z", Moment.BEFORE, ("z",)))["z"].um == 0.0
+    seen = instruments(TerminalDialogue(consent=False, descriptor=terminal.inside))
+    taken, _ = await asked(capsys, seen.take("z", Moment.BEFORE, ("z",)), "y\n", answer=terminal.type)
+    assert taken["z"].um == 0.0
     with pytest.raises(CommissioningRefusedError, match="no person has confirmed 5 um with the offset applied"):
-        await seen.take("z", Moment.AT_OFFSET, ("z",))
+        await asked(capsys, seen.take("z", Moment.AT_OFFSET, ("z",)), "n\n", answer=terminal.type)
     with pytest.raises(CommissioningRefusedError, match="no person has confirmed 0 um"):
-        await instruments(answered(b"", consent=True)).take("z", Moment.BEFORE, ("z",))
+        await instruments(TerminalDialogue(consent=True)).take("z", Moment.BEFORE, ("z",))
 
 
 def test_secrets_come_from_a_folder_where_there_is_no_service(tmp_path):

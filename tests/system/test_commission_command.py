@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from pace import bearable
+from terminal import Terminal
 
 from config.records.commissioning import load_commissioning
 from daemon.cli.simulate.demo import demo_machine
@@ -19,8 +20,8 @@ from daemon.simulation.processes import write_simulation_configuration
 
 TOOLPOINT = [sys.executable, "-P", "-m", "daemon.cli"]
 PATIENCE_S = 600.0
-READINGS = ["--reading", "x=0,5,0.1", "--reading", "y=0.3,5.2,0.3", "--reading", "z=-0.1,4.8,0"]
-
+READING_TEXTS = {"x": ("0", "5", "0.1"), "y": ("0.3", "5.2", "0.3"), "z": ("-0.1", "4.8", "0")}
+READINGS = [word for axis, um in READING_TEXTS.items() for word in ("--reading", f"{axis}={','.join(um)}")]
 AXES = ["--axis", "x", "--axis", "y", "--axis", "z"]
 
 
@@ -63,14 +64,9 @@ class Standing:
         assert json.loads(process.stdout.readline())["ready"]
         return process
 
-    def commission(self, *arguments: str) -> "subprocess.Popen[str]":
-        return subprocess.Popen(
-            [*TOOLPOINT, "commission", "--config", self.config, "--simulated-clock", self.clock, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+    def commission(self, terminal: Terminal, *arguments: str) -> "subprocess.Popen[bytes]":
+        command = [*TOOLPOINT, "commission", "--config", self.config, "--simulated-clock", self.clock]
+        return terminal.run([*command, *arguments])
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +80,28 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Standing]:
         process.communicate()
 
 
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    with Terminal() as terminal:
+        yield terminal
+
+
 @pytest.mark.wires
-def test_a_person_confirms_readings_and_the_record_is_accepted(standing: Standing) -> None:
+def test_a_person_confirms_readings_and_the_record_is_accepted(standing: Standing, terminal: Terminal) -> None:
     report = standing.directory / "report.html"
     process = standing.commission(
-        "--person", "A. Fitter", "--instrument", "i", *AXES, *READINGS, "--report", str(report)
+        terminal, "--person", "A. Fitter", "--instrument", "i", *AXES, *READINGS, "--report", str(report)
     )
-    # the control; per axis: in place, seen before, no instrument along the two others, seen with the offset, seen after
-    said, _ = process.communicate(input="y\n" + 3 * "y\ny\n\n\ny\ny\n", timeout=PATIENCE_S)
-    assert process.returncode == 0, said
+    terminal.answer("Is this the control", "y", PATIENCE_S)
+    for axis, readings in READING_TEXTS.items():
+        others = [other for other in READING_TEXTS if other != axis]
+        terminal.answer(f"Is the instrument along {axis} in place", "y", PATIENCE_S)
+        for moment, reading in enumerate(readings):
+            terminal.answer(f"Does the instrument along {axis} read {reading} um", "y", PATIENCE_S)
+            for other in others if moment == 0 else ():
+                terminal.answer(f"Reading along {other}, which must not move", "", PATIENCE_S)
+    terminal.until("Report to sign", PATIENCE_S)
+    assert process.wait(PATIENCE_S) == 0, terminal.shown
     record = load_commissioning(standing.record)
     assert (record.person, sorted(record.axes)) == ("A. Fitter", ["x", "y", "z"])
     assert record.axes["z"].measured_um == pytest.approx(4.85)
@@ -104,26 +113,33 @@ def test_a_person_confirms_readings_and_the_record_is_accepted(standing: Standin
 
 
 @pytest.mark.wires
-def test_a_person_answers_at_the_keyboard_and_leaves_with_control_c(standing: Standing) -> None:
-    process = standing.commission("--axis", "z", "--record", str(standing.directory / "other.json"))
-    assert process.stdin is not None and process.stdout is not None
-    # name, instrument, the control, in place, reading before; then nothing: the offset is applied
-    process.stdin.write("B. Operator\nindicator 3\ny\ny\n0.0\n\n\n")
-    process.stdin.flush()
-    said = ""
-    while "with the offset applied" not in said:
-        piece = process.stdout.read(1)
-        assert piece, said
-        said += piece
+def test_what_is_typed_before_anything_moves_is_no_reading_and_control_c_leaves(
+    standing: Standing, terminal: Terminal
+) -> None:
+    process = standing.commission(terminal, "--axis", "z", "--record", str(standing.directory / "other.json"))
+    terminal.answer("Your name", "B. Operator", PATIENCE_S)
+    terminal.answer("Instrument", "indicator 3", PATIENCE_S)
+    terminal.answer("Is this the control", "y", PATIENCE_S)
+    terminal.type_ahead("y\n0.2\n\n\n2.3\n\n\n0.25\n\n\n")
+    terminal.until("typed before this question does not count", PATIENCE_S)
+    terminal.answer("in place", "y", PATIENCE_S)
+    terminal.answer("Reading along z, at zero, before the offset", "0.0", PATIENCE_S)
+    for axis in "xy":
+        terminal.answer(f"Reading along {axis}, which must not move", "", PATIENCE_S)
+    terminal.type_ahead("2.3\n0.25\n")
+    terminal.until("typed before this question does not count", PATIENCE_S)
+    terminal.until("with the offset applied", PATIENCE_S)
     process.send_signal(signal.SIGINT)
-    rest, _ = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 130, said + rest
-    assert "Everything is back at zero" in rest and "Not commissioned: interrupted" in rest
+    terminal.until("Not commissioned: interrupted", PATIENCE_S)
+    assert process.wait(PATIENCE_S) == 130, terminal.shown
+    assert "Everything is back at zero" in terminal.shown
     assert not (standing.directory / "other.json").exists()
 
 
 @pytest.mark.wires
-def test_the_daemon_takes_the_record_and_the_block_and_keeps_the_command_away(standing: Standing) -> None:
+def test_the_daemon_takes_the_record_and_the_block_and_keeps_the_command_away(
+    standing: Standing, terminal: Terminal
+) -> None:
     daemon = subprocess.Popen(
         [*TOOLPOINT, "run", "--config", standing.config, "--simulated-clock", standing.clock],
         stdout=subprocess.DEVNULL,
@@ -142,9 +158,10 @@ def test_the_daemon_takes_the_record_and_the_block_and_keeps_the_command_away(st
         state = client.ask("status")["output"]
         assert state["state"] != "FAULT", state
         client.close()
-        process = standing.commission("--yes", "--person", "A. Fitter", "--record", str(standing.directory / "no.json"))
-        said, _ = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 1 and "the daemon is running" in said
+        record = str(standing.directory / "no.json")
+        process = standing.commission(terminal, "--yes", "--person", "A. Fitter", "--record", record)
+        terminal.until("the daemon is running", PATIENCE_S)
+        assert process.wait(PATIENCE_S) == 1
     finally:
         daemon.terminate()
         daemon.wait()
