@@ -32,6 +32,11 @@ while [ $# -gt 0 ]; do
     shift
 done
 
+case $prefix in
+    /*) ;;
+    *) prefix=$PWD/$prefix ;;
+esac
+
 make_current() {
     [ -x "$prefix/$1/bin/toolpoint" ] || die "version $1 is not installed in $prefix; there are: $(ls "$prefix")"
     ln -s "$1" "$prefix/.current.$$"
@@ -54,6 +59,15 @@ version=$(basename "$1" | cut -d- -f2)
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || die "$python is older than 3.11; name another: --python"
 "$python" -c 'import ensurepip' 2> /dev/null || die "$python has no venv; install it (Debian: python3-venv)"
 
+if [ "$program_only" = no ]; then
+    case $prefix in
+        *[!A-Za-z0-9/._+-]*) die "the units cannot name $prefix; choose a folder of letters, digits and / . _ + -" ;;
+    esac
+    case $root$prefix in
+        //home/*|//root/*|//tmp/*|//var/tmp/*) die "the service cannot look into $prefix (ProtectHome, PrivateTmp); choose another folder" ;;
+    esac
+fi
+
 mkdir -p "$prefix"
 # The environment is built in its own place, because programs in it name that place.
 trap 'rm -rf "$prefix/$version"' EXIT
@@ -66,8 +80,9 @@ trap - EXIT
 if [ "$program_only" = no ]; then
     units="$root/etc/systemd/system"
     mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
-    cp "$here"/systemd/toolpoint.service "$here"/systemd/toolpoint-release.service \
-        "$here"/systemd/toolpoint-release.path "$units/"
+    for unit in toolpoint.service toolpoint-release.service toolpoint-release.path; do
+        sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/$unit"
+    done
     cp "$here/systemd/toolpoint.sysusers" "$root/usr/lib/sysusers.d/toolpoint.conf"
     cp "$here/systemd/toolpoint.tmpfiles" "$root/usr/lib/tmpfiles.d/toolpoint.conf"
     cp "$here/systemd/60-toolpoint.rules" "$root/etc/udev/rules.d/"

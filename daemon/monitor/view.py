@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -18,6 +18,8 @@ STATE_STYLES = {
 }
 SPARKS = "▁▂▃▄▅▆▇█"
 SPARK_WIDTH = 36
+LEAST_PANEL_WIDTH = 42
+"""A panel of the middle row is never narrower [character]."""
 
 
 def number(value: float | None, digits: int = 1, unit: str = "") -> str:
@@ -44,18 +46,27 @@ def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (
         _header(picture),
         *beside,
         _axes(picture["axes"]),
-        _side_by_side(_temperatures(picture), _cnc(picture), _latency(picture)),
+        _SideBySide(_temperatures(picture), _cnc(picture), _latency(picture)),
         _links(picture),
         Text(footer, style="dim"),
     )
 
 
-def _side_by_side(*panels: RenderableType) -> Table:
-    table = Table.grid(expand=True)
-    for _ in panels:
-        table.add_column(ratio=1)
-    table.add_row(*panels)
-    return table
+class _SideBySide:
+    """Panels in one row, or one under the other where the terminal is too narrow for their words."""
+
+    def __init__(self, *panels: RenderableType) -> None:
+        self._panels = panels
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if options.max_width < LEAST_PANEL_WIDTH * len(self._panels):
+            yield from self._panels
+            return
+        table = Table.grid(expand=True)
+        for _ in self._panels:
+            table.add_column(ratio=1)
+        table.add_row(*self._panels)
+        yield table
 
 
 def _header(picture: Mapping[str, Any]) -> Panel:
@@ -180,7 +191,7 @@ def _links(picture: Mapping[str, Any]) -> Text:
         text.append("● " if link["up"] else "○ ", style="green" if link["up"] else "bold red")
         text.append(link["name"] + "  ")
         if not link["up"] and link["problem"]:
-            text.append(f"({link['problem'][:70]})  ", style="red")
+            text.append(f"({link['problem']})  ", style="red")
     for line, faults in ((picture["temperatures"] or {}).get("line_faults", {})).items():
         text.append(f"\nline {line}: {faults[0]}", style="yellow")
     if (rows := picture.get("displacement_rows")) and rows["problems"]:

@@ -35,7 +35,9 @@ def test_a_package_that_takes_one_of_the_names_is_found(tmp_path, monkeypatch):
 
 def test_the_model_of_a_machine_is_looked_at(tmp_path):
     path = tmp_path / "toolpoint.yaml"
-    path.write_text(sample_configuration().replace("#model_file:", "model_file:"), encoding="utf-8")
+    sample = sample_configuration().replace("#model_file: /var/lib/toolpoint-models", f"model_file: {tmp_path}")
+    assert f"model_file: {tmp_path}/model.json" in sample
+    path.write_text(sample, encoding="utf-8")
     found = {finding.subject: finding for finding in examine(path)}["thermal model"]
     assert not found.passed and "there is no thermal model; release one" in found.detail
     path.write_text("machine: [", encoding="utf-8")

@@ -85,6 +85,20 @@ def test_what_matters_is_on_the_screen():
         assert words in text, words
 
 
+@pytest.mark.parametrize("width", [80, 100, 200])
+def test_a_problem_is_shown_whole_and_no_word_of_it_is_cut(width):
+    problem = (
+        "line spindle: port /dev/serial/by-path/pci-0000:00-usb-0:1.2:1.0 does not exist: plug the adapter in, or "
+        "correct `port` in the configuration (`ls -l /dev/serial/by-id` lists the ports that are there)"
+    )
+    lost = {"name": "latsis spindle", "up": False, "problem": problem, "attempts": 3, "failures": 3}
+    text = shown(status_view(PICTURE | {"links": [lost]}), width)
+    missing = [word for word in problem.split() if word not in text]
+    assert missing == []
+    for words in ("1/min,", "motor", "measurement", "9 of 10", "insecure connection", "published*"):
+        assert words in text, words
+
+
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_before_anything_is_known_it_renders_too(width):
     nothing = dict.fromkeys(("thermal_error_um", "requested_um", "written_um", "applied_um"))

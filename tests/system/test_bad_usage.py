@@ -129,3 +129,15 @@ def test_binary_files_are_named_as_such(tmp_path):
     assert "not UTF-8" in read_model(path, (), ())[1]
     with pytest.raises(CommissioningError, match="not UTF-8"):
         load_commissioning(path)
+
+
+def test_an_unknown_command_gets_a_suggestion() -> None:
+    refused = CliRunner().invoke(main, ["statsu"])
+    assert refused.exit_code == 2 and "No such command 'statsu'; did you mean 'status'?" in refused.output
+    assert "`toolpoint --help` lists all" in CliRunner().invoke(main, ["xyzzy"]).output
+
+
+def test_commands_are_completed() -> None:
+    asked = {"_TOOLPOINT_COMPLETE": "bash_complete", "COMP_WORDS": "toolpoint mon", "COMP_CWORD": "1"}
+    completed = CliRunner().invoke(main, prog_name="toolpoint", env=asked)
+    assert completed.output.split() == ["plain,monitor"]

@@ -88,6 +88,10 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
         "etc/udev/rules.d/60-toolpoint.rules",
     }
 
+    for unit in ("toolpoint.service", "toolpoint-release.service"):
+        text = (root / "etc/systemd/system" / unit).read_text("utf-8")
+        assert f"ExecStart={prefix}/current/bin/toolpoint" in text and "/opt/toolpoint" not in text
+
     back = install(made, prefix, "--switch", "0.0.1")
     assert back.returncode == 0 and current(prefix) == "0.0.1"
     nowhere = install(made, prefix, "--switch", "0.0.9")
@@ -112,6 +116,15 @@ def test_a_damaged_bundle_installs_nothing(tmp_path: Path, damage: object, words
     done = install(made, tmp_path / "opt")
     assert done.returncode == 1 and words in done.stderr
     assert not (tmp_path / "opt").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"), [(["--root", "/x"], "the units cannot name"), ([], "the units cannot name")]
+)
+def test_a_folder_that_the_units_cannot_name_is_refused(tmp_path: Path, options: list[str], words: str) -> None:
+    done = install(bundle(tmp_path, "0.0.1"), tmp_path / "with space", *options)
+    assert done.returncode == 1 and words in done.stderr
+    assert not (tmp_path / "with space").exists()
 
 
 def test_the_installer_says_how_it_is_used() -> None:
