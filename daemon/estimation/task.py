@@ -94,6 +94,8 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = -np.inf
         self._online = self._in_use(model)
+        self._next: ModelInUse | None = None
+        """Waits until the model in use has an estimate from which it can go on."""
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels = self._levels.restored()
@@ -179,7 +181,12 @@ class ThermalTask:
             if self._reference is not None:
                 known = (self._since.excluded, self._since.of_model)
                 await asyncio.to_thread(online.set_reference, self._reference, now_s, *known)
-        self._online = online
+        latest = self.latest_estimate
+        age_s = np.inf if latest is None else self._clock.now().monotonic_s - latest.trace.first_byte.monotonic_s
+        if self._online is None or online is None or self._reference is None or age_s <= self._cleansing.stale_after_s:
+            self._online, self._next = online, None
+        else:
+            self._next = online
 
     def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
         if model is None:
@@ -208,6 +215,8 @@ class ThermalTask:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
+            if self._next is not None:
+                self._online, self._next = self._next, None
             self._deliver_sensors()
         if self._temperature_is_shown:
             self._deliver(temperatures)
@@ -228,6 +237,8 @@ class ThermalTask:
         if online is None:
             return None
         online.on_sample(now_s, degc, speed_rpm)
+        if self._next is not None:
+            self._next.on_sample(now_s, degc, speed_rpm)
         self._heard |= np.isfinite(degc)
         if reference is None or self._waits_for_sensors(online, reference, now_s):
             return None

@@ -1,6 +1,6 @@
 """Where the request counts from: the baseline of a reference, of a tool setting, and of a probe value.
 
-request = baseline + offset - weight (estimate - estimate at the tool setting + tool term)
+request = baseline + offset - weight (estimate + shift of the model - estimate at the tool setting + tool term)
 
 Setting a reference, setting a tool and changing the model never move the output; a probe value
 does, and the limits of `models.control.compensation` bound how fast.
@@ -114,6 +114,11 @@ def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray
     return np.where(own, tool.baseline_um, memory.baseline_um), np.where(own, tool.error_um, 0.0)
 
 
+def model_shift_um(memory: OutputMemory) -> FloatArray:
+    """Return what is added to the estimate so that changes of model move nothing, shape (n_axes,) [um]."""
+    return np.zeros_like(memory.command_um) if memory.model_shift_um is None else memory.model_shift_um
+
+
 def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     """Return what follows from the estimate.
 
@@ -132,7 +137,8 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     baseline, error = rest_of_tool(memory, inputs)
     tool = memory.tools.get(inputs.tool_number)
     before = 0.0 if tool is None else np.where(np.isfinite(tool.baseline_um), tool.offset_um, 0.0)
-    request: FloatArray = baseline + memory.offset_um - before - memory.weight * (inputs.error_of_tool_point_um - error)
+    counted = inputs.error_of_tool_point_um + model_shift_um(memory) - error
+    request: FloatArray = baseline + memory.offset_um - before - memory.weight * counted
     return request
 
 
@@ -255,13 +261,14 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     """
     if inputs.estimate_reference_id is None or inputs.estimate_reference_id != memory.error_reference_id:
         return memory
-    known = np.isfinite(inputs.thermal_error_um)
+    error_um = inputs.thermal_error_um + model_shift_um(memory)
+    known = np.isfinite(error_um)
     if not known.any() or not np.isfinite(inputs.estimate_age_s):
         return memory
     before = memory.error_um if memory.error_um is not None else np.zeros_like(inputs.thermal_error_um)
     return replace(
         memory,
-        error_um=np.where(known, inputs.thermal_error_um, before),
+        error_um=np.where(known, error_um, before),
         error_s=inputs.now_s - inputs.estimate_age_s,
     )
 
@@ -269,19 +276,13 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
 def _without_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     """Keep the tool settings while no reference is valid; without what they count from they end.
 
-    Another model tells anew how far the machine has gone since the reference that has ended. What was
-    estimated until now stays, so the settings are counted from where the new model sees that reference.
+    Another model goes on from how far the machine has gone since the reference that has ended.
     """
     if memory.error_reference_id is None:
         return memory
     if inputs.kept_reference_id != memory.error_reference_id:
         return replace(memory, error_um=None, error_reference_id=None, tools=MappingProxyType({}))
-    if inputs.model_id in (None, memory.model_id) or inputs.estimate_reference_id != memory.error_reference_id:
-        return memory
-    if memory.model_id is None or memory.error_um is None:
-        return replace(memory, model_id=inputs.model_id)
-    change = np.nan_to_num(inputs.thermal_error_um - memory.error_um)
-    return replace(memory, model_id=inputs.model_id, tools=_counted_from(memory.tools, -change, 0.0))
+    return _follow_model(memory, inputs)
 
 
 def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
@@ -298,6 +299,7 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
         settling=memory.state in SETTLING_STATES,
         pending_um=inputs.written_um,
+        model_shift_um=None,
         error_um=np.zeros_like(memory.command_um),
         error_s=inputs.now_s,
         error_reference_id=inputs.reference_id,
@@ -368,12 +370,20 @@ def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.b
 
 
 def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Let another model count on from where the one before it was, axis by axis, once it has an estimate.
+
+    Weight, tool term, probes and a command that lags behind the request have no part in it.
+    """
     if memory.model_id is None:
         return replace(memory, model_id=inputs.model_id)
-    if inputs.model_id == memory.model_id or inputs.model_id is None:
+    if inputs.model_id is None or inputs.estimate_reference_id != memory.error_reference_id:
         return memory
-    unmoved = replace(memory, offset_um=np.zeros_like(memory.offset_um))
-    request = request_um(unmoved, inputs)
-    baseline, _ = rest_of_tool(memory, inputs)
-    offset = memory.command_um - np.where(np.isfinite(request), request, baseline)
-    return replace(memory, model_id=inputs.model_id, offset_um=offset)
+    shift = model_shift_um(memory)
+    if inputs.model_id != memory.model_id:
+        shift = np.full_like(memory.command_um, np.nan)
+    elif not np.isnan(shift).any():
+        return memory
+    before = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
+    begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
+    shift = np.where(begins, before - inputs.thermal_error_um, shift)
+    return replace(memory, model_id=inputs.model_id, model_shift_um=shift)

@@ -246,6 +246,7 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
         and known.baseline_um is output.baseline_um
         and known.offset_um is output.offset_um
         and known.tools is output.tools
+        and known.model_shift_um is output.model_shift_um
         and (known.weight, known.model_id) == (output.weight, output.model_id)
     ):
         return memory
@@ -254,6 +255,7 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
         model_id=output.model_id,
         baseline_um=output.baseline_um,
         offset_um=output.offset_um,
+        model_shift_um=output.model_shift_um,
         weight=output.weight,
         tools=output.tools,
     )

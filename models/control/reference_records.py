@@ -68,11 +68,13 @@ class OutputBaseline:
     baseline_um: FloatArray
     """What was applied when the reference was set, per axis [um]."""
     offset_um: FloatArray
-    """Added so that probes and changes of model move as they should [um]."""
+    """Added so that probes move as they should [um]."""
     weight: float
     """Share of the estimate that counts."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))
     """Tool settings by tool number."""
+    model_shift_um: FloatArray | None = None
+    """Added to the estimate so that changes of model move nothing [um]; None before any."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -107,6 +107,7 @@ def resumed(output: OutputMemory, memory: ReferenceMemory) -> OutputMemory:
         error_reference_id=record.reference_id,
         model_id=baseline.model_id,
         offset_um=baseline.offset_um,
+        model_shift_um=baseline.model_shift_um,
         tools=baseline.tools,
     )
     if memory.in_force is None:

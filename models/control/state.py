@@ -120,7 +120,7 @@ class OutputMemory:
     reference_id: str | None
     model_id: str | None
     offset_um: FloatArray
-    """Added to the request so that a change of model moves nothing [um]."""
+    """Added to the request so that it cancels what a probe has measured [um]."""
     wanted: tuple[bool, ...]
     """Axes that a person switched on."""
     to_zero: bool = False
@@ -132,8 +132,10 @@ class OutputMemory:
     """What the block held when the reference was set [um]."""
     settling: bool = False
     """A reference was set, and the CNC does not hold its value yet."""
+    model_shift_um: FloatArray | None = None
+    """Added to the estimate so that a change of model moves nothing [um]; None before any, NaN until one is there."""
     error_um: FloatArray | None = None
-    """The last finite estimate since `error_reference_id`, without the tool [um]."""
+    """The last finite estimate since `error_reference_id`, shifted so, without the tool [um]."""
     error_s: float = 0.0
     """Time of that estimate [s]."""
     error_reference_id: str | None = None

@@ -143,9 +143,21 @@ def test_after_the_cnc_was_away_its_answer_counts_and_after_a_start_both() -> No
     assert good.there
 
 
-def test_after_all_lines_were_dead_the_first_cycle_of_any_counts() -> None:
+def test_after_all_lines_were_dead_as_many_cycles_of_each_count_as_values_after_a_gap_take() -> None:
     good = GoodInput(LINES)
     good.after(happening(Incident.BLIND))
+    for _ in range(3):
+        assert not good.there
+        for line in LINES:
+            good.cycle(line)
+    assert good.there
+
+
+def test_after_a_line_was_silent_for_longer_than_values_are_held_the_third_cycle_counts() -> None:
+    good = GoodInput(LINES)
+    good.after(happening(FaultKind.DEAD_LINE, target="saddle", duration_s=61.0))
+    good.cycle("saddle")
+    good.cycle("saddle")
     assert not good.there
     good.cycle("saddle")
     assert good.there

@@ -252,10 +252,12 @@ async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_
     await shop.run(5)
     gone = shop.latest
     assert gone.imputed == (1,) and gone.confidence > 0.7
+    first = len(shop.delivered) - 1
     await shop.run(6)
     assert shop.latest.imputed == ()
     assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.inhibit, "nobody knows where it stands"
-    assert shop.latest.thermal_error_um == pytest.approx(gone.thermal_error_um, abs=1.5), "some minutes of a warm-up"
+    errors = [e.thermal_error_um for e in shop.delivered[first:] if isinstance(e, ThermalErrorEstimate)]
+    assert np.abs(np.diff(errors, axis=0)).max() < 0.7, "no step, but what half a minute of cooling and fading makes"
     assert shop.task.inhibit() == "", "one silent sensor does not empty the states"
     await shop.run(5)
     before = shop.latest

@@ -80,6 +80,9 @@ class MeanOnline:
     history_min, filled, inputs = 0.0, 1.0, "temperatures"
     kept: dict[str, Any] | None = None
 
+    def level_um(self, doubt_k: FloatArray) -> float:
+        return float(np.abs(self.model.um_per_k).max() * np.abs(doubt_k).mean())
+
     @property
     def excluded(self) -> dict[int, str]:
         return {}

@@ -66,7 +66,12 @@ class Observer:
         self.operations = OperationsWatch(ledger, self._map.request)
         self._truth = TruthKeeper(configuration, self.world, self.operations, models)
         self._heart = HeartbeatWatch(self._map, ledger)
-        self._good_input = GoodInput([line.name for line in configuration.temperatures.lines])
+        rules = configuration.temperatures.cleansing
+        self._good_input = GoodInput(
+            [line.name for line in configuration.temperatures.lines],
+            stale_after_s=rules.stale_after_s,
+            release_after_samples=rules.release_after_samples,
+        )
         self.claims: Claims | None = None
         self._heard_at_s = 0.0
         self._case_kinds: set[str] = set()

@@ -73,13 +73,15 @@ def where_it_leads(state: str, truth: Truth, claims: Claims, least_confidence: f
 class GoodInput:
     """What must arrive after an incident before the output can be right again.
 
-    After one on a line a whole cycle of that line (the third, when its nodes were counted anew: before, the line is
-    not believed), after one on all lines a whole cycle of any, after a start of the daemon a cycle and a poll, and
-    else a poll that the CNC answers.
+    After one on a line a whole cycle of that line, after one on all lines a whole cycle of each, after a start of the
+    daemon a cycle and a poll, and else a poll that the CNC answers. The third cycle, when the nodes were counted anew,
+    and as many as a value after a gap takes, when the line was silent for so long: before, it is not believed.
     """
 
-    def __init__(self, lines: Sequence[str]) -> None:
+    def __init__(self, lines: Sequence[str], *, stale_after_s: float = 60.0, release_after_samples: int = 3) -> None:
         self._lines = frozenset(lines)
+        self._stale_after_s = stale_after_s
+        self._release_after_samples = release_after_samples
         self._cycles: dict[str, int] = {}
         self._any_line = False
         self._cnc = False
@@ -93,12 +95,16 @@ class GoodInput:
         """An incident is over."""
         kind = happening.kind
         if happening.target in self._lines:
+            believed = self._release_after_samples if happening.duration_s > self._stale_after_s else 1
             counted = kind is FaultKind.RENUMBERED or (kind is FaultKind.DEAD_LINE and happening.amount > 0)
             line = str(happening.target)
-            self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1)
+            self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1, believed)
             return
-        if kind in RESTARTS or kind is Incident.BLIND:
+        if kind in RESTARTS:
             self._any_line = True
+        if kind is Incident.BLIND:  # longer than values are held
+            for line in self._lines:
+                self._cycles[line] = max(self._cycles.get(line, 0), self._release_after_samples)
         self._cnc |= kind is not Incident.BLIND
 
     def cycle(self, line: str) -> None:

@@ -12,8 +12,8 @@ from drivers.sim.nc.program import RETREAT
 
 TEMPERATURES_LATE_S = 25.0
 """Temperatures arrive when a line has sent a whole cycle within this time [s]."""
-BLIND_BEFORE_S = 90.0
-"""A reference is the mean of its last minute; a line that sent nothing for a part of that may be missing in it [s]."""
+BLIND_BEFORE_S = 120.0
+"""A reference is the mean of its last minute, and a line that sent nothing counts again half a minute later [s]."""
 ZERO_UM = 1e-6
 
 
