@@ -1,10 +1,8 @@
 """The demonstration: runs until a given time, counts what arrived and was written, and checks the result."""
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 from daemon.monitor.control_socket import RequestError
@@ -17,50 +15,20 @@ JUDGED_FROM_UM = 5.0
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
 
-STALL_PROBE_S = 0.005
-"""A process that asks for so short a sleep sees how long it waits for its turn [s]."""
 
+def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
+    """Return that this computer cannot simulate at `speed`, and at which it may.
 
-class StallWatch:
-    """Measures how long a process on this computer waits for its turn, at worst."""
-
-    def __init__(self) -> None:
-        self.worst_s = 0.0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._measure, daemon=True, name="stall-watch")
-
-    def __enter__(self) -> "StallWatch":
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _measure(self) -> None:
-        before_s = time.monotonic()
-        while not self._ended.wait(STALL_PROBE_S):
-            now_s = time.monotonic()
-            self.worst_s = max(self.worst_s, now_s - before_s - STALL_PROBE_S)
-            before_s = now_s
-
-
-def too_slow(stall_s: float, speed: float, cycle_period_s: float) -> str:
-    """Return that this computer cannot simulate at `speed`, and at which it can; '' when it can.
-
-    A line that is silent for a share of its cycle period has ended its pass: a simulator that waits that long for
-    its turn leaves the cycle incomplete.
+    `late_s` is how long the simulator waited for its turn at worst. A line that is silent for a share of its cycle
+    period has ended its pass: who waits that long leaves the cycle incomplete.
     """
     silence_s = max(SILENCE_PERIODS * cycle_period_s / speed, MIN_SILENCE_REAL_S)
-    if stall_s < silence_s / 2:
-        return ""
-    possible = int(SILENCE_PERIODS * cycle_period_s / (2 * stall_s))
-    advice = f"use --speed {possible}" if 1 <= possible < speed else "end other programs"
+    possible = int(min(SILENCE_PERIODS * cycle_period_s / (2 * max(late_s, 1e-6)), speed / 2))
+    advice = f"use --speed {possible}" if possible >= 1 else "end other programs"
     return (
-        f"this computer is too slow, or too busy, for --speed {speed:g}: a process waited {stall_s * 1e3:.0f} ms for "
-        f"its turn, and a line that is silent for {silence_s * 1e3:.0f} ms has ended its pass; {advice}"
+        f"this computer is too slow, or too busy, for --speed {speed:g}: the simulated machine waited up to "
+        f"{late_s * 1e3:.0f} ms for its turn, and a line that is silent for {silence_s * 1e3:.0f} ms has ended its "
+        f"pass; {advice}"
     )
 
 
@@ -104,7 +72,7 @@ def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
 def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tuple[dict[str, Any], list[str]]:
     """Return the demonstration's numbers and every check of its own that failed.
 
-    `slow` says that the computer was too slow, if it was: it comes first when a check failed.
+    `slow` says that the computer is too slow; it comes first when cycles are incomplete that no fault explains.
     """
     errors = {}
     untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
@@ -132,7 +100,8 @@ def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tup
         "error_um": errors,
     }
     failures = _failures(numbers, status, final)
-    return numbers, [slow, *failures] if slow and failures else failures
+    unexplained = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
+    return numbers, [slow, *failures] if slow and unexplained else failures
 
 
 def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, Any]) -> list[str]:

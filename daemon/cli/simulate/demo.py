@@ -15,7 +15,7 @@ import yaml
 from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation import SimulationError
-from daemon.simulation.demonstration import StallWatch, Trail, result, settle, switch_on, too_slow, watch
+from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch
 from daemon.simulation.processes import (
     RunningSimulation,
     folder_for,
@@ -58,17 +58,16 @@ def demo(
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
         with start_simulation(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
-            with StallWatch() as stalls:
-                switch_on(running)
-                if headless:
-                    watch(running, duration_s, lambda status: None, 1.0)
-                else:
-                    _show(running, duration_s)
-                    if math.isinf(duration_s):
-                        return
-                final, status = settle(running)
+            switch_on(running)
+            if headless:
+                watch(running, duration_s, lambda status: None, 1.0)
+            else:
+                _show(running, duration_s)
+                if math.isinf(duration_s):
+                    return
+            final, status = settle(running)
             period_s = min(line.cycle_period_s for line in load_configuration(path).temperatures.lines)
-    numbers, failures = result(final, status, too_slow(stalls.worst_s, speed, period_s))
+    numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
     write_json(json_path, numbers)
     for failure in failures:
         click.echo(failure, err=True)

@@ -74,7 +74,8 @@ async def run_simulated_machine(
     `report` is called each `report_period_s` of simulated time and once more when cancelled, with
     `{time_s, nc: {state, macros: {number: value}}, truth: {axis: {uncompensated_um, compensated_um,
     cutting, uncompensated_max_um, compensated_max_um}}, cycles_sent: {line: n}, cycles_disturbed,
-    bytes_dropped, faults: [kinds that are on]}`; the maxima are of the amount during cuts so far.
+    bytes_dropped, late_real_s, faults: [kinds that are on]}`; the maxima are of the amount during cuts so far,
+    and `late_real_s` is the longest that the machine waited for its turn on this computer.
 
     With `own_process` the garbage collector is told that all that exists after the start stays,
     which saves pauses of a tenth of a second. Lines are silent before `first_pass_s` and begin no
@@ -134,6 +135,7 @@ class _Run:
         self._freezes = of_kind(faults, FaultKind.FROZEN_CNC)
         self._kills = of_kind(faults, FaultKind.KILLED_CNC)
         self._extremes: dict[str, list[float]] = {}
+        self._late_real_s = 0.0
 
     async def forever(
         self, clock: ScaledClock, origin_s: float, report_period_s: float, report: Report, until_s: float
@@ -142,9 +144,12 @@ class _Run:
         next_report_s = self._machine.time_s
         loop = asyncio.get_running_loop()
         final = False
+        turn_real_s = loop.time()
         try:
             while True:
-                breath_at = loop.time() + BREATH_REAL_S
+                last_real_s, turn_real_s = turn_real_s, loop.time()
+                self._late_real_s = max(self._late_real_s, turn_real_s - last_real_s)
+                breath_at = turn_real_s + BREATH_REAL_S
                 target_s = clock.now().monotonic_s - origin_s
                 while self._machine.time_s < target_s and loop.time() < breath_at:
                     self._move(min(target_s, self._machine.time_s + LARGEST_STEP_S, self._next_start_s()))
@@ -209,6 +214,7 @@ class _Run:
             "cycles_sent": self._wires.cycles_sent,
             "cycles_disturbed": self._wires.cycles_disturbed,
             "bytes_dropped": self._wires.bytes_dropped,
+            "late_real_s": self._late_real_s,
             "faults": [fault.kind.value for fault in self._faults if fault.active(now_s)],
         }
 
