@@ -12,6 +12,7 @@ from config.knobs import knob_at, section_at
 from config.schema import Configuration
 from config.schema.base import FORMS, ConfigurationError, KeyProblems, Problem, Section
 from config.schema.cnc import CHECK_MISSING
+from config.sensor_ranges import expand_sensor_ranges
 from config.yaml_document import RENAMED, Fault, KeyPath, Position, YamlDocument, move_renamed_keys, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -71,6 +72,8 @@ def _parsed(text: str, model: type[Model], file: str) -> tuple[Model, tuple[Prob
     """Return YAML text as an instance of `model`, and a warning for every key that has a new name."""
     document = read_yaml(text)
     renamed = move_renamed_keys(document, RENAMED if issubclass(model, Configuration) else {})
+    if issubclass(model, Configuration):
+        expand_sensor_ranges(document)
     problems = [_problem(file, fault.position, fault.path, fault.sentence) for fault in document.faults]
     if not problems and document.value is None:
         problems.append(_problem(file, (1, 1), (), f"the file is empty; {_beginning(model)}"))

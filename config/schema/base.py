@@ -37,7 +37,7 @@ ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
     RANGE_PATTERN: "a range such as 7-12",
-    NUMBER_OR_RANGE_PATTERN: 'a number or a range in quotes, such as "120" or "500-549"',
+    NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }

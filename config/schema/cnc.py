@@ -5,7 +5,7 @@ import json
 from functools import cached_property
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from config.schema.base import (
     NUMBER_OR_RANGE_PATTERN,
@@ -20,7 +20,18 @@ from config.schema.cnc_drivers import CncDriverConfig
 from config.schema.guard import GuardConfig
 from config.schema.temperatures import expand_ranges
 
-MacroRange = Annotated[str, Field(pattern=NUMBER_OR_RANGE_PATTERN)]
+
+def _number_as_text(entry: object) -> object:
+    return str(entry) if isinstance(entry, int) and not isinstance(entry, bool) else entry
+
+
+MacroRange = Annotated[
+    str,
+    Field(pattern=NUMBER_OR_RANGE_PATTERN),
+    BeforeValidator(
+        _number_as_text, json_schema_input_type=int | Annotated[str, Field(pattern=NUMBER_OR_RANGE_PATTERN)]
+    ),
+]
 
 
 class RequestMacrosConfig(Section):

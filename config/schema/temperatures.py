@@ -3,10 +3,16 @@
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
 from config.schema.base import RANGE_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
 
+SensorNumber = Annotated[
+    int,
+    Field(ge=1),
+    WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string", "pattern": RANGE_PATTERN}]}),
+]
+"""The loader puts a sensor for each number in the place of a range (config/sensor_ranges.py)."""
 ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]
 
 LONGEST_RANGE = 100_000
@@ -108,7 +114,10 @@ def expand_ranges(entries: list[int | str] | list[str] | list[int]) -> list[int]
 class SensorConfig(Section):
     """One temperature sensor."""
 
-    id: int = Field(ge=1, description="sensor ID of the machine's documentation", examples=[1])
+    id: SensorNumber = Field(
+        description="sensor ID of the machine's documentation; '5-24' stands for twenty sensors with one description",
+        examples=[1],
+    )
     device: Literal["TMP102", "MLX90615"] = Field("TMP102", description="what decodes its value")
     component: str = Field(min_length=1, description="machine component it sits on", examples=["Spindle unit"])
     part: str = Field("-", description="part of the component; '-': the whole of it")

@@ -111,8 +111,8 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("cnc.macros.enable", 600, "cnc.macros.enable", "#600 lies outside `writable` (120-121, 500-549)"),
         ("cnc.macros.valid_until", 520, "cnc.macros.valid_until", "one of #100-#199"),
         ("cnc.macros.echo_applied", {"y": 520}, "cnc.macros.echo_applied", "the same axes as `values`"),
-        ("cnc.macros.writable", ["500 to 549"], "cnc.macros.writable[0]", 'such as "120" or "500-549"'),
-        ("cnc.macros.writable", [500], "cnc.macros.writable[0]", "must be text"),
+        ("cnc.macros.writable", ["500 to 549"], "cnc.macros.writable[0]", "such as 120 or 500-549"),
+        ("cnc.macros.writable", [500.5], "cnc.macros.writable[0]", "must be text"),
         ("compensation.axes", {}, "compensation.axes", "filled in"),
         ("compensation.axes.z.estimate", "Z 1", "compensation.axes.z.estimate", "letters, digits and underscores"),
         ("compensation.axes.z.deadband_um", 50.0, "compensation.axes.z.deadband_um", "nothing is ever written"),
@@ -224,3 +224,51 @@ def test_reference_page_names_every_section() -> None:
     page = configuration_reference()
     for heading in ("## `temperatures.lines[].grammar`", "## `compensation.axes.<name>.tool_term`", "## `service`"):
         assert heading in page
+
+
+def test_a_range_of_sensors_stands_for_each_of_them_and_problems_name_the_written_line() -> None:
+    content = yaml.safe_load(sample_configuration())
+    shared = {"id": "5-7", "component": "Bed", "part": "Left"}
+    content["temperatures"]["sensors"][3:3] = [shared]
+    content["temperatures"]["lines"][0]["chain"] = ["1-7"]
+    text = yaml.safe_dump(content, sort_keys=False)
+    sensors = parse_yaml_model(text, Configuration, "f.yaml").temperatures.sensors
+    assert [sensor.id for sensor in sensors] == [1, 2, 3, 5, 6, 7, 4]
+    assert {sensor.part for sensor in sensors[3:6]} == {"Left"}
+
+    content["temperatures"]["sensors"][4]["id"] = 0
+    text = yaml.safe_dump(content, sort_keys=False)
+    line = next(n for n, row in enumerate(text.splitlines(), 1) if row.strip() == "- id: 0")
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(text, Configuration, "f.yaml")
+    assert f"f.yaml:{line}:" in str(refused.value) and "this must be at least 1, not 0" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "sentence"),
+    [
+        ("7-5", "the range 7-5 runs backwards; write 5-7"),
+        ("1-99999", "the range 1-99999 holds more than the 200 sensors of a line"),
+        ("5 to 7", "this must be a whole number, not the text '5 to 7'"),
+    ],
+)
+def test_a_range_that_is_none_is_refused_in_words(written: str, sentence: str) -> None:
+    text = changed("temperatures.sensors.0.id", written)
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(text, Configuration, "f.yaml")
+    assert sentence in str(refused.value)
+
+
+def test_numbers_and_ranges_of_macros_may_be_written_without_quotes() -> None:
+    content = yaml.safe_load(sample_configuration())
+    content["cnc"]["macros"]["writable"] = [120, 121, "500-549"]
+    macros = parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml").cnc.macros
+    assert macros.writable == ["120", "121", "500-549"]
+
+
+def test_an_editor_takes_ranges_and_numbers_too() -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    content = yaml.safe_load(sample_configuration())
+    content["cnc"]["macros"]["writable"] = [120, "500-549"]
+    content["temperatures"]["sensors"][0]["id"] = "1-3"
+    jsonschema.validate(content, configuration_json_schema())
