@@ -1,4 +1,4 @@
-"""Values as JSON can carry them: no NaN, no infinity, no number of NumPy."""
+"""Values and text as they may be stored, sent, logged and shown: no NaN, no number of NumPy, no control characters."""
 
 import math
 from collections.abc import Mapping
@@ -23,3 +23,25 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     return finite_or_none(value) if isinstance(value, float) else value
+
+
+def printable(text: str, *, keep: str = "") -> str:
+    r"""Return a text in which every character that is not printable is written as its escape (\x1b, \ud800).
+
+    Control characters would act on the terminal of whoever reads the text, and half a surrogate pair can neither
+    be stored nor printed. Characters in `keep` stay as they are.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def all_printable(value: Any, *, keep: str = "") -> Any:
+    """Return a JSON value with every text in it printable, keys included."""
+    if isinstance(value, str):
+        return printable(value, keep=keep)
+    if isinstance(value, dict):
+        return {all_printable(key, keep=keep): all_printable(item, keep=keep) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [all_printable(item, keep=keep) for item in value]
+    return value

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.errors import RefusedInputError
-from models.text import printable
+from models.json_values import printable
 
 KeyPath = tuple[str | int, ...]
 

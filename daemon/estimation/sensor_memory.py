@@ -12,9 +12,14 @@ from daemon.estimation.model_in_use import ModelInUse
 from models.control.reference_records import LabelOrigin, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
-from models.thermal.fading import Fading, hidden_step
 from models.thermal.family import ThermalModel
-from models.thermal.mean_increment import MeanIncrement, first_mean_increment, renewed_mean_increment
+from models.thermal.mean_increment import (
+    Fading,
+    MeanIncrement,
+    first_mean_increment,
+    hidden_step,
+    renewed_mean_increment,
+)
 
 log = structlog.get_logger(__name__)
 

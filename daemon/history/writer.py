@@ -23,6 +23,7 @@ from daemon.history.retention import HousekeepingReport, store_hour, tidy
 from daemon.history.series import WriteRecord
 from daemon.history.store_lock import WriterLock
 from drivers.clock import Clock
+from models.json_values import printable
 from models.records import (
     CncSample,
     CompensationCommand,
@@ -35,7 +36,6 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
-from models.text import printable
 
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""

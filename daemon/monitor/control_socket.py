@@ -16,7 +16,7 @@ import structlog
 
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.rate_limit import RateLimit
-from models.text import all_printable, printable
+from models.json_values import all_printable, printable
 
 log = structlog.get_logger(__name__)
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import structlog
 
-from models.text import printable
+from models.json_values import printable
 
 
 def _printable(_logger: object, _method: str, entry: structlog.types.EventDict) -> structlog.types.EventDict:

@@ -176,22 +176,7 @@ def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
 def descend(
     model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], most: int
 ) -> Descent:
-    """Return where the method ends from one start (see `least_squares_fit`).
-
-    Parameters
-    ----------
-    model
-        Response and derivatives.
-    measured
-        Measured response, shape (n,).
-    free
-        Names of the parameters to vary.
-    start
-        Where to begin, by name.
-    most
-        The response is computed at most so often.
-
-    """
+    """Return where the method of `least_squares_fit` ends from one start, with `most` evaluations at most."""
     from scipy.optimize import least_squares
 
     low, high = _limits(free)

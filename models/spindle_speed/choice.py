@@ -158,15 +158,7 @@ def deepest_speed(
 
     None when even there the limiting depth is below the programmed one.
 
-    Parameters
-    ----------
-    lobes
-        Over the range of speeds that is allowed, better a little beyond it.
-    demand
-        Programmed speed and depth, and tolerance; the margin is not asked for.
-    range_rpm
-        Lowest and highest speed allowed [1/min]; None: those of the lobes.
-
+    The parameters are those of `choose_speed`; the margin of the demand is not asked for.
     """
     speeds, depths = lobes.speed_rpm, lobes.limiting_depth_mm
     low, high = range_rpm or (float(speeds[0]), float(speeds[-1]))

@@ -235,14 +235,7 @@ def _peak_hz(frame: SpectrumFrame, place: int) -> float:
 def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None = None) -> ChatterVerdict:
     """Return the verdict of several frames in the order of time.
 
-    Parameters
-    ----------
-    frames
-        At least one.
-    settings
-        What counts as chatter; None: the defaults.
-
-    Raises StabilityError without a frame.
+    Without `settings` the defaults say what counts as chatter. Raises StabilityError without a frame.
     """
     if not frames:
         raise StabilityError("no window lies wholly in this part; choose a longer part of the recording")
@@ -271,17 +264,7 @@ def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None =
 class ChatterMonitor:
     """Judges a stream of samples, window by window, as they arrive.
 
-    Parameters
-    ----------
-    sample_rate_hz
-        Samples per second [Hz].
-    speed_rpm
-        Spindle speed [1/min].
-    teeth
-        Number of teeth.
-    settings
-        What counts as chatter; None: the defaults.
-
+    It takes what `detect_chatter` does, but for the samples.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.text import all_printable, printable
+from models.json_values import all_printable, printable
 
 
 @given(st.text(st.characters(codec=None)))

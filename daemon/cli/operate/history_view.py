@@ -12,8 +12,8 @@ import numpy as np
 
 from config.schema.temperatures import expand_ranges
 from daemon.history import HistoryReader
+from models.json_values import printable
 from models.records import WriteOutcome
-from models.text import printable
 
 if TYPE_CHECKING:
     from rich.text import Text

@@ -114,10 +114,8 @@ def residual_maps(
         In the order in which they are added.
     tests
         Test sets by the name of their group; their displacements are raw.
-    sensor_order
-        Indices of the temperatures in the order in which they are added, shape (n_sensors,).
-    intercept
-        Whether b_0 is fitted.
+    sensor_order, intercept
+        See `progressive_fits`.
     progress
         Called with (done, total) numbers of training sets.
 
