@@ -5,7 +5,7 @@ wants something of it puts a message into `inbox`.
 """
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from daemon.estimation.cleansing import Cleansing
 from daemon.estimation.level_memory import LevelMemory
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
-from daemon.estimation.sensor_memory import SinceReference
+from daemon.estimation.sensor_memory import Places, SinceReference
 from daemon.history.writer import HistoryWriter
 from daemon.messages import (
     ReferenceEnded,
@@ -254,12 +254,12 @@ class ThermalTask:
         since_labels = self._since.label_increments(degc, time_min)
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, time_min)
         self._since.update(degc, online)
-        unsure = self._unsure_of_levels(online)
+        unsure = _unsure_of_levels(online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
-            label_degc=self._label_means(degc),
+            label_degc=_label_means(self._labels, degc),
             label_increment_degc=since_labels,
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else outcome.confidence,
@@ -276,21 +276,6 @@ class ThermalTask:
         if (changed := self._since.changed()) is not None:
             self._deliver(changed)
 
-    def _unsure_of_levels(self, online: ModelInUse) -> str:
-        """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
-        uncertainty_k = self._cleansing.levels.uncertainty_k
-        if not uncertainty_k.any():
-            return ""
-        unsure_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ self._tool_um_per_k)
-        if unsure_um <= UNSURE_UM:
-            return ""
-        worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
-        named = ", ".join(f"sensor {self._sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)
-        return (
-            f"the level of {named} has changed since the reference and nothing explains it, which may be "
-            f"{unsure_um:.1f} um: position the work again"
-        )
-
     def _waits_for_sensors(self, online: ModelInUse, reference: Reference, now_s: float) -> bool:
         """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
         if now_s - self._taken_up_s > self._cleansing.stale_after_s:
@@ -299,15 +284,6 @@ class ThermalTask:
         for places in (*self._labels.values(), online.places):
             needed[places] = True
         return bool((needed & np.isfinite(reference.degc) & ~self._since.absent & ~self._heard).any())
-
-    def _label_means(self, degc: FloatArray) -> dict[str, float]:
-        means = {}
-        for label, indices in self._labels.items():
-            known = degc[indices]
-            known = known[np.isfinite(known)]
-            if known.size:
-                means[label] = float(known.mean())
-        return means
 
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
@@ -361,3 +337,30 @@ def _log_faults(cycle: TemperatureCycle, left_out: int) -> None:
     event = "cycle.faults" if cycle.complete else "cycle.incomplete"
     more = {"left_out": left_out} if left_out else {}
     log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more", **more)
+
+
+def _unsure_of_levels(
+    online: ModelInUse, uncertainty_k: FloatArray, tool_um_per_k: FloatArray, sensor_ids: tuple[int, ...]
+) -> str:
+    """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
+    if not uncertainty_k.any():
+        return ""
+    unsure_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ tool_um_per_k)
+    if unsure_um <= UNSURE_UM:
+        return ""
+    worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
+    named = ", ".join(f"sensor {sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)
+    return (
+        f"the level of {named} has changed since the reference and nothing explains it, which may be "
+        f"{unsure_um:.1f} um: position the work again"
+    )
+
+
+def _label_means(labels: Mapping[str, Places], degc: FloatArray) -> dict[str, float]:
+    means = {}
+    for label, indices in labels.items():
+        known = degc[indices]
+        known = known[np.isfinite(known)]
+        if known.size:
+            means[label] = float(known.mean())
+    return means

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
-from models.thermal.features import BRIDGE_MIN, lag_step, speed_inputs
+from models.thermal.features import BRIDGE_MIN, Layout, lag_step, speed_inputs
 from models.thermal.left_out import LeftOut
 from models.thermal.model import LinearParameters
 from models.thermal.solution import band_factor
@@ -175,7 +175,7 @@ class LinearEstimator:
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
         own = known & state.missing & np.isfinite(state.known_min) & bridged
         if own.any():
-            lagged = self._bridged(state, time_min, filled, own, lagged)
+            lagged = _bridged(self.model.layout, state, time_min, filled, own, lagged)
         alone = returned & own & ~(known & ~returned).any()
         returned &= ~own
         advanced = ModelState(
@@ -212,23 +212,6 @@ class LinearEstimator:
             lagged=self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist()),
             filled_min=np.where(returned, filled_min, state.filled_min),
         )
-
-    def _bridged(
-        self,
-        state: ModelState,
-        time_min: float,
-        degc: FloatArray,
-        own: npt.NDArray[np.bool_],
-        lagged: FloatArray,
-    ) -> FloatArray:
-        """Return the lags, those of sensors that go on from their own past drawn through the gap."""
-        bridged = lagged.copy()
-        for sensor in np.flatnonzero(own):
-            gap_min = time_min - float(state.known_min[sensor])
-            for index, constant_min in enumerate(self.model.layout.lags_min):
-                before, then, now = state.known_lagged[index, sensor], state.degc[sensor], degc[sensor]
-                bridged[index, sensor] = lag_step(before, then, now, gap_min, constant_min)
-        return bridged
 
     def _lags(
         self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float
@@ -380,3 +363,21 @@ def readmitted(state: ModelState, sensors: Sequence[int]) -> ModelState:
         return state
     kept = tuple(fault for fault in state.watch.faults if fault.sensor not in sensors)
     return replace(state, watch=replace(state.watch, faults=kept))
+
+
+def _bridged(
+    layout: Layout,
+    state: ModelState,
+    time_min: float,
+    degc: FloatArray,
+    own: npt.NDArray[np.bool_],
+    lagged: FloatArray,
+) -> FloatArray:
+    """Return the lags, those of sensors that go on from their own past drawn through the gap."""
+    bridged = lagged.copy()
+    for sensor in np.flatnonzero(own):
+        gap_min = time_min - float(state.known_min[sensor])
+        for index, constant_min in enumerate(layout.lags_min):
+            before, then, now = state.known_lagged[index, sensor], state.degc[sensor], degc[sensor]
+            bridged[index, sensor] = lag_step(before, then, now, gap_min, constant_min)
+    return bridged
