@@ -28,7 +28,7 @@ def plain(value: Any) -> Any:
 def printable(text: str, *, keep: str = "") -> str:
     r"""Return a text in which every character that is not printable is written as its escape (\x1b, \ud800).
 
-    Control characters would act on the terminal of whoever reads the text, and half a surrogate pair can neither
+    Control characters would act on the terminal on which the text is read, and half a surrogate pair can neither
     be stored nor printed. Characters in `keep` stay as they are.
     """
     if text.isprintable():

@@ -163,7 +163,7 @@ def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray) -> FloatArr
 
 
 def _with_leaving(levels: SensorLevels, seen: BelievedValues) -> SensorLevels:
-    """Remember for those that are too old from now on how everything was when they were last believed."""
+    """Keep for those that are too old from now on all temperatures of when their value last counted."""
     leaving = np.flatnonzero(seen.stale & np.isfinite(levels.degc))
     if not len(leaving):
         return levels

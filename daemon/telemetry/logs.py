@@ -10,7 +10,7 @@ from models.json_values import printable
 
 
 def _printable(_logger: object, _method: str, entry: structlog.types.EventDict) -> structlog.types.EventDict:
-    """Keep what somebody else said from acting on the terminal of whoever reads the log."""
+    """Keep control characters in foreign texts from acting on the terminal on which the log is read."""
     return {key: printable(value, keep="\n") if isinstance(value, str) else value for key, value in entry.items()}
 
 

@@ -271,7 +271,7 @@ async def _load_standard_nodes(server: Server) -> None:
 
 
 async def _publish(space: AddressSpace, nodes: Iterable[ua.NodeId]) -> None:
-    """Tell subscribers about changed values; costs nothing while nobody subscribes."""
+    """Tell subscribers about changed values; costs nothing without subscribers."""
     attributes = {node: space[node].attributes[AttributeIds.Value] for node in nodes}
     told: dict[ua.NodeId, ua.DataValue] = {}
     while True:
