@@ -9,6 +9,7 @@ import numpy as np
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
+from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
 from daemon.model_release.bearings import open_planning
 from daemon.model_release.file_access import account_of_daemon
@@ -76,21 +77,26 @@ def _spindle_speed(configuration: Configuration) -> Finding:
 
 
 def _record(configuration: Configuration) -> Finding:
+    """Return whether there is a record that fits, or whether `toolpoint commission` could make one."""
     path = configuration.compensation.commissioning_file
+    not_made = without_text(configuration)
+    refused = "; ".join(filter(None, (insecure(configuration), unchecked(configuration), not_made)))
     if path is None:
+        how = "run `toolpoint commission`"
+        if refused:
+            how = f"`toolpoint commission` makes one, but refuses this configuration so far: {refused}"
         return Finding(
             subject="commissioning",
             passed=False,
-            pending=True,
-            detail="no record (compensation.commissioning_file), so nothing can be switched on: "
-            "run `toolpoint commission`",
+            pending=not not_made,
+            detail=f"no record (compensation.commissioning_file), so nothing can be switched on: {how}",
         )
     try:
         record = load_commissioning(path, configuration.signatures.public_keys)
     except CommissioningError as error:
         return Finding(subject="commissioning", passed=False, detail=str(error))
     axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
-    inhibit = commissioning_inhibit(
+    inhibit = refused or commissioning_inhibit(
         record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=axes
     )
     detail = inhibit or f"{record.cnc_identity} by {record.person} on {record.date}"

@@ -7,7 +7,7 @@ import numpy as np
 
 from config.records.commissioning import LEAST_PROOF_UM
 from config.schema import Configuration
-from config.schema.cnc import CHECK_MISSING
+from daemon.cnc.commissionable import insecure, unchecked
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import INCREMENT_SLACK, UM_PER_MM, refuse_unsafe
 from drivers.clock import Clock
@@ -46,17 +46,14 @@ def refuse_running_daemon(path: Path) -> None:
 
 def refuse_insecure(configuration: Configuration) -> None:
     """Refuse a connection over which nothing may be written."""
-    cnc = configuration.cnc
-    if not cnc.connection.encrypted and not cnc.allow_insecure_writes:
-        raise CommissioningRefusedError(
-            f"nothing is written over an unencrypted, anonymous connection: {cnc.insecure_advice}"
-        )
+    if problem := insecure(configuration):
+        raise CommissioningRefusedError(problem)
 
 
 def refuse_unchecked(configuration: Configuration) -> None:
     """Refuse a block without a check: no axis would be enabled with it."""
-    if configuration.cnc.macros.check is None:
-        raise CommissioningRefusedError(f"cnc.macros.check {CHECK_MISSING}")
+    if problem := unchecked(configuration):
+        raise CommissioningRefusedError(problem)
 
 
 def refuse_clock(clock: Clock, identity: str) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamics_command import DIRECT, FREE, answer, nose, refusal, write_csv
+from dynamics_command import DIRECT, FREE, answer, call, nose, refusal, write_csv
 
 from config.machine.spindle import shipped_spindles
 
@@ -112,6 +112,21 @@ def test_twelve_parameters_are_found_again_but_not_all_determined(spindle: Path,
     assert len(found["values"]) == len(found["identifiable"]) == 12
     assert not all(found["identifiable"].values())
     assert found["evaluations"] < 10
+
+
+def test_a_spindle_with_two_bearing_pairs_is_identified_without_a_choice(tmp_path: Path) -> None:
+    *others, _ = DIRECT.splitlines()
+    truth = tmp_path / "truth.yaml"
+    truth.write_text("\n".join(others))
+    measured = write_csv(tmp_path / "measured.csv", *nose(truth))
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(truth.read_text().replace("5.11e7", "8e7").replace("1.7e8", "1e8"))
+    assert answer("identify", guess, measured, "--parameters", "5")["log_error"] > 0.1
+    found = answer("identify", guess, measured)
+    assert found["parameters"] == 12 and len(found["values"]) == 8
+    assert found["log_error"] < 1e-3
+    told = call("identify", guess, measured).stderr
+    assert "all parameters of the groups there are (12 and 34) are varied; --parameters 5 or 7 varies fewer" in told
 
 
 def test_kept_parameters_come_from_the_file_where_only_that_fits(spindle: Path, tmp_path: Path) -> None:

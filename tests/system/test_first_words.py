@@ -1,7 +1,9 @@
 """What somebody meets who has never used the command: the list of commands, a missing file, a fresh sample."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -56,6 +58,34 @@ def test_what_the_configuration_names_and_is_not_there_is_a_failure(key: str, tm
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     found = toolpoint("check", "--no-devices", "--config", path)
     assert found.exit_code == 1 and "FAIL" in found.output and "missing.json" in found.output
+
+
+def too_coarse(content: dict[str, Any]) -> None:
+    """Let the control's increment be larger than the step of an axis: no guard can be written for that."""
+    content["cnc"].setdefault("guard", {})["increment_mm"] = 0.01
+    content["compensation"]["axes"]["z"].update(step_um=5.0, deadband_um=0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "status"),
+    [
+        (lambda content: content["cnc"]["macros"].pop("check"), "cnc.macros.check", 0),
+        (lambda content: None, "unencrypted, anonymous connection", 0),
+        (too_coarse, "increment", 1),
+    ],
+    ids=["no check", "insecure", "no text"],
+)
+def test_what_commissioning_would_refuse_is_said_by_the_check(
+    change: Callable[[dict[str, Any]], object], words: str, status: int, tmp_path: Path
+) -> None:
+    content = yaml.safe_load(sample_configuration())
+    change(content)
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    found = toolpoint("check", "--no-devices", "--config", path)
+    assert "`toolpoint commission` makes one, but refuses this configuration so far: " in found.output
+    assert words in " ".join(found.output.split())
+    assert found.exit_code == status
 
 
 def test_the_long_commands_say_what_they_ask_for() -> None:

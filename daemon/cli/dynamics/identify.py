@@ -44,9 +44,9 @@ coherence_option = option(
 @rotary_option
 @option(
     "--parameters",
-    type=click.Choice(["5", "7", "12"]),
-    default="5",
-    help="How many bearing parameters are varied; the others are kept.",
+    type=click.Choice(["auto", "5", "7", "12"]),
+    default="auto",
+    help="How many bearing parameters are varied; the others are kept. auto: 5 for the groups 12, 34 and 5, else all.",
 )
 @method_option
 @option(
@@ -80,16 +80,19 @@ def identify(
     Several responses are averaged. Which parameters the data see is said for each.
     """
     from config.machine.spindle_chain import read_spindle
-    from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response
+    from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response, parameters_for
     from daemon.workbench.dynamics.responses import ResponseError
     from models.dynamics.measurement import MeasurementError
     from models.errors import IdentificationError
 
     try:
         spindle = read_spindle(spindle_path, rotary)
+        count, why = parameters_for(spindle, parameters)
+        if why:
+            click.echo(why, err=True)
         band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
-        response = measured_response(measured, band, int(parameters))
-        found = bearings_summary(spindle, response, int(parameters), method, fixed, trust_units=trust_units)
+        response = measured_response(measured, band, count)
+        found = bearings_summary(spindle, response, count, method, fixed, trust_units=trust_units)
     except MeasurementError as error:
         refuse(f"{', '.join(map(str, measured))}: {error}")
     except (ResponseError, IdentificationError) as error:

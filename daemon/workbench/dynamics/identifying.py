@@ -12,7 +12,7 @@ from daemon.workbench.dynamics.other_units import refuse_other_units
 from daemon.workbench.dynamics.responses import ResponseError, properties
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
-from models.dynamics.bearings import CondensedShaft, parameters_from_properties
+from models.dynamics.bearings import GROUPS, CondensedShaft, parameters_from_properties
 from models.dynamics.chain import Chain, Part, SpringDamper
 from models.dynamics.contact import Interface, chain_receptance, identify_contact
 from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
@@ -35,6 +35,21 @@ class Band:
     least_coherence: float | None = None
     trust_units: bool = False
     """Whether the units are taken as stated, whatever the numbers look like."""
+
+
+def parameters_for(spindle: Spindle, asked: str) -> tuple[int, str]:
+    """Return how many bearing parameters are varied, and why where that was left open ('auto').
+
+    Five, the others kept at published values, are those of the published spindle with its three groups of bearings;
+    for any other arrangement these values say nothing, so all of its groups are varied.
+    """
+    if asked != "auto":
+        return int(asked), ""
+    groups = tuple(dict.fromkeys(support.group for support in spindle.shaft.supports))
+    if not groups or set(groups) == set(GROUPS):
+        return 5, ""
+    named = " and ".join(groups)
+    return 12, f"all parameters of the groups there are ({named}) are varied; --parameters 5 or 7 varies fewer"
 
 
 def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
