@@ -88,10 +88,15 @@ json_option = option(
 )
 
 
-def refuse(message: str) -> NoReturn:
-    """End with a sentence on standard error and the status for bad usage."""
+def say(message: str) -> None:
+    """Write something for a person, on standard error: standard output is for results."""
     click.echo(message, err=True)
-    sys.exit(BAD_USAGE)
+
+
+def refuse(message: str, status: int = BAD_USAGE) -> NoReturn:
+    """End with a sentence on standard error, and a status that says what kind of refusal it is."""
+    say(message)
+    sys.exit(status)
 
 
 def read_configuration(path: Path) -> Configuration:
@@ -228,4 +233,4 @@ picture_option = option(
 def show_warnings(found: dict[str, Any]) -> None:
     """Write the warnings of a result on standard error."""
     for warning in found["warnings"]:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
 
 FAILED = 1
 """Exit status when a back-up or restoration is refused or fails."""
@@ -41,7 +41,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
         if folder_wanted:
             destination.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        click.echo(f"{destination}: this folder for back-ups cannot be made ({error.strerror})", err=True)
+        say(f"{destination}: this folder for back-ups cannot be made ({error.strerror})")
         sys.exit(FAILED)
     into_folder = destination.is_dir()
     name = backup_name(configuration.machine, datetime.now(UTC))
@@ -50,10 +50,9 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
         manifest = make_backup(configuration, config_path, path)
         removed = remove_old(destination, configuration.machine, keep, spare=path) if keep is not None else []
     except BackupError as error:
-        click.echo(str(error), err=True)
-        sys.exit(FAILED)
+        refuse(str(error), FAILED)
     size_mib = path.stat().st_size / 2**20
-    click.echo(f"{path}: {len(manifest.files)} files, {size_mib:.1f} MiB; removed {len(removed)} older", err=True)
+    say(f"{path}: {len(manifest.files)} files, {size_mib:.1f} MiB; removed {len(removed)} older")
     write_json(
         json_path,
         {
@@ -100,9 +99,7 @@ def restore(
     try:
         if verify_only:
             manifest = restoring.read_manifest(archive)
-            click.echo(
-                f"{archive}: whole; {manifest.machine}, {manifest.created}, {len(manifest.files)} files", err=True
-            )
+            say(f"{archive}: whole; {manifest.machine}, {manifest.created}, {len(manifest.files)} files")
             write_json(json_path, manifest.model_dump(mode="json"))
             return
         done = restoring.restore(
@@ -115,13 +112,10 @@ def restore(
             accept_unsigned=accept_unsigned,
         )
     except BackupError as error:
-        click.echo(str(error), err=True)
-        sys.exit(FAILED)
+        refuse(str(error), FAILED)
     for path in done.placed:
-        click.echo(f"restored {path}", err=True)
+        say(f"restored {path}")
     for path in done.kept:
-        click.echo(f"kept     {path}", err=True)
-    click.echo(
-        "put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`", err=True
-    )
+        say(f"kept     {path}")
+    say("put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`")
     write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})

@@ -19,6 +19,7 @@ from daemon.cli.common import (
     option,
     read_configuration,
     refuse,
+    say,
 )
 
 if TYPE_CHECKING:
@@ -232,10 +233,10 @@ def _commission(
         if report_path is not None:
             _write_report(report_path, report_html(record, configuration))
     except (CommissioningRefusedError, CommissioningError, SigningError, DriverError) as error:
-        click.echo(f"Not commissioned: {error}", err=True)
+        say(f"Not commissioned: {error}")
         return NOT_DONE
     except asyncio.CancelledError:
-        click.echo("Not commissioned: interrupted", err=True)
+        say("Not commissioned: interrupted")
         return INTERRUPTED
     if configuration.compensation.commissioning_file != record_file:
         click.echo(f"The daemon reads it once the configuration says compensation.commissioning_file: {record_file}")
@@ -268,12 +269,12 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
     from daemon.commissioning.report import record_digest, report_html
 
     if record_file is None:
-        click.echo("there is no record: set compensation.commissioning_file, or name --record", err=True)
+        say("there is no record: set compensation.commissioning_file, or name --record")
         return BAD_USAGE
     try:
         record = load_commissioning(record_file)
     except CommissioningError as error:
-        click.echo(str(error), err=True)
+        say(str(error))
         return NOT_DONE
     click.echo(f"{record_file}: format {record.format_version}, SHA-256 {record_digest(record)}")
     click.echo(f"control {record.cnc_identity}, guard version {record.guard_version or 'not named'}")
@@ -290,7 +291,7 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
         record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=wanted
     )
     if inhibit:
-        click.echo(f"It does not permit what the configuration wants: {inhibit}", err=True)
+        say(f"It does not permit what the configuration wants: {inhibit}")
         return NOT_DONE
     click.echo("It fits the configuration. The control's identity and the guard's version are compared by the daemon.")
     return 0

@@ -13,6 +13,7 @@ from daemon.cli.common import (
     json_option,
     option,
     read_with_warnings,
+    say,
     show_finding,
     write_json,
 )
@@ -57,7 +58,7 @@ def check(config_path: Path, devices: bool, json_path: str | None) -> None:
     """
     configuration, warnings = read_with_warnings(config_path)
     for warning in warnings:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     findings: list[Finding] = []
 
     async def collect() -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.admin.configuration import deliver, output_option
-from daemon.cli.common import NOT_A_FOLDER, config_option, option, read_configuration, refuse
+from daemon.cli.common import NOT_A_FOLDER, config_option, option, read_configuration, refuse, say
 
 if TYPE_CHECKING:
     from config.schema import Configuration
@@ -43,10 +43,9 @@ def guard(
     unchanged = read_configuration(config_path)
     configuration = _with_changes(unchanged, policy, program)
     if configuration.cnc.guard != unchanged.cnc.guard:
-        click.echo(
+        say(
             f"This is not the guard that {config_path} describes. Say the same there (cnc.guard.on_expiry, program) "
-            "before you load it: the daemon expects the guard that is configured there, and anything else is a FAULT",
-            err=True,
+            "before you load it: the daemon expects the guard that is configured there, and anything else is a FAULT"
         )
     if sheet is not None and output is not None:
         refuse("--sheet writes the sheet and --output the programs; give one of them")

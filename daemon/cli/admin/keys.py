@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, write_json
+from daemon.cli.common import config_option, json_option, read_configuration, say, write_json
 
 FAILED = 1
 """Exit status when nothing was made or signed."""
@@ -38,7 +38,7 @@ def make(name: str, config_path: Path) -> None:
             raise FileExistsError(0, "there is such a key already, or this is no name for one")
         made = not path.exists()
         key = SigningKey.make(path) if made else SigningKey.load(path)
-        click.echo(f"private key: {path}{'' if made else ' (was there)'}", err=True)
+        say(f"private key: {path}{'' if made else ' (was there)'}")
         trusted_key(public, key.public)
         folder.mkdir(parents=True, exist_ok=True)
         with public.open("xb") as file:
@@ -46,10 +46,10 @@ def make(name: str, config_path: Path) -> None:
         public.chmod(0o644)
     except OSError as error:
         cause = f"the public key cannot be put there ({error.strerror})"
-        click.echo(f"{public}: {cause}; an account that may write there must do it", err=True)
+        say(f"{public}: {cause}; an account that may write there must do it")
         sys.exit(FAILED)
-    click.echo(f"public key: {public} ({key.number}); keep a copy of both apart", err=True)
-    click.echo("what is not signed is refused from now on: `toolpoint keys sign`", err=True)
+    say(f"public key: {public} ({key.number}); keep a copy of both apart")
+    say("what is not signed is refused from now on: `toolpoint keys sign`")
 
 
 @keys.command("list")
@@ -105,8 +105,8 @@ def sign(yes: bool, config_path: Path) -> None:
         try:
             resigning.sign(each, key)
         except OSError as error:
-            click.echo(f"{each.path}: cannot be signed ({error.strerror}) by this account", err=True)
+            say(f"{each.path}: cannot be signed ({error.strerror}) by this account")
             sys.exit(FAILED)
-        click.echo(f"signed {each.path}", err=True)
+        say(f"signed {each.path}")
     if not waiting:
-        click.echo("nothing waits for a signature", err=True)
+        say("nothing waits for a signature")

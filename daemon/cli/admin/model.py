@@ -1,12 +1,20 @@
 """`toolpoint model`: release thermal models and bearing models, list them, go back to an earlier one."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import NOT_A_FOLDER, config_option, json_option, option, read_configuration, refuse, write_json
+from daemon.cli.common import (
+    NOT_A_FOLDER,
+    config_option,
+    json_option,
+    option,
+    read_configuration,
+    refuse,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from config.records.release_record import ReleaseRecord
@@ -68,10 +76,9 @@ def release_command(
             path = proposal_named(configuration, proposal)
             record = release(configuration, path, person=person_now(), note=note, kind=_kind(bearings))
     except (ReleaseError, OSError) as error:
-        click.echo(str(error), err=True)
-        sys.exit(REFUSED)
+        refuse(str(error), REFUSED)
     if record is None:
-        click.echo("no proposal that the policy lets through; `toolpoint model list` shows what waits", err=True)
+        say("no proposal that the policy lets through; `toolpoint model list` shows what waits")
         write_json(json_path, None)
         return
     _done(record, bearings, json_path)
@@ -93,17 +100,15 @@ def rollback(number: int | None, bearings: bool, note: str, config_path: Path, j
         kind, person = _kind(bearings), releasing.person_now()
         record = releasing.rollback(configuration, person=person, to=number, note=note, kind=kind)
     except (ReleaseError, OSError) as error:
-        click.echo(str(error), err=True)
-        sys.exit(REFUSED)
+        refuse(str(error), REFUSED)
     _done(record, bearings, json_path)
 
 
 def _done(record: "ReleaseRecord", bearings: bool, json_path: str | None) -> None:
     taken_up = "at its next start" if bearings else "with `systemctl reload toolpoint`, or at its next start"
-    click.echo(
+    say(
         f"release {record.number}: {record.model_id}, sha256 {record.sha256[:12]}, by {record.person}; the daemon "
-        f"takes it up {taken_up}",
-        err=True,
+        f"takes it up {taken_up}"
     )
     write_json(json_path, record.model_dump(mode="json"))
 
@@ -148,7 +153,7 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
     if not records:
         click.echo("no model has been released")
     if not bearings and (hidden := why_proposals_are_hidden(configuration)):
-        click.echo(hidden, err=True)
+        say(hidden)
     for proposal in waiting:
         click.echo(
             f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.inhibit}".rstrip()
@@ -172,7 +177,7 @@ def propose(config_path: Path, json_path: str | None) -> None:
         made = propose_from_history(configuration, configuration.compensation.retraining or RetrainingConfig())
     except OSError as error:
         refuse(f"{configuration.history.path.parent}: the proposal cannot be written ({error.strerror})")
-    click.echo(f"{made['path']}: {made['model_id']}, {made['hours']:g} h in {made['recordings']} stretches", err=True)
+    say(f"{made['path']}: {made['model_id']}, {made['hours']:g} h in {made['recordings']} stretches")
     if made["refused"]:
-        click.echo(f"its training refuses it: {made['refused']}", err=True)
+        say(f"its training refuses it: {made['refused']}")
     write_json(json_path, made)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, Command, FiniteFloat, json_option, option, refuse, write_json
+from daemon.cli.common import FILE, Command, FiniteFloat, json_option, option, refuse, say, write_json
 
 if TYPE_CHECKING:
     from models.thermomechanics.regression import AxisRegression
@@ -78,7 +78,7 @@ def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_
             beside = (
                 f"   outside the physical range {each.bounds.lowest:g} to {each.bounds.highest:g}: raw {each.raw:.4g}"
             )
-        click.echo(f"{each.name:6} {each.value:12.4e}{beside}", err=True)
+        say(f"{each.name:6} {each.value:12.4e}{beside}")
     write_json(
         json_path, {each.name: {"raw": each.raw, "value": each.value, "flagged": each.flagged} for each in found}
     )

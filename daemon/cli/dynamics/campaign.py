@@ -15,6 +15,7 @@ from daemon.cli.common import (
     option,
     refuse,
     rotary_option,
+    say,
     show_warnings,
     trust_option,
     write_json,
@@ -129,14 +130,13 @@ def campaign(
         )
     found = campaign_summary(result)
     show_warnings(found)
-    click.echo(f"signals: {', '.join(result.model.signals)}", err=True)
+    say(f"signals: {', '.join(result.model.signals)}")
     for axis, each in found["axes"].items():
-        click.echo(f"axis {axis}: {each['responses']} responses, {each['minutes']} minutes", err=True)
+        say(f"axis {axis}: {each['responses']} responses, {each['minutes']} minutes")
         for name, fit in each["properties"].items():
-            click.echo(
+            say(
                 f"  {name:6} interval {fit['interval_min']:4.0f} min   adjusted R^2 {fit['adjusted_r2']:.4f}   "
-                f"error on left-out stretches {fit['left_out_error']:.3f}",
-                err=True,
+                f"error on left-out stretches {fit['left_out_error']:.3f}"
             )
     if model_path is not None:
         model_path.write_text(model_to_json(result.model), encoding="utf-8")
@@ -158,7 +158,7 @@ def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         refuse(f"{folder} exists and is not an empty folder; name a new one")
     count, minutes = write_campaign(folder, day, step_hz)
-    click.echo(f"{folder}: {count} responses within {minutes:.0f} simulated minutes", err=True)
+    say(f"{folder}: {count} responses within {minutes:.0f} simulated minutes")
 
 
 @click.command()
@@ -229,10 +229,9 @@ def track(
     show_warnings(found)
     for name, told in found["axes"].items():
         hz = told["resonance_hz"]
-        click.echo(
+        say(
             f"axis {name}: {hz[0]:.1f} Hz at first, {min(hz):.1f} to {max(hz):.1f} Hz, {hz[-1]:.1f} Hz at last; "
-            f"{sum(not each for each in told['continuous'])} of {len(hz)} lost",
-            err=True,
+            f"{sum(not each for each in told['continuous'])} of {len(hz)} lost"
         )
     if report_path is not None:
         write_tracking_page(report_path, day)

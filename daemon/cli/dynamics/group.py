@@ -14,6 +14,7 @@ from daemon.cli.common import (
     picture_option,
     refuse,
     rotary_option,
+    say,
     show_warnings,
     spindle_argument,
     write_json,
@@ -49,9 +50,9 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
     spindle = read_spindle(spindle_path, rotary)
     found = modes_summary(spindle, count)
     show_warnings(found)
-    click.echo(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long", err=True)
+    say(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long")
     for number, mode in enumerate(found["modes"], start=1):
-        click.echo(f"mode {number:2}: {mode['frequency_hz']:10.2f} Hz", err=True)
+        say(f"mode {number:2}: {mode['frequency_hz']:10.2f} Hz")
     if picture is not None:
         from daemon.workbench.dynamics.pictures import modes_picture
 
@@ -98,7 +99,7 @@ def frf(
         refuse(f"{spindle_path}: {error}")
     show_warnings(found)
     for peak in found["peaks"]:
-        click.echo(f"peak {peak['frequency_hz']:10.2f} Hz {peak['magnitude_m_per_n']:10.3e} m/N", err=True)
+        say(f"peak {peak['frequency_hz']:10.2f} Hz {peak['magnitude_m_per_n']:10.3e} m/N")
     if csv_path is not None:
         rows = zip(found["frequency_hz"], found["receptance_re"], found["receptance_im"], strict=True)
         lines = ["frequency_hz,receptance_re,receptance_im", *(f"{f!r},{re!r},{im!r}" for f, re, im in rows)]

@@ -14,6 +14,7 @@ from daemon.cli.common import (
     picture_option,
     refuse,
     rotary_option,
+    say,
     show_warnings,
     spindle_argument,
     trust_option,
@@ -160,9 +161,8 @@ def show_identified(found: dict[str, Any]) -> None:
     show_warnings(found)
     for name, value in found["values"].items():
         seen = "" if found["identifiable"][name] else "   not determined by the data"
-        click.echo(f"{name:6} {value:12.4e}{seen}", err=True)
-    click.echo(
+        say(f"{name:6} {value:12.4e}{seen}")
+    say(
         f"cost {found['cost']:.3e} m/N, mean |log(H/H_meas)| {found['log_error']:.2e}, "
-        f"{found['evaluations']} evaluations",
-        err=True,
+        f"{found['evaluations']} evaluations"
     )

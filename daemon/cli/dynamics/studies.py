@@ -14,6 +14,7 @@ from daemon.cli.common import (
     option,
     picture_option,
     rotary_option,
+    say,
     show_warnings,
     spindle_argument,
     write_json,
@@ -53,12 +54,12 @@ def sensitivity(
     spindle = read_spindle(spindle_path, rotary)
     found = sensitivity_summary(spindle, found_file(spindle_path), percent, count)
     show_warnings(found)
-    click.echo("moduli  change   " + "   ".join(f"mode {k + 1}: Hz, change, MAC" for k in range(count)), err=True)
+    say("moduli  change   " + "   ".join(f"mode {k + 1}: Hz, change, MAC" for k in range(count)))
     for variation in found["variations"]:
         each = "   ".join(
             f"{m['frequency_hz']:9.2f} {m['change_percent']:+6.2f} % {m['mac']:.4f}" for m in variation["modes"]
         )
-        click.echo(f"{variation['moduli']:6} {variation['percent']:+6.1f} %  {each}", err=True)
+        say(f"{variation['moduli']:6} {variation['percent']:+6.1f} %  {each}")
     if picture is not None:
         from daemon.workbench.dynamics.pictures import sensitivity_picture
 
@@ -95,11 +96,10 @@ def compare(
     found = comparison_summary(spindles, at, band)
     show_warnings(found)
     for layout in found["layouts"]:
-        click.echo(
+        say(
             f"{layout['frequency_hz']:9.2f} Hz {layout['compliance_m_per_n']:10.3e} m/N "
             f"{layout['compliance_change_percent']:+7.1f} %  {layout['mass_kg']:7.3f} kg  "
-            f"{layout['name'] or layout['file']}",
-            err=True,
+            f"{layout['name'] or layout['file']}"
         )
     if picture is not None:
         from daemon.workbench.dynamics.pictures import comparison_picture

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, print_rows, sensor_list, view
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
@@ -195,7 +195,7 @@ def export(
             held = f"it has them from {iso(extent[0])} to {iso(extent[1])}" if extent else "it has none at all"
             refuse(f"{reader.path}: no {what} from {iso(from_utc_s)} to {iso(to_utc_s)}; {held}")
         rows = _write(table, output, format_)
-        click.echo(f"{rows} rows of {what} written to {output}", err=True)
+        say(f"{rows} rows of {what} written to {output}")
 
 
 def _write(table: Table, output: Path, format_: str) -> int:

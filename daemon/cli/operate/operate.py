@@ -1,6 +1,5 @@
 """Commands to a running daemon: status, monitor, reference, enable, disable, acknowledge."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, write_json
+from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
 
 NOT_DONE = 1
@@ -31,8 +30,7 @@ def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlCl
         finally:
             client.close()
     except (DaemonUnreachableError, RequestError) as error:
-        click.echo(str(error), err=True)
-        sys.exit(NOT_DONE)
+        refuse(str(error), NOT_DONE)
 
 
 def _tell(outcome: Mapping[str, Any]) -> None:
@@ -42,7 +40,7 @@ def _tell(outcome: Mapping[str, Any]) -> None:
         return
     click.echo(f"{outcome['state']}: {outcome['reason']}")
     if outcome["alarm"]:
-        click.echo(outcome["alarm"], err=True)
+        say(outcome["alarm"])
 
 
 @click.command()

@@ -12,7 +12,7 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, write_json
+from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, say, write_json
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation import SimulationError
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch
@@ -70,7 +70,7 @@ def demo(
     numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
     write_json(json_path, numbers)
     for failure in failures:
-        click.echo(failure, err=True)
+        say(failure)
     sys.exit(1 if failures else 0)
 
 
@@ -135,9 +135,9 @@ def simulation_folder(directory: Path | None) -> Iterator[Path]:
             yield folder
         except (SimulationError, DaemonUnreachableError) as error:
             if directory is None:
-                click.echo("\n".join([str(error), *last_lines(folder)]), err=True)
+                say("\n".join([str(error), *last_lines(folder)]))
             else:
-                click.echo(f"{error}; logs are in {folder}", err=True)
+                say(f"{error}; logs are in {folder}")
             sys.exit(BROKEN_OFF)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FiniteFloat, directory_option, json_option, option, write_json
+from daemon.cli.common import FiniteFloat, directory_option, json_option, option, say, write_json
 from daemon.cli.simulate.demo import simulation_folder
 
 
@@ -37,13 +37,11 @@ def faults(days: float, seed: int, directory: Path | None, json_path: str | None
     from daemon.simulation.faults.run import run_campaign
 
     with simulation_folder(directory) as folder:
-        result = run_campaign(
-            demo_machine(), folder, days=days, seed=seed, progress=lambda text: click.echo(text, err=True)
-        )
+        result = run_campaign(demo_machine(), folder, days=days, seed=seed, progress=say)
     write_json(json_path, numbers(result))
     if json_path != "-":
         click.echo(summary(result))
     found = failures(result)
     for failure in found:
-        click.echo(failure, err=True)
+        say(failure)
     sys.exit(1 if found else 0)

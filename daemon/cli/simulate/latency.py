@@ -7,15 +7,7 @@ from typing import Any, cast
 
 import click
 
-from daemon.cli.common import (
-    NOT_A_FOLDER,
-    FiniteFloat,
-    directory_option,
-    json_option,
-    option,
-    refuse,
-    write_json,
-)
+from daemon.cli.common import NOT_A_FOLDER, FiniteFloat, directory_option, json_option, option, refuse, say, write_json
 from daemon.cli.simulate.demo import simulation_folder
 
 PLOTS = (".html", ".png", ".svg")
@@ -110,7 +102,7 @@ def latency(
         except OSError as error:
             refuse(f"{plot} cannot be written: {error.strerror}")
     for problem in problems:
-        click.echo(problem, err=True)
+        say(problem)
     sys.exit(1 if problems else 0)
 
 

@@ -14,6 +14,7 @@ from daemon.cli.common import (
     json_option,
     option,
     refuse,
+    say,
     write_json,
 )
 from daemon.cli.simulate.demo import simulation_folder
@@ -57,7 +58,7 @@ def replay(
     The reference is the mean of the first block played. Reports the error per channel without and with compensation.
     """
     if speed > FASTEST:
-        click.echo(f"--speed {speed:g} is taken as {FASTEST:g}: the simulated wires are no faster", err=True)
+        say(f"--speed {speed:g} is taken as {FASTEST:g}: the simulated wires are no faster")
         speed = FASTEST
     try:
         recording_map = map_of(recording, map_path)

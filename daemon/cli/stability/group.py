@@ -18,6 +18,7 @@ from daemon.cli.common import (
     option,
     picture_option,
     refuse,
+    say,
     write_json,
 )
 from daemon.cli.stability.recordings import chatter, roughness
@@ -152,24 +153,22 @@ def lobes_content(found: "StabilityLobes", method: str, max_depth_mm: float | No
 
 def _show(found: "StabilityLobes") -> None:
     for warning in found.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     minimum = found.minimum
     if minimum is None:
         return
-    click.echo(
+    say(
         f"{found.speed_rpm[0]:g} to {found.speed_rpm[-1]:g} 1/min: stable everywhere up to {minimum.depth_mm:.4g} mm "
-        f"(lowest at {minimum.speed_rpm:.0f} 1/min, chatter at {minimum.chatter_hz:.1f} Hz)",
-        err=True,
+        f"(lowest at {minimum.speed_rpm:.0f} 1/min, chatter at {minimum.chatter_hz:.1f} Hz)"
     )
 
 
 def _show_radii(content: dict[str, Any]) -> None:
     for point in content["points"]:
         word = "stable" if point["spectral_radius"] < 1.0 else "chatter"
-        click.echo(
+        say(
             f"{point['speed_rpm']:g} 1/min, {point['depth_mm']:g} mm: {word} "
-            f"(spectral radius {point['spectral_radius']:.6f})",
-            err=True,
+            f"(spectral radius {point['spectral_radius']:.6f})"
         )
 
 
@@ -184,7 +183,7 @@ def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_pat
     from models.spindle_speed.choice import resonance_speed_rpm
 
     speed_rpm = resonance_speed_rpm(resonance_hz, offset_hz, teeth, lobe)
-    click.echo(f"{speed_rpm:.1f} 1/min", err=True)
+    say(f"{speed_rpm:.1f} 1/min")
     write_json(
         json_path,
         {
@@ -255,10 +254,10 @@ def choose(
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
     for warning in warnings:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     depth = finite_or_none(choice.limiting_depth_mm)
     words = "unlimited" if depth is None else f"{depth:.3g} mm"
-    click.echo(f"S{choice.speed_rpm:.0f}: limiting depth {words}" if choice.stable else str(choice.alarm), err=True)
+    say(f"S{choice.speed_rpm:.0f}: limiting depth {words}" if choice.stable else str(choice.alarm))
     content = {
         "speed_rpm": choice.speed_rpm,
         "feed_mm_min": None if feed_mm_min is None else feed_mm_min * choice.speed_rpm / programmed_rpm,

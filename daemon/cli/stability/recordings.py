@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, POSITIVE, FiniteFloat, json_option, option, picture_option, refuse, write_json
+from daemon.cli.common import FILE, POSITIVE, FiniteFloat, json_option, option, picture_option, refuse, say, write_json
 
 if TYPE_CHECKING:
     from daemon.workbench.stability.recordings import Passage
@@ -86,7 +86,7 @@ def _show(part: dict[str, Any]) -> None:
         words = f"chatter at {part['frequency_hz']:.1f} Hz from {part['onset_s']:.2f} s on"
     else:
         words = "no chatter"
-    click.echo(f"{place}{words} (teeth pass at {part['tooth_passing_hz']:.1f} Hz)", err=True)
+    say(f"{place}{words} (teeth pass at {part['tooth_passing_hz']:.1f} Hz)")
 
 
 @click.command()
@@ -100,5 +100,5 @@ def roughness(profile_path: Path, cutoff_mm: float | None, json_path: str | None
     found = judge_profile(profile_path, cutoff_mm)
     for entry in found:
         place = "" if entry["depth_mm"] is None else f"{entry['depth_mm']:g} mm: "
-        click.echo(f"{place}Ra {entry['ra_um']:.3g} um, Rz {entry['rz_um']:.3g} um", err=True)
+        say(f"{place}Ra {entry['ra_um']:.3g} um, Rz {entry['rz_um']:.3g} um")
     write_json(json_path, {"depths": found})

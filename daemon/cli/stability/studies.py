@@ -6,16 +6,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    LOBES_METHOD,
-    POSITIVE,
-    json_option,
-    option,
-    picture_option,
-    refuse,
-    write_json,
-)
+from daemon.cli.common import FILE, LOBES_METHOD, POSITIVE, json_option, option, picture_option, refuse, say, write_json
 from models.json_values import finite_or_none
 
 
@@ -60,7 +51,7 @@ def compare(
             if choice is None
             else f", S{choice.speed_rpm:.0f}{'' if choice.stable else ' (' + str(choice.alarm) + ')'}"
         )
-        click.echo(f"{path}: lowest limit {lowest}{words}", err=True)
+        say(f"{path}: lowest limit {lowest}{words}")
         content.append(
             {
                 "case": str(path),
@@ -99,9 +90,9 @@ def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
     content: dict[str, Any] = {name: modes_content(fit) for name, (_, fit) in found.items()}
     for name, part in content.items():
         for warning in part["warnings"]:
-            click.echo(f"warning: {name}: {warning}", err=True)
+            say(f"warning: {name}: {warning}")
         for mode in part["modes"]:
-            click.echo(f"{name}: {mode['frequency_hz']:.1f} Hz, damping ratio {mode['damping_ratio']:.4f}", err=True)
+            say(f"{name}: {mode['frequency_hz']:.1f} Hz, damping ratio {mode['damping_ratio']:.4f}")
     if picture is not None:
         from daemon.workbench.stability.pictures import responses_picture
 
@@ -131,10 +122,9 @@ def coefficients(
 
     if forces_path is None:
         for name, known in MATERIALS.items():
-            click.echo(
+            say(
                 f"{name}: {known.material}, K_tc {known.tangential_n_per_m2:.4g} N/m^2, K_rc/K_tc "
-                f"{known.radial_ratio:.3g} ({known.source})",
-                err=True,
+                f"{known.radial_ratio:.3g} ({known.source})"
             )
         write_json(
             json_path, {name: {**asdict(known), "kr_ratio": known.radial_ratio} for name, known in MATERIALS.items()}
@@ -143,9 +133,8 @@ def coefficients(
     if case_path is None or depth_mm is None:
         refuse("a fit needs --case (tool and engagement that were cut) and --depth-mm")
     fit = fit_force_file(forces_path, load_stability_case(case_path), depth_mm)
-    click.echo(
+    say(
         f"kt_n_per_m2: {fit.coefficients.tangential_n_per_m2:.4g}, kr_ratio: {fit.coefficients.radial_ratio:.4g} "
-        f"(R^2 {fit.determination:.4f}, residual {fit.residual_rms_n:.3g} N)",
-        err=True,
+        f"(R^2 {fit.determination:.4f}, residual {fit.residual_rms_n:.3g} N)"
     )
     write_json(json_path, coefficients_content(fit))

@@ -13,6 +13,7 @@ from daemon.cli.common import (
     option,
     picture_option,
     refuse,
+    say,
     write_json,
 )
 
@@ -130,7 +131,7 @@ def warm_up(
     except (StabilityError, SpeedTuningError) as error:
         refuse(f"{case_path}: {error}")
     for run in runs:
-        click.echo(in_words(run), err=True)
+        say(in_words(run))
     if picture is not None:
         warm_up_picture(picture, runs, request)
     write_json(json_path, warm_up_content(runs, request))

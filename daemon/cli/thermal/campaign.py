@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, write_json
+from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, say, write_json
 
 STEPS = 1000
 
@@ -47,6 +47,6 @@ def campaign(folder: Path, seed: int, programme_path: Path | None, json_path: st
             word for word in (entry["previous"] and f"after {entry['previous']}", entry["cooling"]) if word
         )
         speeds = "/".join(f"{speed:g}" for speed in entry["spindle_speeds_rpm"])
-        click.echo(f"{entry['file']}: {speeds} 1/min, {words} ({entry['usage']})", err=True)
-    click.echo(f"{folder / INDEX_FILE}: {len(index['datasets'])} data sets of the simulated machine", err=True)
+        say(f"{entry['file']}: {speeds} 1/min, {words} ({entry['usage']})")
+    say(f"{folder / INDEX_FILE}: {len(index['datasets'])} data sets of the simulated machine")
     write_json(json_path, index)

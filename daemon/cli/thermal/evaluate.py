@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import click
 
-from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, write_json
+from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, say, write_json
 
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
@@ -118,32 +118,28 @@ def _protocol(
 def _show(found: dict[str, Any]) -> None:
     """Write the figures for people, on standard error."""
     for warning in found["warnings"][:10]:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     for test in found["tests"]:
         for name, why in test["temperatures_left_out"].items():
-            click.echo(f"{test['name']}: temperature {name} is left out of the model: {why}", err=True)
-    click.echo(f"model {found['model']}: {compact_text(found['hyper_parameters'])}", err=True)
-    click.echo(
-        f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers", err=True
-    )
+            say(f"{test['name']}: temperature {name} is left out of the model: {why}")
+    say(f"model {found['model']}: {compact_text(found['hyper_parameters'])}")
+    say(f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers")
     for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
-        click.echo(
+        say(
             f"{name:10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
             f"{_text(figures['reduction_rmse'], '10.1%')} {_text(figures['reduction_max'], '7.1%')} "
-            f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}",
-            err=True,
+            f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}"
         )
     for fault in found["faults"]:
         after = fault["found_after_min"]
-        click.echo(
+        say(
             f"{fault['kind']} {fault['sensor']}: {'not found' if after is None else f'found after {after:.0f} min'}, "
-            f"largest residual {_text(fault['max_ratio'], '.2f')} times fault-free",
-            err=True,
+            f"largest residual {_text(fault['max_ratio'], '.2f')} times fault-free"
         )
     alarms = ", ".join(found["false_alarm_sensors"]) or "none"
-    click.echo(f"false alarms: {alarms}", err=True)
+    say(f"false alarms: {alarms}")
     if found["refused"] is not None:
-        click.echo(f"refused: {found['refused']}", err=True)
+        say(f"refused: {found['refused']}")
 
 
 def _text(value: float | None, form: str) -> str:

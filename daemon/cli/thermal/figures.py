@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, write_json
+from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, say, write_json
 
 
 @click.command()
@@ -33,10 +33,9 @@ def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path
     for group, test in found["tests"].items():
         for model, shown in test["models"].items():
             largest = shown["by_training_sets"]["max_um"]
-            click.echo(
+            say(
                 f"{group}: {model}: largest residual {largest[0]:.1f} um after one training set, "
-                f"{largest[-1]:.1f} um after {len(largest)}",
-                err=True,
+                f"{largest[-1]:.1f} um after {len(largest)}"
             )
-    click.echo(f"{found['report']}: {len(found['figures'])} figures of {found['machine']} recordings", err=True)
+    say(f"{found['report']}: {len(found['figures'])} figures of {found['machine']} recordings")
     write_json(json_path, found)

@@ -5,16 +5,7 @@ from typing import Any, Literal
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    POSITIVE,
-    ProgressBar,
-    hours_option,
-    json_option,
-    option,
-    refuse,
-    write_json,
-)
+from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, refuse, say, write_json
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal.figures import figures
@@ -124,31 +115,30 @@ def _names(channels: str | None) -> tuple[str, ...] | None:
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
     for warning in found["warnings"][:MOST_WARNINGS]:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     if len(found["warnings"]) > MOST_WARNINGS:
-        click.echo(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind", err=True)
+        say(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind")
     for name, why in found["temperatures_left_out"].items():
-        click.echo(f"temperature {name} is left out of the model: {why}", err=True)
+        say(f"temperature {name} is left out of the model: {why}")
     model, held_out = found["model"], found["held_out"]
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
     chosen = compact_text(found["hyper_parameters"])
-    click.echo(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}", err=True)
+    say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
     if not held_out["channels"]:
-        click.echo("nothing could be left out, so it is not known how good this model is: record longer", err=True)
+        say("nothing could be left out, so it is not known how good this model is: record longer")
         return
     folds = held_out["folds"]
-    click.echo(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}", err=True)
+    say(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}")
     if (remains := held_out["relative_rmse"]) is not None:
-        click.echo(f"{remains:.0%} of the error remains there", err=True)
-    click.echo(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]", err=True)
+        say(f"{remains:.0%} of the error remains there")
+    say(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]")
     for channel, reached in held_out["channels"].items():
         without, remaining = reached["without"], reached["with"]
-        click.echo(
+        say(
             f"{channel:10} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
-            f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}",
-            err=True,
+            f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}"
         )
     if remains is not None and remains >= 1.0:
-        click.echo("warning: on what it had not seen this model is no better than none; do not use it", err=True)
+        say("warning: on what it had not seen this model is no better than none; do not use it")
     if found["refused"] is not None:
-        click.echo(f"refused: {found['refused']}; do not use it", err=True)
+        say(f"refused: {found['refused']}; do not use it")

@@ -6,16 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    NOT_A_FOLDER,
-    NOT_NEGATIVE,
-    POSITIVE,
-    json_option,
-    option,
-    refuse,
-    write_json,
-)
+from daemon.cli.common import FILE, NOT_A_FOLDER, NOT_NEGATIVE, POSITIVE, json_option, option, refuse, say, write_json
 
 if TYPE_CHECKING:
     from models.thermal.family import ThermalModel
@@ -122,29 +113,26 @@ def _process(cut_kwh: float | None, motor_kwh: float | None, process_min: float 
 def _show(found: dict[str, Any]) -> None:
     """Write the figures for people, on standard error."""
     for warning in found["warnings"][:10]:
-        click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{found['recording']}: {found['hours']:g} h, {len(found['rotations'])} rotations", err=True)
+        say(f"warning: {warning}")
+    say(f"{found['recording']}: {found['hours']:g} h, {len(found['rotations'])} rotations")
     if found["seen_in_training"]:
-        click.echo(
-            "warning: the model was trained on a recording of this name; with compensation looks too good", err=True
-        )
-    click.echo(f"{'channel':10} {'first 60 min':>13} {'whole':>8} {'environment':>12}   [um]", err=True)
+        say("warning: the model was trained on a recording of this name; with compensation looks too good")
+    say(f"{'channel':10} {'first 60 min':>13} {'whole':>8} {'environment':>12}   [um]")
     for name, channel in found["channels"].items():
         for kind in ("without", "with"):
             worst = channel[f"worst_{kind}"]
             if any(value is not None for value in worst.values()):
                 first, whole, environment = (_text(value) for value in worst.values())
-                click.echo(f"{name:10} {first:>13} {whole:>8} {environment:>12}   {kind} compensation", err=True)
+                say(f"{name:10} {first:>13} {whole:>8} {environment:>12}   {kind} compensation")
     if found["environment"]["why_not"] is not None:
-        click.echo(f"no environmental temperature variation error: {found['environment']['why_not']}", err=True)
+        say(f"no environmental temperature variation error: {found['environment']['why_not']}")
     drift = found["drift"]
     for name, channel in found["channels"].items():
         waits = [turn["warm_up"]["wait_min"] for turn in channel["distortion_by_rotating_spindle"]]
         if known := [wait for wait in waits if wait is not None]:
-            click.echo(
+            say(
                 f"{name}: warm up {max(known):.0f} min until it drifts less than {drift['tolerance_um']:g} um "
-                f"in {drift['ahead_min']:g} min",
-                err=True,
+                f"in {drift['ahead_min']:g} min"
             )
 
 

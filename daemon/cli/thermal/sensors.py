@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, hours_option, json_option, option, write_json
+from daemon.cli.common import FILE, ProgressBar, hours_option, json_option, option, say, write_json
 
 METHODS = ("forward", "lasso", "clusters")
 
@@ -50,10 +50,10 @@ def sensors(
 def _show(found: dict[str, Any]) -> None:
     """Write the comparison for people, on standard error."""
     for name, why in found["temperatures_left_out"].items():
-        click.echo(f"temperature {name} is left out: {why}", err=True)
-    click.echo(f"all sensors: {found['all_sensors']:.1%} of the error remains ({found['folds']}s left out)", err=True)
+        say(f"temperature {name} is left out: {why}")
+    say(f"all sensors: {found['all_sensors']:.1%} of the error remains ({found['folds']}s left out)")
     for step in found["selected"]:
-        click.echo(f"{step['count']:3} of them: {step['relative_rmse']:.1%}", err=True)
-    click.echo(f"order ({found['method']}): {', '.join(found['order'])}", err=True)
+        say(f"{step['count']:3} of them: {step['relative_rmse']:.1%}")
+    say(f"order ({found['method']}): {', '.join(found['order'])}")
     for price in found["prices"]:
-        click.echo(f"without {price['sensor']}: {price['relative_rmse']:.1%} ({price['rise']:+.1%})", err=True)
+        say(f"without {price['sensor']}: {price['relative_rmse']:.1%} ({price['rise']:+.1%})")
