@@ -26,7 +26,7 @@ def test_prints_the_programs_of_the_machine() -> None:
 def test_policy_and_number_come_from_the_command_line() -> None:
     printed = guard("--policy", "zero", "--program", 8100)
     assert printed.exit_code == 0
-    assert "(POLICY ZERO, STEP BY STEP)" in printed.stdout and "POLICY KEEP" not in printed.stdout
+    assert "(POLICY ZERO, STEP BY STEP." in printed.stdout and "POLICY KEEP" not in printed.stdout
     assert set(compile_programs(printed.stdout)) == {8100, 8101, 8102}
     assert "cnc.guard.on_expiry" in printed.stderr and "cnc.guard" not in guard().stderr
 
