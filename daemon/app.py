@@ -16,9 +16,8 @@ from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.limits import commissioned_factors, echo_slack_um, output_limits, positioning_macros
-from daemon.cnc.link import CncLink
 from daemon.cnc.macro_block import MacroBlock
-from daemon.cnc.session import CncSession
+from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.parts import ControlParts
 from daemon.compensation.restart import load_resume_point

@@ -8,7 +8,7 @@ import structlog
 
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon.cnc.link import CncLink
+from daemon.cnc.session import CncLink
 from daemon.rate_limit import RateLimit
 from daemon.registry import Parts
 from daemon.snapshots import DisplacementSnapshot, LinkSnapshot

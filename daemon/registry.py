@@ -9,7 +9,7 @@ from config.schema import Configuration
 from config.schema.cnc_drivers import CncDriverConfig
 from config.schema.temperatures import LineConfig
 from daemon.cnc.cnc_lock import CncLock
-from daemon.housekeeping.side_job import Housekeeping, housekeeping_scheduler
+from daemon.housekeeping.jobs import Housekeeping, housekeeping_scheduler
 from daemon.model_release.loading import LoadedModel
 from daemon.model_release.side_load import load_beside
 from drivers.clock import Clock

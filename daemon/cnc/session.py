@@ -3,7 +3,8 @@
 Owned by the control task alone; it serialises every call to the CNC.
 """
 
-from collections.abc import Mapping, Sequence
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ import numpy as np
 from daemon.cnc.audited_write import AuditedWriter, Expected, Groups, MacroValues, MacroWrite
 from daemon.cnc.macro_block import ECHO_SLACK_UM, LAST_SEQUENCE, Echo
 from daemon.cnc.write_ahead import WriteAheadRecord
-from drivers.contract import FatalDriverError
+from daemon.supervisor import LinkHealth
+from drivers.contract import Cnc, FatalDriverError, LinkError
 from models.control.state import OutputLimits
 from models.records import CncSample, CompensationCommand, FloatArray, Receipt, Trace
 
@@ -225,3 +227,36 @@ class CncSession:
     def _expect_old_or_new(self, macros: Sequence[tuple[int, float]]) -> None:
         before = self._acceptable or {}
         self._acceptable = {number: (*before.get(number, ()), value) for number, value in macros}
+
+
+class CncLink:
+    """Holds the present session; the control task uses it and says when it is lost."""
+
+    def __init__(
+        self, open_cnc: Callable[[], Cnc], open_session: Callable[[Cnc, CncSession | None], CncSession]
+    ) -> None:
+        self._open_cnc = open_cnc
+        self._open_session = open_session
+        self._lost: asyncio.Future[LinkError] | None = None
+        self._last: CncSession | None = None
+        self.session: CncSession | None = None
+        self.health = LinkHealth("cnc")
+
+    async def attempt(self) -> None:
+        """Connect, offer the session until it is lost, close. Raises what ended it."""
+        cnc = self._open_cnc()
+        try:
+            await cnc.connect()
+            self._lost = asyncio.get_running_loop().create_future()
+            self.session = self._last = self._open_session(cnc, self._last)
+            self.health.came_up(identity=cnc.identity, security=cnc.security)
+            raise await self._lost
+        finally:
+            self.session = None
+            await cnc.close()
+
+    def lost(self, error: LinkError) -> None:
+        """End the present session; the supervisor opens the next one."""
+        self.session = None
+        if self._lost is not None and not self._lost.done():
+            self._lost.set_result(error)

@@ -5,7 +5,7 @@ from functools import partial
 
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks, in_words
-from daemon.cnc.link import CncLink
+from daemon.cnc.session import CncLink
 from daemon.compensation.inbox import Inbox
 from daemon.compensation.references import References, new_id
 from daemon.compensation.restart import StartupRecovery

@@ -7,8 +7,7 @@ from typing import Protocol
 from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.link import CncLink
-from daemon.cnc.session import CncSession
+from daemon.cnc.session import CncLink, CncSession
 from daemon.compensation.references import ToThermal
 from daemon.compensation.restart import ResumePoint
 from daemon.history.writer import HistoryWriter

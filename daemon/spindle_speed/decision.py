@@ -8,7 +8,7 @@ from daemon.spindle_speed.calls import SpeedOperation
 from daemon.spindle_speed.macro_block import DISABLED, SpeedPair
 from daemon.spindle_speed.memory import KEPT_S
 from daemon.spindle_speed.messages import PlannedSpeed
-from daemon.spindle_speed.worker import SpeedWorker
+from daemon.spindle_speed.planner_process import SpeedWorker
 from models.records import Phase
 from models.spindle_speed.tuning import (
     SpeedState,

@@ -1,4 +1,4 @@
-"""Keeps the process that plans the spindle speed: starts it, asks it, ends it, and says when it is lost.
+"""Keeps the process that plans the spindle speed: starts it, asks it, ends it, says when it is lost; keeps its plan.
 
 One process, owned by the daemon's task group. It is killed when it gives no answer in time, and with the daemon. While
 it is not there no speed is planned, so the commanded one is frozen with the reason.
@@ -7,13 +7,24 @@ it is not there no speed is planned, so the commanded one is frozen with the rea
 import asyncio
 import math
 import signal
+from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 
 from pydantic import ValidationError
 
 from config.schema import Configuration
-from daemon.spindle_speed.messages import REPLY, OpenedModel, PlannedSpeed, PlanRequest, Reply, to_line
+from daemon.spindle_speed.messages import (
+    REPLY,
+    CalledOperation,
+    OpenedModel,
+    PlannedSpeed,
+    Planner,
+    PlanRequest,
+    Reply,
+    to_line,
+)
 from drivers.contract import LinkError
+from models.records import FloatArray
 
 ANSWER_WITHIN_S = 60.0
 """A process that has not answered by then hangs [s of the wall clock]; the longest plans take some seconds."""
@@ -167,3 +178,58 @@ def _how_it_ended(status: int) -> str:
     if status >= 0:
         return f"has ended with status {status}"
     return f"was ended by {signal.Signals(-status).name}"
+
+
+MOST_READINGS = 60
+"""Readings that may wait; older ones are left out."""
+
+
+class SpeedWorker:
+    """Asks for one plan at a time; owned by the control task."""
+
+    def __init__(self, planner: Planner | None) -> None:
+        self._planner = planner
+        self._readings: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MOST_READINGS)
+        self._last_s: float | None = None
+        self._task: asyncio.Task[PlannedSpeed | None] | None = None
+        self._latest: PlannedSpeed | None = None
+
+    @property
+    def inhibit(self) -> str:
+        """Why no speed can be planned now, '' when it can."""
+        return "" if self._planner is None else self._planner.inhibit
+
+    @property
+    def latest(self) -> PlannedSpeed | None:
+        """The latest plan; none of a planner that has been lost since."""
+        return None if self.inhibit else self._latest
+
+    def take(self, time_s: float, degc: FloatArray) -> None:
+        """Take a reading of all sensors [degC]."""
+        if self._planner is not None:
+            self._readings.append((time_s, tuple(degc.tolist())))
+            self._last_s = time_s
+
+    def update(self, called: CalledOperation | None, place: int | None) -> None:
+        """Take over a plan that is ready, and ask for the next where readings wait; returns at once."""
+        if self._task is not None:
+            if not self._task.done():
+                return
+            task, self._task = self._task, None
+            try:
+                self._latest = task.result() or self._latest
+            except LinkError:
+                self._latest = None
+        if self._planner is None or self._planner.inhibit:
+            self._latest = None
+            return
+        unplanned = called is not None and place is not None and (self._latest is None or self._latest.called != called)
+        if self._last_s is not None and (self._readings or unplanned):
+            request = PlanRequest(readings=tuple(self._readings), time_s=self._last_s, called=called, place=place)
+            self._readings.clear()
+            self._task = asyncio.create_task(self._planner.plan(request))
+
+    async def settled(self) -> None:
+        """Wait for what is being computed."""
+        if self._task is not None:
+            await asyncio.wait([self._task])

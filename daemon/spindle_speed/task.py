@@ -19,8 +19,8 @@ from daemon.spindle_speed.decision import OperationState, SpeedDecision
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
 from daemon.spindle_speed.messages import Planner
+from daemon.spindle_speed.planner_process import SpeedWorker
 from daemon.spindle_speed.snapshot import speed_snapshot
-from daemon.spindle_speed.worker import SpeedWorker
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError

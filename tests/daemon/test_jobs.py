@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from apscheduler.triggers.interval import IntervalTrigger
 
 from config.schema.service import HistoryConfig
-from daemon.housekeeping.side_job import HOUSEKEEPING_PERIOD_S, housekeeping_scheduler
+from daemon.housekeeping.jobs import HOUSEKEEPING_PERIOD_S, housekeeping_scheduler
 
 
 class Store:

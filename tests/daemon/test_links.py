@@ -12,7 +12,7 @@ from control_rig import HandClock, machine
 from displacement_file import HEADER, append, config, row
 
 from config.schema import Configuration
-from daemon.cnc.link import CncLink
+from daemon.cnc.session import CncLink
 from daemon.links import DisplacementLog, Links
 from daemon.registry import PARTS
 from daemon.snapshots import DisplacementSnapshot
