@@ -234,4 +234,8 @@ def _departure(
     spread_k = ALONE_K_PER_MIN * max(away_min, 0.0)
     if len(beside_k) >= LEAST_BESIDE:
         spread_k = float(np.abs(beside_k - expected_k).max())
-    return own_k - expected_k, spread_k, OWN_K + OWN_SHARE * abs(expected_k)
+    near_k = OWN_K + OWN_SHARE * abs(expected_k)
+    alike = known & (group == group[index]) & (np.abs(change_k - own_k) <= OWN_K)
+    if alike.any():  # what another one on its component did too is explained
+        return float(np.clip(own_k - expected_k, -near_k, near_k)), spread_k, near_k
+    return own_k - expected_k, spread_k, near_k

@@ -131,7 +131,8 @@ class WholeLoop(Bench):
         )
 
     def new_rig(self) -> Rig:
-        return Rig(self.configuration, self.nc, self.clock, record=record_for(self.configuration))
+        record = record_for(self.configuration)
+        return Rig(self.configuration, self.nc, self.clock, record=record, model_id=self.model.model_id)
 
     async def end(self) -> None:
         """End the daemon without a word, as a crash does; what it has handed to the store is there."""
