@@ -25,7 +25,7 @@ from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.compensation.temperature_macro import TemperatureMacro
 from daemon.estimation.snapshot import thermal_snapshot
-from daemon.estimation.task import Message, ThermalTask
+from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import scheduled_jobs
@@ -126,7 +126,7 @@ class Daemon:
         if configuration.spindle_speed is not None:
             self._planner = PlannerProcess(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
-        inbox: asyncio.Queue[Message] = asyncio.Queue()
+        inbox = self._inbox = ThermalInbox()
         limits = output_limits(configuration, factors)
         interlocks = Interlocks(configuration, clock, record, lambda: inhibit or self.thermal.inhibit())
         self.control = self._control_task(interlocks, limits, None if model is None else model.model_id, inbox)
@@ -243,7 +243,7 @@ class Daemon:
         links, service = self._links, self._configuration.service
         yield self.thermal.run()
         yield self._models.run()
-        yield from links.temperatures(self.thermal.take_cycle)
+        yield from links.temperatures(self._inbox.put_cycle)
         yield links.cnc()
         if self._planner is not None:
             yield links.planner(self._planner.attempt)

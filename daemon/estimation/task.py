@@ -57,6 +57,25 @@ NAMED = 3
 """So many sensors are named in one sentence."""
 
 
+class ThermalInbox(asyncio.Queue[Message]):
+    """What waits for the thermal task; a line that is faster than the task waits with it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = asyncio.Event()
+
+    def _get(self) -> Message:
+        self._taken.set()
+        return super()._get()
+
+    async def put_cycle(self, cycle: TemperatureCycle) -> None:
+        """Queue a line's cycle when there is room."""
+        while self.qsize() >= MOST_WAITING:
+            self._taken.clear()
+            await self._taken.wait()
+        self.put_nowait(cycle)
+
+
 class ThermalTask:
     """Cleanses every completed line cycle and renews the estimate with it."""
 
@@ -102,7 +121,6 @@ class ThermalTask:
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._taken_up_s = -np.inf
-        self._taken = asyncio.Event()
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
 
     @property
@@ -115,13 +133,6 @@ class ThermalTask:
         """How many sensors have a value that may be used."""
         return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
 
-    async def take_cycle(self, cycle: TemperatureCycle) -> None:
-        """Queue a cycle; waits while a line brings them faster than they are taken."""
-        while self.inbox.qsize() >= MOST_WAITING:
-            self._taken.clear()
-            await self._taken.wait()
-        self.inbox.put_nowait(cycle)
-
     async def run(self) -> None:
         """Serve the inbox for ever."""
         await self.recall()
@@ -129,7 +140,6 @@ class ThermalTask:
             await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
         while True:
             item = await self.inbox.get()
-            self._taken.set()
             try:
                 await self._take(item)
             except Exception:

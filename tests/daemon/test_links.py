@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import history_records as make
 import numpy as np
 import structlog
 from control_rig import HandClock, machine
@@ -13,6 +14,7 @@ from displacement_file import HEADER, append, config, row
 
 from config.schema import Configuration
 from daemon.cnc.session import CncLink
+from daemon.estimation.task import MOST_WAITING, ThermalInbox
 from daemon.links import DisplacementLog, Links
 from daemon.registry import PARTS
 from daemon.snapshots import DisplacementSnapshot
@@ -172,3 +174,16 @@ async def test_a_file_that_is_not_there_is_no_link(tmp_path: Path) -> None:
     following.cancel()
     await asyncio.gather(following, return_exceptions=True)
     await source.close()
+
+
+async def test_cycles_that_come_faster_than_they_are_taken_wait_at_their_line() -> None:
+    inbox = ThermalInbox()
+    (cycle,) = [make.cycle("spindle", 1, 0.0, [20.0])]
+    for _ in range(MOST_WAITING):
+        await inbox.put_cycle(cycle)
+    waiting = asyncio.create_task(inbox.put_cycle(cycle))
+    await asyncio.sleep(0)
+    assert not waiting.done() and inbox.qsize() == MOST_WAITING
+    inbox.get_nowait()
+    await asyncio.wait_for(waiting, FOREVER_S)
+    assert inbox.qsize() == MOST_WAITING
