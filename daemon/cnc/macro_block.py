@@ -145,7 +145,7 @@ class MacroBlock:
                 continue
             written = [each for each in allowed if each is not None]
             if not any(self._close(value, expected) for expected in written):
-                expected = " or ".join(f"{v:g}" for v in written) or "nothing"
+                expected = " or ".join(dict.fromkeys(f"{v:g}" for v in written)) or "nothing"
                 problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
         return problems
 
