@@ -124,6 +124,8 @@ async def _once(
         log.exception("link.defect", link=health.name)
     health.failures += 1
     health.went_down(problem, utc_s())
+    if (task := asyncio.current_task()) is not None and task.cancelling():
+        raise asyncio.CancelledError  # a client's library has taken the cancellation for a lost connection
     if must_be_repaired:
         await asyncio.sleep(backoff.draw())
     if loop.time() - started_s > STEADY_S:
