@@ -281,7 +281,7 @@ async def test_a_refusal_behind_a_reference_does_not_hide_that_the_echo_is_looke
     rig.set_reference("late", positioning=False)
     rig.control._references.withdraw("late")
     await rig.hear()
-    assert rig.control.reference.reference_id == "r2" and "nobody waits" in rig.control.journal.notices[-1]
+    assert rig.control.reference.reference_id == "r2" and "no longer waited for" in rig.control.journal.notices[-1]
     assert rig.control._unseen_reference, "the baseline is where the guard stands now, not at the last poll"
 
 

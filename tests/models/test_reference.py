@@ -152,7 +152,7 @@ def test_the_refusal_of_one_that_was_given_up_does_not_take_the_estimate_away_fr
     memory, _ = reference.end(reference.withdraw(memory, "late"), "the NC program gave up waiting")
     memory, question = asked_for(memory, "next")  # the estimation sets both before it takes any word on the first
     memory, effects = reference.adopt(memory, answered(late), RULES, still_applied_um=0.0)
-    assert memory.state is REQUESTED and "nobody waits" in memory.outcome[1]
+    assert memory.state is REQUESTED and "no longer waited for" in memory.outcome[1]
     assert not any(isinstance(effect, ReferenceTakenUp) for effect in effects), "it would estimate from r1 for ever"
     memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
     assert memory.in_force.reference_id == "next"
