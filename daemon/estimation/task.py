@@ -13,10 +13,9 @@ import structlog
 
 from config.schema import Configuration
 from daemon.estimation.cleansing import Cleansing
-from daemon.estimation.level_memory import LevelMemory
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
-from daemon.estimation.sensor_memory import Places, SinceReference
+from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
 from daemon.history.writer import HistoryWriter
 from daemon.messages import (
     ReferenceEnded,
