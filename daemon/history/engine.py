@@ -77,7 +77,8 @@ class Engine:
         self._on_acknowledged, self._on_problem = on_acknowledged, on_problem
         self._connection: sqlite3.Connection | None = None
         self._layout_ids: LayoutIds = {}
-        self._problem = ""
+        self.problem = ""
+        """What keeps the store from being written, in words; empty when nothing does."""
         self._retry_s = RETRY_FIRST_S
         self._not_before_s = float("-inf")
         self._opened = threading.Event()
@@ -86,11 +87,6 @@ class Engine:
         self.refusal: HistoryError | None = None
         self.last_write_id: int | None = None
         self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
-
-    @property
-    def problem(self) -> str:
-        """What keeps the store from being written, in words; empty when nothing does."""
-        return self._problem
 
     def start(self) -> None:
         """Start the thread and wait until it has tried to open the store once."""
@@ -121,7 +117,7 @@ class Engine:
         while not self._intake.closed or len(self._intake):
             batch = self._intake.take(self._not_before_s)
             self._attempt(batch)
-            if self._intake.closed and self._problem and not self._wait_for_retry():
+            if self._intake.closed and self.problem and not self._wait_for_retry():
                 break
         self._close()
 
@@ -276,11 +272,11 @@ class Engine:
         )
 
     def _recover(self) -> None:
-        if not self._problem:
+        if not self.problem:
             return
         if dropped := self._newly_dropped():
             self.report(f"{self._path}: the history is written again{dropped}")
-        self._problem, self._retry_s, self._not_before_s = "", RETRY_FIRST_S, float("-inf")
+        self.problem, self._retry_s, self._not_before_s = "", RETRY_FIRST_S, float("-inf")
         self._call(self._on_problem, "")
 
     def _newly_dropped(self) -> str:
@@ -290,8 +286,8 @@ class Engine:
 
     def report(self, sentence: str) -> None:
         """Say what is wrong, once, until something could be written again."""
-        if sentence != self._problem:
-            self._problem = sentence
+        if sentence != self.problem:
+            self.problem = sentence
             self._call(self._on_problem, sentence)
 
     def _call(self, callback: Callable[..., object], *arguments: object) -> None:

@@ -95,20 +95,16 @@ class Intake:
         self._audit: deque[Entry] = deque()
         self._bulk: deque[Entry] = deque()
         self._due_s = float("inf")
-        self._closed = False
+        self.closed = False
         self.dropped: Counter[str] = Counter()
 
     def __len__(self) -> int:
         return len(self._audit) + len(self._bulk)
 
-    @property
-    def closed(self) -> bool:
-        return self._closed
-
     def put(self, entry: Entry, *, within_s: float) -> None:
         """Queue an entry to be taken within the given time (together with all that is queued then)."""
         with self._changed:
-            if self._closed:
+            if self.closed:
                 self._drop(entry)
                 return
             self._append(entry)
@@ -140,7 +136,7 @@ class Intake:
         Returns at once, perhaps with nothing, when the queue is closed.
         """
         with self._changed:
-            while not self._closed:
+            while not self.closed:
                 wait_s = max(self._due_s, not_before_s) - time.monotonic()
                 if wait_s <= 0:
                     break
@@ -164,5 +160,5 @@ class Intake:
     def close(self) -> None:
         """Take no more waiting: the reader gets what is queued at once."""
         with self._changed:
-            self._closed = True
+            self.closed = True
             self._changed.notify()

@@ -53,7 +53,6 @@ class HistoryReader:
         self._connection = connect_reader(path)
 
     def close(self) -> None:
-        """Release the file."""
         self._connection.close()
 
     def __enter__(self) -> Self:
@@ -171,7 +170,6 @@ class HistoryReader:
         )
 
     def estimates(self, from_utc_s: float, to_utc_s: float) -> EstimateHistory:
-        """Return the estimates."""
         frame = self.frame(ESTIMATES, from_utc_s, to_utc_s)
         return EstimateHistory(
             time_s=time_s_of(frame),

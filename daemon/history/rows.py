@@ -144,7 +144,6 @@ def displacement_row(layout: MachineLayout, sample: DisplacementSample) -> Param
 
 
 def estimate_row(estimate: ThermalErrorEstimate) -> Parameters:
-    """Return one estimate."""
     trace = estimate.trace
     ready = trace.estimated or trace.last_byte
     # The temperatures at the reference stay the same number from one estimate to the next; increments do not.
@@ -233,12 +232,10 @@ def _delay_us(stage: Instant | None, trace: Trace) -> int | None:
 
 
 def event_row(now: Instant, kind: str, text: str, person: str | None) -> Parameters:
-    """Return an event."""
     return (*_times(now), kind, text, person)
 
 
 def probe_row(probe: ProbeSample) -> Parameters:
-    """Return a probe value."""
     return (
         *_times(probe.time),
         probe.axis,

@@ -193,7 +193,6 @@ class HistoryWriter:
         return WriteId(number, self._audit("write intents", rows.INSERT_INTENT, build))
 
     def write_outcome(self, write_id: int, receipt: Receipt) -> Commit:
-        """Record how a write ended."""
         now = self._clock.now()
         build = partial(rows.outcome_row, self._machine, int(write_id), now, receipt)
         return self._audit("write outcomes", rows.UPDATE_OUTCOME, build)
@@ -211,8 +210,6 @@ class HistoryWriter:
         return self._audit("probes", rows.INSERT_PROBE, partial(rows.probe_row, probe))
 
     def reference(self, reference: Reference) -> Commit:
-        """Record a reference."""
-
         def execute(connection: sqlite3.Connection, layout_ids: LayoutIds) -> None:
             before, after = rows.reference_row(reference)
             connection.execute(rows.INSERT_REFERENCE, (*before, layout_ids[self._machine.machine], *after))

@@ -120,7 +120,6 @@ class Figure:
 
     @property
     def heading(self) -> str:
-        """The title with its number."""
         return f"Fig. {self.number}  {self.title}" if self.number else self.title
 
 

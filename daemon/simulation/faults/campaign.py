@@ -45,7 +45,6 @@ class Campaign:
         script: Sequence[Happening],
         models: CampaignModels,
     ) -> None:
-        """Prepare."""
         self._configuration = configuration
         self._config_path = config_path
         self._directory = directory

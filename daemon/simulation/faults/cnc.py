@@ -43,7 +43,6 @@ class CncFace:
     # --- calls ---------------------------------------------------------------------------
 
     def connect(self) -> Answer:
-        """Answer an attempt to connect."""
         verdict = self._trouble(new=True)
         if verdict == "ok":
             self._dropped = False
@@ -68,7 +67,6 @@ class CncFace:
         return self._shown(numbers, lambda values: (state, values))
 
     def read_macros(self, numbers: Sequence[int]) -> Answer:
-        """Answer a read-back."""
         return self._shown(numbers, lambda values: values)
 
     def read_back(self) -> dict[int, float | None]:
@@ -169,7 +167,6 @@ class CncFace:
                 self._machine.nc.work_offset += 1
 
     def end(self, happening: Happening) -> None:
-        """Let it end."""
         kind = happening.kind
         if self._modes.get(kind) is happening:
             del self._modes[kind]

@@ -74,15 +74,12 @@ class VirtualHousekeeping:
 
     @property
     def running(self) -> bool:
-        """It has been started."""
         return self._task is not None
 
     def start(self) -> None:
-        """Begin."""
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     def shutdown(self, *, wait: bool) -> None:
-        """End."""
         if self._task is not None:
             self._task.cancel()
 

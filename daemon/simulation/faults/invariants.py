@@ -51,7 +51,6 @@ class Ledger:
 
     @property
     def violations(self) -> int:
-        """All violations together."""
         return sum(count.violated for count in self.counts.values())
 
 

@@ -31,7 +31,7 @@ class CampaignModels:
 
     def __init__(self, path: Path, script: Sequence[Happening]) -> None:
         """Train the other models when the script needs them."""
-        self._path = path
+        self.path = path
         self._turn = 0
         self.current = SHIPPED
         self.damaged = False
@@ -49,11 +49,6 @@ class CampaignModels:
         return cls(path, script)
 
     @property
-    def path(self) -> Path:
-        """The model's file."""
-        return self._path
-
-    @property
     def model_id(self) -> str:
         """Identity of the model that was put there last."""
         return self._ids[self.current]
@@ -66,13 +61,13 @@ class CampaignModels:
         """Release the next model."""
         self._turn = (self._turn + 1) % len(IN_TURN)
         self.current, self.damaged = IN_TURN[self._turn], False
-        write_whole(self._path, self._texts[self.current])
+        write_whole(self.path, self._texts[self.current])
 
     def damage(self) -> None:
         """Leave half of the file."""
         text = self._texts[self.current]
         self.damaged = True
-        write_whole(self._path, text[: len(text) // 2])
+        write_whole(self.path, text[: len(text) // 2])
 
     def ended(self, happening: Happening) -> None:
         """Make a damaged file whole when that is over."""
@@ -83,7 +78,7 @@ class CampaignModels:
         """Make the file whole again."""
         if self.damaged:
             self.damaged = False
-            write_whole(self._path, self._texts[self.current])
+            write_whole(self.path, self._texts[self.current])
 
     def _train(self) -> None:
         recordings = _recordings()

@@ -83,7 +83,6 @@ class Observer:
         """A person has acknowledged in this life, and no FAULT was left since."""
 
     def restarted(self, time_s: float) -> None:
-        """A daemon is started."""
         self.operations.restarted(time_s)
         self._heart.disturbed(time_s)
         self._writes.restarted(time_s)
@@ -107,7 +106,6 @@ class Observer:
             self._note_good_input(time_s)
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
-        """Take what the NC applies."""
         self._writes.applied(time_s, applied_um, cutting=cutting)
 
     def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
@@ -115,7 +113,6 @@ class Observer:
         self.operations.asked(Request(time_s=time_s, counter=counter, kind=kind, axis=axis, value_mm=value_mm))
 
     def begun(self, time_s: float, happening: Happening) -> None:
-        """Take the begin of an incident."""
         self.operations.begun(time_s, happening)
         self._truth.begun(happening)
         self._heart.disturbed(happening.end_s)
@@ -125,7 +122,6 @@ class Observer:
         self._begun(time_s, happening)
 
     def ended(self, time_s: float, happening: Happening) -> None:
-        """Take its end."""
         self._ended(happening)
         self.operations.ended(happening)
         self._good_input.after(happening)

@@ -94,7 +94,6 @@ class OperationsWatch:
             self._to_show = None
 
     def restarted(self, time_s: float) -> None:
-        """A daemon is started."""
         self._busy_until_s = max(self._busy_until_s, time_s + 2 * CALM_S)
         self._ended = self._model_due = self._reference = None
         self._waiting = None
@@ -109,7 +108,6 @@ class OperationsWatch:
         self._model_due = (model_id, time_s + TAKEN_UP_AFTER_S)
 
     def asked(self, request: Request) -> None:
-        """The NC program asks."""
         self._waiting = self._latest = request
 
     def answered(self, time_s: float, value: float) -> str:

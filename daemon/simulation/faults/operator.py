@@ -34,7 +34,6 @@ class Person:
         self.refusals: list[str] = []
 
     def hang_up(self) -> None:
-        """The daemon is gone."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
@@ -62,7 +61,6 @@ class Person:
         return False
 
     def do(self, happening: Happening) -> None:
-        """Do what the script says."""
         match happening.kind:
             case Incident.DISABLED_AXIS:
                 self._ask("disable", axes=[self._axes[int(happening.target or 0) % len(self._axes)]])

@@ -56,7 +56,6 @@ class DaemonProcess:
 
     @property
     def pid(self) -> int:
-        """Its process."""
         return self._process.pid
 
     def rss_mib(self) -> float:
@@ -70,7 +69,6 @@ class DaemonProcess:
         resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (FILE_LIMIT_BYTES, resource.RLIM_INFINITY))
 
     def free_disk(self) -> None:
-        """Let files grow again."""
         resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
     def reload_model(self) -> None:
@@ -82,7 +80,6 @@ class DaemonProcess:
         self._process.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Send SIGKILL and wait."""
         self._process.kill()
         self._process.wait()
 
@@ -151,7 +148,6 @@ class Acknowledgements:
 
     @property
     def count(self) -> int:
-        """How many there are."""
         return sum(map(len, self.keys.values()))
 
 
@@ -215,7 +211,6 @@ class MemoryWatch:
         return True
 
     def look(self, time_s: float, process: DaemonProcess) -> None:
-        """Look at the process."""
         if time_s - self._began_s < self._warm_up_s:
             return
         self.rss_mib = process.rss_mib()

@@ -35,7 +35,6 @@ class TruthKeeper:
         self._blind = False
 
     def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
-        """Take the end of a pass."""
         if heard:
             self._heard_s = time_s
         if not whole:
@@ -48,12 +47,10 @@ class TruthKeeper:
             self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
 
     def begun(self, happening: Happening) -> None:
-        """Take the begin of an incident."""
         if happening.kind in QUIET:
             self._sensor_wrong_s = max(self._sensor_wrong_s, happening.end_s + BLIND_BEFORE_S)
 
     def temperatures(self, time_s: float) -> bool:
-        """Tell whether temperatures arrive."""
         return time_s - self._heard_s <= TEMPERATURES_LATE_S
 
     @property
@@ -81,7 +78,6 @@ class TruthKeeper:
         return [table.get(number) for number in self._macros.echo_applied.values()]
 
     def at(self, time_s: float, claims: Claims) -> Truth:
-        """Return what is true now."""
         unit_um = self._macros.unit_um
         known = [value for value in self._echoes() if value is not None]
         return Truth(

@@ -38,7 +38,6 @@ class VirtualClock:
         return Instant(monotonic_s=self.monotonic_s, utc_s=utc_s, real_s=self.monotonic_s)
 
     async def sleep(self, duration_s: float) -> None:
-        """Wait in virtual time."""
         await asyncio.sleep(max(0.0, duration_s))
 
 

@@ -44,7 +44,6 @@ class Channel:
         return message
 
     def close(self) -> None:
-        """Close this end."""
         self._end.close()
 
 
@@ -113,7 +112,6 @@ class VirtualWorld:
         return True
 
     def leave(self, line: str, reader: "VirtualReader") -> None:
-        """Close a line."""
         if self._readers.get(line) is reader:
             del self._readers[line]
             self._exchange("leave", line)
@@ -147,14 +145,12 @@ class VirtualReader:
         self._inbox: ByteInbox | None = None
 
     def start(self, inbox: ByteInbox) -> None:
-        """Open the line."""
         self._inbox = inbox
         if not self._world.listen(self._line.name, self):
             inbox.fail(LinkError(f"line {self._line.name}: port {self._line.port} does not exist: plug the adapter in"))
             inbox.wake()
 
     async def stop(self) -> None:
-        """Close the line."""
         self._world.leave(self._line.name, self)
 
     def deliver(self, data: bytes | None) -> None:

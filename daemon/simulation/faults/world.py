@@ -221,7 +221,6 @@ class CampaignWorld:
         return True
 
     def leave(self, name: str) -> None:
-        """Close a line's port."""
         self._lines[name].listening_since_s = math.inf
 
     def desert(self) -> None:
