@@ -71,14 +71,16 @@ def judge(directory: Path, kind: str, name: str, profile: str, seeds: range) -> 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_after_bad_input_the_tool_stands_where_the_twin_s_does_or_the_output_holds(
-    tmp_path: Path, kind: str, name: str
+    tmp_path_factory: pytest.TempPathFactory, kind: str, name: str
 ) -> None:
-    judge(tmp_path, kind, name, "bare", range(2))
+    judge(tmp_path_factory.mktemp("twin"), kind, name, "bare", range(2))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", ["bare", "checked"])
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_many_histories_of_bad_input_end_where_the_twin_is(tmp_path: Path, kind: str, name: str, profile: str) -> None:
-    judge(tmp_path, kind, name, profile, range(2, 30))
+def test_many_histories_of_bad_input_end_where_the_twin_is(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, name: str, profile: str
+) -> None:
+    judge(tmp_path_factory.mktemp("twin"), kind, name, profile, range(2, 30))
