@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import structlog
 
 from daemon.history import HistoryError, HistoryReader
 from daemon.telemetry.metrics import give_memory_back
@@ -11,6 +12,7 @@ from drivers.clock import Clock
 from models.quality import Quality
 from models.records import FloatArray
 
+log = structlog.get_logger(__name__)
 WINDOW_S = 600.0
 """So much is read at once; an hour of all sensors would leave the daemon 20 MiB larger."""
 RECALL_S = 600.0
@@ -31,29 +33,32 @@ class HistoryBackfill:
         """Yield time, temperatures [degC] and spindle speed [1/min] as means that end at each period's end."""
         now = self._clock.now()
         to_utc_s = now.utc_s - now.monotonic_s
-        try:
-            reader = HistoryReader(self._store)
-        except HistoryError:
+        if not self._store.is_file():
             return
-        with reader:
-            window_s = max(round(WINDOW_S / period_s), 1) * period_s
-            begin_s = from_s
-            while begin_s < to_s - 1e-6:
-                end_s = min(begin_s + window_s, to_s)
-                yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
-                begin_s = end_s
+        try:
+            with HistoryReader(self._store) as reader:
+                window_s = max(round(WINDOW_S / period_s), 1) * period_s
+                begin_s = from_s
+                while begin_s < to_s - 1e-6:
+                    end_s = min(begin_s + window_s, to_s)
+                    yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
+                    begin_s = end_s
+        except HistoryError as error:
+            log.error("history.unreadable", problem=str(error))
         give_memory_back()
 
     def last_accepted(self) -> tuple[FloatArray, FloatArray]:
         """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is."""
         degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
         now = self._clock.now()
-        try:
-            reader = HistoryReader(self._store)
-        except HistoryError:
+        if not self._store.is_file():
             return degc, at_s
-        with reader:
-            found = reader.temperatures(self._sensor_ids, now.utc_s - RECALL_S, now.utc_s)
+        try:
+            with HistoryReader(self._store) as reader:
+                found = reader.temperatures(self._sensor_ids, now.utc_s - RECALL_S, now.utc_s)
+        except HistoryError as error:
+            log.error("history.unreadable", problem=str(error))
+            return degc, at_s
         good = found.quality == Quality.GOOD
         for column in np.flatnonzero(good.any(axis=0)):
             row = np.flatnonzero(good[:, column])[-1]

@@ -25,7 +25,7 @@ from daemon.history.columns.joining import (
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
 from daemon.history.columns.packing import cycle_block, id_column
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
-from daemon.history.database import HOUR_MS, connect_reader
+from daemon.history.database import HOUR_MS, HistoryError, connect_reader
 from daemon.history.series import (
     CncHistory,
     DisplacementHistory,
@@ -58,8 +58,13 @@ class HistoryReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
+        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT"):
+            raise HistoryError(
+                f"{self.path}: the store is damaged ({error}); move it aside and restore a back-up "
+                "(`toolpoint restore`), or let the daemon begin a new one"
+            ) from error
 
     @contextmanager
     def _snapshot(self) -> Iterator[sqlite3.Connection]:

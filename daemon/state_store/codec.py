@@ -62,7 +62,11 @@ def from_json(kind: Any, value: Any, now: Instant) -> Any:
         return tuple(from_json(of[0], item, now) for item in _checked(value, list))
     if origin is not None and issubclass(origin, Mapping):
         items = _checked(value, dict).items()
-        return MappingProxyType({of[0](key): from_json(of[1], item, now) for key, item in items})
+        try:
+            keys = [of[0](key) for key, _ in items]
+        except ValueError as error:
+            raise DocumentError(str(error)) from None
+        return MappingProxyType({key: from_json(of[1], item, now) for key, (_, item) in zip(keys, items, strict=True)})
     if is_dataclass(kind):
         return _record(kind, _checked(value, dict), now)
     return _plain(kind, value)

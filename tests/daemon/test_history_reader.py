@@ -320,3 +320,27 @@ def test_damaged_store_says_so(tmp_path: Path) -> None:
     path.write_bytes(b"SQLite format 3\x00" + bytes(4000))
     with pytest.raises(HistoryError, match=r"h\.sqlite"):
         HistoryReader(path)
+
+
+@pytest.mark.parametrize("table", ["writes", "temperature_cycles"])
+def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
+    writer.start()
+    for _ in range(40):
+        writer.write_intent(None, ((500, 1.0),), "tick")
+    for k in range(40):
+        writer.temperatures(None, make.cycle("bed", k, EPOCH_S + 10 * k, [20.0 + k, 20.0]))
+    writer.close()
+    with closing(sqlite3.connect(path)) as connection:
+        (page,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+    with path.open("r+b") as file:
+        file.seek((page - 1) * size)
+        file.write(b"\xff" * size)
+    with (
+        pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"),
+        HistoryReader(path) as reader,
+    ):
+        reader.writes(0.0, 1e11)
+        reader.temperatures(None, 0.0, 1e11)
