@@ -148,7 +148,7 @@ class Daemon:
             report=self._report,
             publish=self._publish_model,
         )
-        self._links = Links(configuration, clock, parts, self._link)
+        self._links = Links(configuration, clock, parts, self._link, self._publish_links)
         self._displacements = DisplacementLog(clock, self._on_displacement, self._report, self._publish_displacements)
         status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
         actions = output_actions(self.control, self._switch_spindle_speed)
@@ -275,10 +275,13 @@ class Daemon:
         if self.thermal.latest is not None:
             self._telemetry.sensors_usable(self.thermal.usable)
         self._publish_output()
-        self.snapshots.links = self._links.snapshots()
+        self._publish_links()
         self.snapshots.jobs = tuple(job.snapshot() for job in self._jobs)
         problem = self._history_problem
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=problem)
+
+    def _publish_links(self) -> None:
+        self.snapshots.links = self._links.snapshots()
 
     def _publish_output(self) -> None:
         self.snapshots.control = control_snapshot(self.control)

@@ -29,7 +29,9 @@ Serve = Callable[[Callable[[], None]], Awaitable[None]]
 class Links:
     """Opens each link anew when it is lost, and keeps the state of each."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, parts: Parts, cnc: CncLink) -> None:
+    def __init__(
+        self, configuration: Configuration, clock: Clock, parts: Parts, cnc: CncLink, on_change: Callable[[], None]
+    ) -> None:
         self._configuration = configuration
         self._clock = clock
         self._parts = parts
@@ -44,6 +46,8 @@ class Links:
             self.shown.append(self._displacements)
         if configuration.spindle_speed is not None:
             self.shown.append(self.planner_health)
+        for health in self.shown:
+            health.on_change = on_change
 
     def snapshots(self) -> tuple[LinkSnapshot, ...]:
         """Return the state of the links to the machine."""

@@ -33,6 +33,8 @@ class LinkHealth:
         """Why the link is down, '' while it is up."""
         self.last_problem = ""
         self.last_problem_utc_s: float | None = None
+        self.on_change: Callable[[], None] = _nothing
+        """Called when the link has come up or could not."""
         self._log = RateLimit[tuple[str, dict[str, Any]]](self._say)
 
     def came_up(self, **facts: object) -> None:
@@ -40,6 +42,7 @@ class LinkHealth:
         if not self.up:
             self.up, self.problem = True, ""
             self._log(("link.up", facts))
+            self.on_change()
 
     def went_down(self, problem: str, utc_s: float) -> None:
         """Note that the link does not work; every loss is said, a failed attempt when its problem is a new one."""
@@ -49,6 +52,7 @@ class LinkHealth:
         self.losses += was_up
         if was_up or is_new:
             self._log(("link.lost" if was_up else "link.down", {"problem": problem}))
+        self.on_change()
 
     def flush(self) -> None:
         """Say what the limit of the log still holds."""
@@ -71,6 +75,10 @@ class LinkHealth:
         event, facts = entry
         say = log.info if event == "link.up" else log.warning
         say(event, link=self.name, **facts, **({"left_out": left_out} if left_out else {}))
+
+
+def _nothing() -> None:
+    """Nobody is told."""
 
 
 class Backoff:

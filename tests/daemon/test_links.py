@@ -66,7 +66,7 @@ async def test_every_loss_and_return_of_a_serial_line_is_logged_and_the_problem_
     cuts = [1, 2, 3]
     parts = replace(PARTS, open_temperature_source=lambda *_: CutLine(cuts))
     configuration = machine(tmp_path)
-    links = Links(configuration, HandClock(), parts, no_cnc())
+    links = Links(configuration, HandClock(), parts, no_cnc(), lambda: None)
     taken, whole = [], asyncio.Event()
 
     async def take(cycle: TemperatureCycle) -> None:
@@ -120,7 +120,7 @@ async def test_a_wrong_time_format_is_said_in_log_event_and_status(tmp_path: Pat
     path = tmp_path / "logger.csv"
     append(path, HEADER + "".join(row(minute) for minute in range(20)))
     configuration = with_displacements(tmp_path, path, time_format="%d.%m.%Y %H:%M:%S")
-    links = Links(configuration, SystemClock(), PARTS, no_cnc())
+    links = Links(configuration, SystemClock(), PARTS, no_cnc(), lambda: None)
     told = Told()
     with structlog.testing.capture_logs() as logs:
         running = asyncio.create_task(next(links.displacements(lambda: None, told.log)))
@@ -143,7 +143,7 @@ async def test_one_bad_row_among_good_ones_is_named_with_its_column(tmp_path: Pa
     path = tmp_path / "logger.csv"
     append(path, HEADER + row(0) + row(1, y="1x") + row(2))
     told = Told()
-    links = Links(with_displacements(tmp_path, path), SystemClock(), PARTS, no_cnc())
+    links = Links(with_displacements(tmp_path, path), SystemClock(), PARTS, no_cnc(), lambda: None)
     running = asyncio.create_task(next(links.displacements(lambda: None, told.log)))
     async with asyncio.timeout(FOREVER_S):
         while told.shown.rows_read < 3:
@@ -187,3 +187,13 @@ async def test_cycles_that_come_faster_than_they_are_taken_wait_at_their_line() 
     inbox.get_nowait()
     await asyncio.wait_for(waiting, FOREVER_S)
     assert inbox.qsize() == MOST_WAITING
+
+
+async def test_a_change_of_a_link_is_published_at_once(tmp_path: Path) -> None:
+    changes: list[bool] = []
+    links = Links(machine(tmp_path), SystemClock(), PARTS, no_cnc(), lambda: changes.append(line.up))
+    line = links.shown[0]
+    line.came_up()
+    line.came_up()
+    line.went_down("unplugged", 1.0)
+    assert changes == [True, False]

@@ -83,4 +83,4 @@ def test_after_bad_input_the_tool_stands_where_the_twin_s_does_or_the_output_hol
 def test_many_histories_of_bad_input_end_where_the_twin_is(
     tmp_path_factory: pytest.TempPathFactory, kind: str, name: str, profile: str
 ) -> None:
-    judge(tmp_path_factory.mktemp("twin"), kind, name, profile, range(2, 30))
+    judge(tmp_path_factory.mktemp("twin"), kind, name, profile, range(2, 12))
