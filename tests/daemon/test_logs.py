@@ -18,7 +18,7 @@ def test_escape_sequences_of_a_peer_do_not_reach_the_terminal(terminal: bool, mo
     try:
         configure_logging("info", terminal=terminal)
         structlog.get_logger().warning("link.lost", problem="server says \x1b]0;owned\x07 \ud800")
-        logging.getLogger("some.library").warning("refused by \x1b[2J")
+        logging.getLogger("another.logger").warning("refused by \x1b[2J")
     finally:
         logging.getLogger().handlers[:] = handlers
         logging.getLogger().setLevel(level)
