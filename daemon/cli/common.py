@@ -5,7 +5,6 @@ import math
 import os
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -175,7 +174,8 @@ class ProgressBar:
         self._progress.update(self._tasks[what], completed=done, total=total)
 
 
-PICTURE_LIBRARIES = {".png": "matplotlib", ".html": "plotly"}
+PICTURES = (".png", ".html")
+"""Endings of pictures: a still one, and a page to zoom into."""
 directory_option = option(
     "--directory", type=FOLDER, help="Where all files of the run go, and stay (default: a folder that is removed)."
 )
@@ -196,11 +196,8 @@ def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
     """Refuse a picture that cannot be written before the work is done."""
     if value is None:
         return None
-    library = PICTURE_LIBRARIES.get(value.suffix.lower())
-    if library is None:
-        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURE_LIBRARIES)}")
-    if find_spec(library) is None:
-        raise click.BadParameter(f"this picture needs {library}: install toolpoint[plots]")
+    if value.suffix.lower() not in PICTURES:
+        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURES)}")
     if not value.parent.is_dir():
         raise click.BadParameter(f"{value}: there is no folder {value.parent}")
     return value

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from dynamics_command import DIRECT, STEEL, TURNING, answer, call, nose, refusal, write_csv
 
-from daemon.cli.common import PICTURE_LIBRARIES
-
 
 @pytest.fixture
 def spindle(tmp_path: Path) -> Path:
@@ -211,12 +209,3 @@ def test_fewer_modes_than_asked_for_are_said(spindle: Path) -> None:
     found = answer("modes", spindle, "--count", 100)
     assert len(found["modes"]) < 100
     assert f"{len(found['modes'])} of 100 modes lie below" in found["warnings"][0]
-
-
-@pytest.mark.parametrize("ending", [".png", ".html"])
-def test_a_picture_without_its_library_names_what_to_install(
-    spindle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
-) -> None:
-    monkeypatch.setitem(PICTURE_LIBRARIES, ending, "library_that_nobody_installed")
-    said = refusal("modes", spindle, "--picture", tmp_path / f"p{ending}")
-    assert "this picture needs library_that_nobody_installed: install toolpoint[plots]" in said

@@ -27,7 +27,6 @@ def toolpoint(*arguments, timeout_s=1200.0):
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
     folder = tmp_path_factory.mktemp("latency")
-    pytest.importorskip("matplotlib")
     page = folder / "latency.html"
     speed = f"{bearable(100.0):.1f}"
     done = toolpoint("latency", "--switches", "2", "--speed", speed, "--json", "-", "--plot", str(page))

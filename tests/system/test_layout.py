@@ -1,6 +1,7 @@
 """The house rules that a reader counts on: folders, sizes, docstrings, and what the wheel holds."""
 
 import ast
+import json
 import subprocess
 import sys
 import zipfile
@@ -147,3 +148,17 @@ def test_wheel_holds_the_data_that_the_daemon_needs(wheel: zipfile.ZipFile) -> N
     }
     assert {"config/cfrpmt.yaml", "drivers/guard/guard.nc"} <= tracked
     assert tracked <= set(wheel.namelist())
+
+
+def test_wheel_holds_the_charts_of_the_pages(wheel: zipfile.ZipFile) -> None:
+    folder = "daemon/monitor/pages/vendor/"
+    assert b"https://github.com/leeoniya/uPlot" in wheel.read(f"{folder}uPlot.js")
+    assert b".uplot" in wheel.read(f"{folder}uPlot.css")
+    assert b"MIT License" in wheel.read(f"{folder}uPlot-LICENSE.txt")
+
+
+def test_the_lock_of_the_pages_names_versions_and_hashes_but_no_address() -> None:
+    lock = json.loads((ROOT / "package-lock.json").read_text("utf-8"))
+    packages = {name: facts for name, facts in lock["packages"].items() if name}
+    assert all(facts["version"] and facts["integrity"].startswith("sha512-") for facts in packages.values())
+    assert not [name for name, facts in packages.items() if "resolved" in facts]

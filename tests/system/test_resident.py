@@ -16,6 +16,8 @@ from drivers.registry import import_drivers
 import_drivers(load_configuration(pathlib.Path(sys.argv[1])))
 own = ("daemon", "drivers", "models", "config")
 files = [m.__file__ for n, m in sys.modules.items() if n.split(".")[0] in own and getattr(m, "__file__", None)]
+for library in ("matplotlib", "plotly"):
+    assert library not in sys.modules, f"{library} is for reports"
 print(json.dumps([len(files), sum(len(pathlib.Path(file).read_text("utf-8").splitlines()) for file in files)]))
 """
 

@@ -1,6 +1,5 @@
 """`toolpoint dynamics campaign`, `simulate-campaign` and `track`: bearings and tool point over temperature."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,8 +34,6 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
     """Refuse a report that cannot be written before the work is done."""
     if value is not None and value.suffix.lower() != ".html":
         raise click.BadParameter(f"{value}: a report ends in .html")
-    if value is not None and find_spec("plotly") is None:
-        raise click.BadParameter("a report needs plotly: install toolpoint[plots]")
     return _writable(ctx, param, value)
 
 

@@ -15,16 +15,12 @@ PLOTS = (".html", ".png", ".svg")
 
 def _plottable(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
     """Refuse a picture that cannot be drawn before the experiment is made."""
-    from importlib.util import find_spec
-
     if value is None:
         return None
     if value.suffix not in PLOTS:
         raise click.BadParameter(f"{value}: the name must end with {', '.join(PLOTS)}")
     if not value.parent.is_dir():
         raise click.BadParameter(f"{value}: there is no folder {value.parent}")
-    if find_spec("matplotlib") is None:
-        raise click.BadParameter("pictures need matplotlib: install toolpoint[plots]")
     return value
 
 

@@ -1,6 +1,5 @@
 """`toolpoint thermal figures`: every figure of the published study of thermal errors, from a campaign."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -19,8 +18,6 @@ def figures(folder: Path, output: Path, intercept: bool, repeats: int, json_path
 
     Writes report.html, which needs no other file, and one PNG for each figure.
     """
-    if lacking := [name for name in ("matplotlib", "plotly") if find_spec(name) is None]:
-        refuse(f"{' and '.join(lacking)} cannot be found; install toolpoint with its extra 'plots'")
     from daemon.workbench.thermal.figures.report import write_figures
 
     if output.exists() and not output.is_dir():

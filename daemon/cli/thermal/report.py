@@ -1,6 +1,5 @@
 """`toolpoint thermal report`: thermal distortion of a recording in the words of ISO 230-3."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,8 +59,6 @@ def report(
     from drivers.files.recording_csv import read_recording
     from models.recordings.findings import require_usable
 
-    if html_path is not None and find_spec("plotly") is None:
-        refuse("plotly cannot be found; install toolpoint with its extra 'plots', or leave --html out")
     try:
         recording_map = None if map_path is None else load_recording_map(map_path)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s

