@@ -70,9 +70,13 @@ class Wires:
         time.sleep(max(0.0, seconds / self.running.speed))
 
     def switch_on(self) -> dict[str, Any]:
-        """Enable every axis with a model; return the status when the output is ACTIVE."""
+        """Enable every axis with a model; return the status when the output is ACTIVE.
+
+        The program's request follows at once on the poll that sees the positioning, and its reference is the one that
+        stays in force.
+        """
         switch_on(self.running, FOREVER_S)
-        return self.wait_for_state("ACTIVE")
+        return self.wait("the reference that the program asks for", _by_request)
 
     def start_daemon(self, preexec_fn: Callable[[], None] | None = None) -> None:
         """Start the daemon anew, as it was started first, and connect."""
@@ -145,6 +149,11 @@ def on_wires(
         more += ["--faults", str(script)]
     with start_simulation(more, path, speed=speed, epoch_utc_s=time.time(), directory=directory) as running:
         yield Wires(running, directory)
+
+
+def _by_request(status: dict[str, Any]) -> bool:
+    reference = status["reference"]
+    return status["output"]["state"] == "ACTIVE" and reference and reference["source"].startswith("request")
 
 
 def check_audit(writes: Sequence[WriteRecord], configuration: Configuration, *, unverified: int = 0) -> None:
