@@ -51,7 +51,9 @@ class LineConfig(Section):
     )
     baud: int = Field(9600, gt=0, description="baud rate of the port [1/s]")
     profile: Literal["bare", "checked", "custom"] = Field(
-        "bare", description="frame grammar: bare (7 byte), checked (16 byte), or custom (give `grammar`)"
+        "bare",
+        description="frame grammar: checked (16 byte, with a checksum) where the nodes can do it, else bare (7 byte), "
+        "which is also what a line without this key has, or custom (give `grammar`)",
     )
     grammar: GrammarConfig | None = Field(None, description="frame grammar; only with profile custom")
     id_offset: int = Field(0, ge=0, description="added to the chain position to give the ID on the wire")
@@ -169,7 +171,7 @@ class CleansingConfig(Section):
 class TemperaturesConfig(Section):
     """Temperature sensors, and the lines that they are connected to."""
 
-    lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines")
+    lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines", examples=[[{"profile": "checked"}]])
     sensors: list[SensorConfig] = Field(
         min_length=1,
         description="the sensors, in the machine's order",

@@ -31,7 +31,7 @@ def everything_in_use() -> str:
         before, text = text, NOT_IN_USE.sub(r"\1", text)
     for driver in drivers_of(CncConfig)[1:]:
         text = re.sub(rf"^  {driver}:\n(?:    .*\n)*", "", text, flags=re.MULTILINE)
-    return text.replace("profile: bare", "profile: custom")
+    return text.replace("profile: checked", "profile: custom")
 
 
 def test_sample_is_valid_as_it_stands() -> None:

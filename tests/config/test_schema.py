@@ -54,7 +54,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("temperatures.lines.0.chain", ["1-4", 2], "temperatures.lines[0].chain", "two chain positions: [2]"),
         ("temperatures.lines.0.chain", ["1-5"], "temperatures.lines[0].chain", "not listed: [5]"),
         ("temperatures.lines.0.chain", ["1-3"], "temperatures.sensors[3].id", "sensor 4 hangs on no chain"),
-        ("temperatures.lines.0.id_offset", 252, "temperatures.lines[0].chain", "highest ID on the wire would be 256"),
+        ("temperatures.lines.0.id_offset", 4092, "temperatures.lines[0].chain", "highest ID on the wire would be 4096"),
         ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
         ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),

@@ -53,7 +53,10 @@ def demo(
     if faults_path is not None:
         _check_faults(faults_path)
     with simulation_folder(directory) as folder:
-        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed, http=not headless, secure=secure)
+        machine = demo_machine()
+        for line in machine["temperatures"]["lines"]:
+            line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
+        path, _ = write_simulation_configuration(machine, folder, speed=speed, http=not headless, secure=secure)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
