@@ -75,3 +75,15 @@ def tool_term_um(
     """Return the tool's expansion per axis [um]; since the reference when the tool was in the spindle then."""
     begin = tool_begin_degc(reference, tool_number, estimate.reference_id)
     return tool_terms_um(sources, estimate.label_increment_degc, begin)
+
+
+def error_of_tool_point_um(
+    sources: tuple[AxisSource, ...],
+    estimate: ThermalErrorEstimate | None,
+    reference: ReferenceMemory,
+    tool_number: int,
+) -> FloatArray:
+    """Return the estimated error per axis since the reference, tool included [um]; NaN without an estimate."""
+    if estimate is None:
+        return np.full(len(sources), np.nan)
+    return nose_errors_um(sources, estimate) + tool_term_um(sources, estimate, reference, tool_number)

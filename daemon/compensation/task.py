@@ -17,7 +17,7 @@ from daemon.compensation.applied_tracker import EchoWatch
 from daemon.compensation.block_writer import BlockWriter
 from daemon.compensation.handshake import Handshake
 from daemon.compensation.inbox import Inbox, Message
-from daemon.compensation.inputs import OutputView, output_inputs
+from daemon.compensation.inputs import OutputView, error_of_tool_point_um, output_inputs
 from daemon.compensation.nc_requests import RequestDesk
 from daemon.compensation.operator_requests import Cadence, Requests
 from daemon.compensation.parts import ControlParts
@@ -132,7 +132,9 @@ class ControlTask:
 
     def thermal_error_um(self) -> FloatArray:
         """Return the estimated error per axis since the reference, tool included [um], NaN without an estimate."""
-        return self._inputs(NO_REQUEST).error_of_tool_point_um
+        return error_of_tool_point_um(
+            self._sources, self._estimate, self._references.memory, self._measured.tool.number
+        )
 
     # --- the loop ------------------------------------------------------------------------
 

@@ -73,6 +73,7 @@ class Engine:
         self._identity = StoreIdentity()
         self._lost = ""
         """What became of the store that was written before, until another one is."""
+        self._log_path = Path(f"{path}-wal")
         self._log_inode: int | None = None
         self._on_acknowledged, self._on_problem = on_acknowledged, on_problem
         self._connection: sqlite3.Connection | None = None
@@ -182,8 +183,10 @@ class Engine:
 
     def _secure_log(self, connection: sqlite3.Connection) -> None:
         """Bring what is committed from the log into the store itself when the log was deleted."""
-        log_path = Path(f"{self._path}-wal")
-        there = log_path.stat().st_ino if log_path.exists() else None
+        try:
+            there = self._log_path.stat().st_ino
+        except OSError:
+            there = None
         if self._log_inode in (None, there):
             self._log_inode = there
             return
@@ -191,7 +194,7 @@ class Engine:
         self._close()
         if busy:
             raise StoreLostError("has lost its log (-wal)")
-        self._call(self._on_lost, f"{log_path} was deleted while the daemon wrote it; nothing of it is lost")
+        self._call(self._on_lost, f"{self._log_path} was deleted while the daemon wrote it; nothing of it is lost")
 
     def _run_job(self, job: Entry) -> None:
         try:

@@ -39,6 +39,8 @@ from models.records import (
 
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
+AUDIT_COMMIT_S = 0.02
+"""A write's intent waits this long for its outcome, so that one commit carries both."""
 SAMPLE_COMMIT_S = 10.0
 """Samples wait for a cycle's commit, but no longer than this."""
 CLOSE_WITHIN_S = 10.0
@@ -232,7 +234,7 @@ class HistoryWriter:
 
     def _put(self, kind: str, execute: Execute) -> Commit:
         entry = Entry(kind=kind, execute=execute)
-        self._intake.put(entry, within_s=0.0)
+        self._intake.put(entry, within_s=AUDIT_COMMIT_S)
         return entry.commit
 
     def _next_write_id(self) -> int:

@@ -11,6 +11,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from models.json_values import plain
 from models.records import Instant
 
 PLAIN = (int, str, bool, type(None))
@@ -28,7 +29,8 @@ def to_json(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
-        value = value.tolist()
+        value = value.tolist() if value.dtype.kind != "f" or np.isfinite(value).all() else plain(value)
+        return value
     if isinstance(value, Instant):
         return value.utc_s
     if isinstance(value, tuple | list):
