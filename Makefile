@@ -14,7 +14,7 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run test test-slow test-all install lint types layers docs bundle simulated-model clean
+.PHONY: run test test-slow test-all install lint types layers docs bundle simulated-model thermal-zoo clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
@@ -51,6 +51,10 @@ docs: $(VENV)/.installed
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.
 simulated-model: $(VENV)/.installed
 	$(BIN)/python -P -m daemon.simulation.simulated_model
+
+# Every family of thermal models on every machine of tests/zoo: `make thermal-zoo ZOO="--half tuning --machines 5"`.
+thermal-zoo: $(VENV)/.installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/zoo/zoo.py $(ZOO)
 
 # Everything that an installation without a network needs, as one tar in dist/.
 bundle: $(VENV)/.installed

@@ -1,0 +1,101 @@
+"""The zoo of machines: what it holds, that it is what its files say, and every family on a few small machines."""
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from click.testing import CliRunner
+from zoo_machines import ROSTER, Machine, recordings, reversed_run, write
+
+from daemon.cli import main
+from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import Recording
+
+SMALL = next(machine for machine in ROSTER if machine.sensors == 6 and machine.half == "tuning" and machine.runs == 4)
+
+
+def traits(half: str) -> set[str]:
+    return {trait.partition("=")[0] for machine in ROSTER if machine.half == half for trait in machine.traits}
+
+
+def test_both_halves_hold_every_kind_of_machine() -> None:
+    assert len(ROSTER) >= 40 and len({machine.name for machine in ROSTER}) == len(ROSTER)
+    for half in ("tuning", "judging"):
+        machines = [machine for machine in ROSTER if machine.half == half]
+        assert len(machines) >= 20
+        assert {machine.layout for machine in machines} == {machine.layout for machine in ROSTER}
+        assert {machine.programme for machine in machines} == {machine.programme for machine in ROSTER}
+    assert traits("judging") - traits("tuning") == {"analogue", "from"}
+    assert not traits("tuning") - traits("judging")
+    runs, sensors, sampling = ({getattr(m, key) for m in ROSTER} for key in ("runs", "sensors", "sample_s"))
+    assert (min(runs), max(runs), min(sensors), max(sensors)) == (3, 40, 6, 302)
+    assert (min(sampling), max(sampling)) == (1.0, 300.0)
+    assert min(m.hours[0] for m in ROSTER) <= 0.7 and max(m.hours[1] for m in ROSTER) >= 12.0
+
+
+def test_the_plants_share_nothing_with_what_is_tried_on_them() -> None:
+    imported = set()
+    for file in ("zoo_plant.py", "zoo_machines.py"):
+        for node in ast.walk(ast.parse((Path(__file__).parent / file).read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                imported.add(node.module)
+            elif isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+    product = {name for name in imported if str(name).split(".")[0] in {"models", "drivers", "config", "daemon"}}
+    assert product == {"drivers.files.recording_csv", "models.recordings.dataset"}
+
+
+@pytest.fixture(scope="module")
+def small() -> list[Recording]:
+    return recordings(SMALL)
+
+
+def test_a_seed_makes_the_same_machine_again_and_another_seed_another(small: list[Recording]) -> None:
+    again, other = recordings(SMALL), recordings(SMALL, seed=2)
+    assert all(np.array_equal(a.displacements_um, b.displacements_um) for a, b in zip(small, again, strict=True))
+    assert small[0].displacements_um.shape != other[0].displacements_um.shape or not np.array_equal(
+        small[0].displacements_um, other[0].displacements_um
+    )
+
+
+def test_a_machine_is_what_its_files_say(small: list[Recording], tmp_path: Path) -> None:
+    for path, recording in zip(write(SMALL, tmp_path), small, strict=True):
+        read = read_recording(path)
+        assert read.temperature_names == recording.temperature_names
+        assert np.allclose(read.time_s, recording.time_s)
+        assert np.allclose(read.temperatures_degc, recording.temperatures_degc, atol=6e-4)
+        assert np.allclose(read.displacements_um, recording.displacements_um, atol=6e-3)
+
+
+def test_a_reversed_channel_is_reversed_in_one_recording() -> None:
+    (machine, *_) = [machine for machine in ROSTER if reversed_run(machine) is not None]
+    straight = Machine(**{key: getattr(machine, key) for key in Machine.__dataclass_fields__} | {"traits": frozenset()})
+    pairs = list(zip(recordings(machine), recordings(straight), strict=True))
+    differing = [i for i, (a, b) in enumerate(pairs) if not np.array_equal(a.displacements_um, b.displacements_um)]
+    assert differing == [reversed_run(machine)]
+
+
+def test_a_machine_is_evaluated_as_a_user_would(tmp_path: Path) -> None:
+    files = [str(path) for path in write(SMALL, tmp_path)]
+    command = ["thermal", "evaluate", *files, "--map", str(Path(files[0]).parent / "map.yaml")]
+    result = CliRunner().invoke(main, [*command, "--leave-out-runs", "--model", "ridge", "--json", "-"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mean"]["reduction_rmse"] > 0.4
+
+
+def test_every_family_on_a_few_small_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No family may fail, and the default must be of use; how near it is to the best, the whole table tells."""
+    numbers = ",".join(str(machine.number) for machine in ROSTER if machine.number in (11, 25, SMALL.number))
+    result = tmp_path / "zoo.json"
+    assert zoo.main(["--only", numbers, "--processes", "1", "--json", str(result)]) == 0
+    found = json.loads(result.read_text("utf-8"))
+    assert len(found["machines"]) == 3 and found["halves"][0]["half"] == "tuning"
+    for machine in found["machines"]:
+        assert all(value is not None for value in machine["reductions"].values()), machine
+        assert machine["reductions"][zoo.DEFAULT] > 0.6, machine
+        assert machine["points"] > -20.0, machine
+    table = capsys.readouterr().out
+    assert "tuning: machines 11, 25" in table and "points below it on" in table
