@@ -24,6 +24,9 @@ class LeftOut:
         self.model = model
         self._beside = beside
         self._weight = np.abs(model.coefficients()[: model.layout.sensors])
+        uses = np.array([one.gain > 0.0 for one in model.solutions], dtype=np.float64)
+        uses[:, ~uses.any(axis=0)] = 1.0
+        self._knows = uses / uses.sum(axis=0)
         self._coefficients: dict[tuple[int, ...], FloatArray] = {}
 
     def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
@@ -35,12 +38,19 @@ class LeftOut:
         return self._coefficients[excluded]
 
     def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> float:
-        """Return how far the features have gone since the reference, 1 at the farthest that training went."""
+        """Return how far the features have gone since the reference, 1 at the farthest that training went.
+
+        Each solution takes sensors that do not count for what it expects of them itself: what another one expects of
+        a temperature and of its lags may differ by more than the two ever did in training.
+        """
         limit = self.model.domain.leverage_limit
         if limit is None:
             return 0.0
-        known = self.imputed(change, excluded)
-        return float(np.sqrt(leverage(self.model.solutions, known[None])[0] / limit))
+        total = 0.0
+        for one in self.model.solutions:
+            known = one.imputed(change, excluded, self._beside) if excluded else change
+            total += float(leverage([one], known[None])[0])
+        return float(np.sqrt(total / limit))
 
     def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return by how much the thermal error may be wrong, of the worst channel [um].
@@ -80,7 +90,7 @@ class LeftOut:
         """Return a change of the features with that of some sensors imputed from all other features.
 
         Each solution gives with its own imputation exactly what it gives without these sensors; of several
-        the mean is taken.
+        the mean is taken, of a lag over those that use it.
 
         `change`, shape (layout.columns,): change of the features; what it holds for the sensors left out does not
         count. `without`: indices of the sensors, from 0.
@@ -88,7 +98,8 @@ class LeftOut:
         if not len(without):
             return change
         solutions = self.model.solutions
-        return np.asarray(np.mean([one.imputed(change, without, self._beside) for one in solutions], axis=0))
+        found = np.array([one.imputed(change, without, self._beside) for one in solutions])
+        return np.asarray((self._knows * found).sum(axis=0))
 
     def started_lags(self, features: FloatArray, started: npt.NDArray[np.bool_], without: Sequence[int]) -> FloatArray:
         """Return the lags, those of some sensors started so that they stand as far from them as expected [degC].

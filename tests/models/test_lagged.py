@@ -16,9 +16,10 @@ from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitt
 from models.thermal.family import model_from_json
 from models.thermal.features import Design, lag_step, lag_table
 from models.thermal.linear import LinearModel
-from models.thermal.training.families import Fit, default_family
-from models.thermal.training.folds import inner_folds
+from models.thermal.training.families import Fit
 from models.thermal.training.inputs import build_inputs
+from models.thermal.training.prepared import prepare
+from models.thermal.training.recipes import RECIPES
 from models.thermal.training.ridge import RidgeProblem
 from models.thermal.training.train_family import train_family
 
@@ -63,9 +64,8 @@ def model(recording: Recording) -> LinearModel:
 
 
 def default_fit(recording: Recording) -> tuple[Any, Fit]:
-    inputs = build_inputs([recording], sample_s=60.0)
-    rows = inputs.trainable()
-    return inputs, default_family(inputs, rows, inner_folds(inputs, rows)[0], None).fit()
+    prepared = prepare([recording], 60.0, RECIPES["default"])
+    return prepared.inputs, prepared.problem.fit()
 
 
 def test_a_lag_is_exact_for_a_ramp_whatever_the_sampling() -> None:

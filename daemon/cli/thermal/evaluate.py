@@ -11,7 +11,7 @@ from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_op
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
 
-MODELS = ("default", "increments", "increments-b0", "ridge", "pls", "lasso")
+MODELS = ("default", "lags", "increments", "increments-b0", "ridge", "pls", "lasso")
 FaultKind = Literal["stuck", "step", "open", "drift"]
 AMOUNT = {"step": "degC", "drift": "degC/h"}
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -123,6 +123,8 @@ def _show(found: dict[str, Any]) -> None:
         for name, why in test["temperatures_left_out"].items():
             say(f"{test['name']}: temperature {name} is left out of the model: {why}")
     say(f"model {found['model']}: {compact_text(found['hyper_parameters'])}")
+    for family, why in {c["chosen"]["family"]: c["chosen"]["why"] for c in found["channels"].values()}.items():
+        say(f"chosen: {family}; {why}")
     say(f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers")
     for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
         say(

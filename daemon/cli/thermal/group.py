@@ -124,6 +124,8 @@ def _show(found: dict[str, Any]) -> None:
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
     chosen = compact_text(found["hyper_parameters"])
     say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
+    if found["chosen"] is not None:
+        say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
     if not held_out["channels"]:
         say("nothing could be left out, so it is not known how good this model is: record longer")
         return

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from config.recordings.recording_map import RecordingMap
+from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
 from drivers.files.recording_csv import read_recording
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
@@ -15,6 +16,7 @@ from models.recordings.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
+from models.thermal.training.choice import Choice
 from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (
     Inputs,
@@ -66,6 +68,7 @@ class _Outcome:
     hyper_parameters: HyperParameters
     faults: list[FaultOutcome]
     dropped: dict[str, str]
+    choice: Choice
 
 
 def read_recordings(
@@ -177,6 +180,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         hyper_parameters=problem.hyper_parameters,
         faults=_fault_outcomes(inputs, tester, trials, protocol.faults, dropped),
         dropped=dropped,
+        choice=choice_of(model, problem, trust),
     )
 
 
@@ -195,7 +199,10 @@ def _fault_outcomes(
 
 
 def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
-    channels = _channel_figures(inputs.channels, outcomes)
+    channels: dict[str, dict[str, Any]] = _channel_figures(inputs.channels, outcomes)
+    mean = _mean(channels)
+    for name, choice in choice_figures({o.name: o.choice for o in outcomes}, inputs.channels).items():
+        channels[name] |= choice
     refusals = [o for o in outcomes if o.trust.refused is not None]
     several = len(outcomes) > 1
     healthy = [(o, fault) for o in outcomes for trial in o.trials for fault in trial.faults if fault.sign != "missing"]
@@ -203,7 +210,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
     of_outcome = {id(o): kept for o, kept in zip(outcomes, names, strict=True)}
     return {
         "channels": channels,
-        "mean": _mean(channels),
+        "mean": mean,
         "hyper_parameters": {o.name: o.hyper_parameters for o in outcomes} if several else outcomes[0].hyper_parameters,
         "refused": "; ".join(f"{o.name}: {o.trust.refused}" if several else str(o.trust.refused) for o in refusals)
         or None,
@@ -231,7 +238,7 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
     }
 
 
-def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, float | None]]:
+def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, Any]]:
     trials = [(trial, outcome.trust.band_um) for outcome in outcomes for trial in outcome.trials]
     return {name: _one_channel(index, trials) for index, name in enumerate(channels)}
 
@@ -262,7 +269,7 @@ def _one_channel(channel: int, trials: Sequence[tuple[Trial, FloatArray]]) -> di
     }
 
 
-def _mean(channels: dict[str, dict[str, float | None]]) -> dict[str, float | None]:
+def _mean(channels: dict[str, dict[str, Any]]) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for key in ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"):
         values = [figures[key] for figures in channels.values()]

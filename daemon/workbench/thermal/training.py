@@ -82,6 +82,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "band_um": {c: finite_or_none(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
         },
         "hyper_parameters": result.hyper_parameters,
+        "chosen": None if result.choice is None else {"family": result.choice.family, "why": result.choice.why},
         "refused": trust.refused,
         "training": [
             {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}

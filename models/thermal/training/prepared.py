@@ -1,4 +1,4 @@
-"""A family prepared on the training rows of recordings, with spindle speed among its inputs where that helps."""
+"""A family prepared on the training rows of recordings, with the lags that these can teach."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,14 +7,13 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.features import BoolArray, IntArray
-from models.thermal.training.families import Problem, fold_numbers, relative_rmse
+from models.thermal.training.choice import ChosenProblem
+from models.thermal.training.families import Problem
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs
+from models.thermal.training.lags import offered_lags, part_of
 from models.thermal.training.recipes import Recipe
 
-SPEED_MUST_LEAVE = 0.9
-"""Spindle speed counts when it leaves less than this share of the left-out error: speeds that training did not see
-are extrapolated with the square of the speed, so an input that hardly helps is a risk."""
 LARGEST_INCOMPLETE_SHARE = 0.5
 """When fewer training rows than this are complete, that is said instead of fitting the rest."""
 
@@ -42,9 +41,7 @@ def prepare(
 ) -> Prepared:
     """Return a family prepared on recordings.
 
-    A family that works on lags is prepared with and without lagged spindle speed; that helps on
-    a machine whose sensors do not see all heat, and only extrapolates on one whose sensors do.
-    What predicts left-out folds better is taken.
+    A family that works on lags is given all that the training rows can teach, and keeps what it uses.
 
     Raises DatasetError when too few rows are complete.
 
@@ -60,39 +57,20 @@ def prepare(
         Time between probes [min] for which it is chosen; None without probes.
 
     """
-    inputs = build_inputs(recordings, sample_s=sample_s) if recipe.lags else _plain(recordings, sample_s)
-    wanted = np.ones(inputs.rows, dtype=np.bool_) if wanted is None else wanted
+    plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
+    wanted = np.ones(plain.rows, dtype=np.bool_) if wanted is None else wanted
+    inputs = plain
+    if recipe.lags:
+        lags = offered_lags(plain, wanted & plain.trainable())
+        speed_lags_min = lags.all_speed_min
+        inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags.all_min, speed_lags_min=speed_lags_min)
     rows = wanted & inputs.trainable()
     require_rows(inputs, wanted, rows)
     fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
-
-    def prepared(one: Inputs) -> Prepared:
-        """Return the family on some inputs of the same rows."""
-        problem = recipe.prepare(one, rows, fold, probe_min)
-        return Prepared(inputs=one, rows=rows, fold=fold, folds=folds, problem=problem)
-
-    found = prepared(inputs)
-    if not inputs.layout.speed_lags_min:
-        return found
-    without = prepared(build_inputs(recordings, sample_s=sample_s, speed_lags_min=()))
-    hardly_helps = _left_out_rmse(found, probe_min) > SPEED_MUST_LEAVE * _left_out_rmse(without, probe_min)
-    return without if hardly_helps else found
-
-
-def _plain(recordings: Sequence[Recording], sample_s: float) -> Inputs:
-    return build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
-
-
-def _left_out_rmse(prepared: Prepared, probe_min: float | None) -> float:
-    """Return the RMSE with / without the model on what is left out; NaN where nothing can be."""
-    numbers = fold_numbers(prepared.rows, prepared.fold)
-    if len(numbers) < 2:
-        return float("nan")
-    try:
-        fits = {number: prepared.problem.fit(frozenset({number})) for number in numbers}
-    except DatasetError:
-        return float("nan")
-    return relative_rmse(prepared.inputs, prepared.rows, prepared.fold, fits, probe_min)
+    problem = recipe.prepare(inputs, rows, fold, probe_min)
+    if isinstance(problem, ChosenProblem):
+        inputs = part_of(inputs, problem.layout.lags_min, problem.layout.speed_lags_min)
+    return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem)
 
 
 def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:

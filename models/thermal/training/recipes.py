@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from models.thermal.family import ThermalModel
-from models.thermal.training.families import Prepare, default_family, ridge_family
+from models.thermal.training.choice import ON_TEMPERATURES, ChosenProblem
+from models.thermal.training.families import Prepare, ridge_family
 from models.thermal.training.folds import FEWEST_CYCLES
 from models.thermal.training.increment_family import (
     IncrementChoices,
@@ -35,7 +36,10 @@ class Recipe:
 
 
 RECIPES = {
-    "default": Recipe(name="default", kind="default", prepare=default_family, lags=True),
+    "default": Recipe(
+        name="default", kind="default", prepare=partial(ChosenProblem, (*ON_TEMPERATURES, "lags")), lags=True
+    ),
+    "lags": Recipe(name="lags", kind="lags", prepare=partial(ChosenProblem, ("lags",)), lags=True),
     "increments": Recipe(name="increments", kind="increments", prepare=increments_without_drift, lags=False),
     "increments-b0": Recipe(name="increments-b0", kind="increments", prepare=increments_with_drift, lags=False),
     "ridge": Recipe(name="ridge", kind="ridge", prepare=ridge_family, lags=False),

@@ -11,6 +11,7 @@ from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
+from models.thermal.training.choice import Choice, ChosenProblem
 from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.training.prepared import prepare
@@ -43,6 +44,8 @@ class FamilyTraining:
     drift_um_per_min: FloatArray
     """b_0 of the fit [um/min], shape (n_channels,)."""
     warnings: tuple[str, ...]
+    choice: Choice | None = None
+    """What was chosen among several families, and why; None where one was asked for by name."""
 
 
 def train_family(
@@ -115,6 +118,7 @@ def train_family(
         counts=fit.counts,
         drift_um_per_min=fit.drift_um_per_min,
         warnings=warnings,
+        choice=problem.choice if isinstance(problem, ChosenProblem) else None,
     )
 
 
