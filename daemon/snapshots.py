@@ -79,6 +79,8 @@ class ControlSnapshot:
     written_um: FloatArray
     applied_um: FloatArray
     """The guard's echo."""
+    baseline_um: FloatArray
+    """What was applied when the reference was set."""
     bound_um: FloatArray
     slew_um_per_min: FloatArray
     reference: Reference | None

@@ -28,7 +28,7 @@ class Configuration(Section):
         None, description="the spindle speed follows the stability pockets; none: off"
     )
     history: HistoryConfig = Field(default_factory=HistoryConfig, description="the store")
-    service: ServiceConfig = Field(default_factory=ServiceConfig, description="socket, metrics, log, retry")
+    service: ServiceConfig = Field(default_factory=ServiceConfig, description="socket, monitor, metrics, log, retry")
 
     signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 

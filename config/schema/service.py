@@ -1,12 +1,14 @@
 """History, local socket, telemetry and log."""
 
+import ipaddress
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Days, KeyProblems, Seconds, Section
+from config.schema.base import Days, KeyPath, KeyProblems, Seconds, Section
 
 LONGEST_SOCKET_PATH = 107
 """Bytes that Linux takes for the path of a local socket."""
@@ -52,8 +54,28 @@ class ServiceConfig(Section):
     socket_group: str | None = Field(
         None, description="group that may use the socket; none: the daemon's own", examples=["operators"]
     )
-    http_host: str = Field("127.0.0.1", description="address of /metrics")
-    http_port: int | None = Field(9464, ge=0, le=65535, description="port of /metrics; null: no web server")
+    http_host: str = Field(
+        "127.0.0.1",
+        description="address of the monitor and of /metrics; any but this computer's own takes tls_certificate, "
+        "tls_key and users",
+    )
+    http_port: int | None = Field(
+        9464, ge=0, le=65535, description="port of the monitor and of /metrics; null: no web server"
+    )
+    tls_certificate: Path | None = Field(
+        None,
+        description="certificate of the monitor with its chain (PEM); its names are those by which it is reached",
+        examples=["/etc/toolpoint/monitor.crt"],
+    )
+    tls_key: Path | None = Field(
+        None, description="private key of that certificate (PEM)", examples=["/etc/toolpoint/secrets/monitor.key"]
+    )
+    users: Path | None = Field(
+        None,
+        description="accounts of the monitor (`toolpoint users`); none: whoever reaches it may look, nobody may act",
+        examples=["/etc/toolpoint/users"],
+    )
+    session_hours: float = Field(12.0, gt=0, le=168, description="a login to the monitor ends after this long [h]")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     retry_min_s: Seconds = Field(0.5, description="first wait before a lost link is tried again")
     retry_max_s: Seconds = Field(30.0, description="longest wait before a lost link is tried again")
@@ -64,4 +86,30 @@ class ServiceConfig(Section):
             raise KeyProblems([(("socket",), f"a local socket's path has at most {LONGEST_SOCKET_PATH} bytes")])
         if self.retry_min_s > self.retry_max_s:
             raise KeyProblems([(("retry_min_s",), "must not be longer than retry_max_s")])
+        if problems := list(self._open_to_others()):
+            raise KeyProblems(problems)
         return self
+
+    @property
+    def http_is_local(self) -> bool:
+        """The monitor can be reached from this computer alone."""
+        if self.http_host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.http_host).is_loopback
+        except ValueError:
+            return False
+
+    def _open_to_others(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield what the monitor lacks to be opened to other computers."""
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            missing = "tls_key" if self.tls_key is None else "tls_certificate"
+            yield (missing,), "give tls_certificate and tls_key together"
+        elif self.http_port is not None and not self.http_is_local:
+            absent = [key for key in ("tls_certificate", "tls_key", "users") if getattr(self, key) is None]
+            if absent:
+                sentence = (
+                    f"{self.http_host} opens the monitor to other computers, which takes {', '.join(absent)} too "
+                    "(docs/how-to/open-the-monitor.md); or keep 127.0.0.1"
+                )
+                yield ("http_host",), sentence

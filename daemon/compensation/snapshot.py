@@ -40,6 +40,7 @@ def control_snapshot(control: "ControlTask") -> ControlSnapshot:
         requested_um=command.requested_um if command is not None else unknown,
         written_um=command.compensation_um if command is not None else unknown,
         applied_um=control.applied_um(),
+        baseline_um=memory.baseline_um if memory is not None and memory.reference_id is not None else unknown,
         bound_um=limits.absolute_bound_um,
         slew_um_per_min=limits.slew_um_per_min,
         reference=control.reference,

@@ -45,22 +45,29 @@ class Conversation:
             self.busy = False
 
 
-def most_connections() -> int:
+def most_connections(most: int = MOST_CONNECTIONS, share_of_descriptors: int = SHARE_OF_DESCRIPTORS) -> int:
     """Return how many connections to one socket may be open at a time, by this process's limit of descriptors."""
     descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if descriptors == resource.RLIM_INFINITY:
-        return MOST_CONNECTIONS
-    return max(2, min(MOST_CONNECTIONS, descriptors // SHARE_OF_DESCRIPTORS))
+        return most
+    return max(2, min(most, descriptors // share_of_descriptors))
 
 
 class BoundedConnections:
     """Serves each connection in a task; when too many are open, the one that was quiet longest is ended."""
 
-    def __init__(self, name: str, serve: Serve) -> None:
+    def __init__(
+        self,
+        name: str,
+        serve: Serve,
+        *,
+        most: int = MOST_CONNECTIONS,
+        share_of_descriptors: int = SHARE_OF_DESCRIPTORS,
+    ) -> None:
         """`serve` ends by itself when its connection does; the connection is closed after it."""
         self._name = name
         self._serve = serve
-        self._most = most_connections()
+        self._most = most_connections(most, share_of_descriptors)
         self._open: dict[asyncio.Task[None], Conversation] = {}
         self._report = RateLimit[str](self._say)
 

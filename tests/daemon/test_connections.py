@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from prometheus_client import CollectorRegistry
+from starlette.responses import PlainTextResponse
 from structlog.testing import capture_logs
 
 from daemon.monitor import connections, control_socket
 from daemon.monitor.control_socket import ControlClient, ControlSocket
-from daemon.monitor.web import serve_metrics
+from daemon.monitor.web import server
+from daemon.monitor.web.server import serve_web
 
 MANY = 200
 FLOOD_REPORTS = 30
@@ -23,6 +24,9 @@ FLOOD_REPORTS = 30
 
 async def status(request: dict[str, Any], person: str) -> dict[str, Any]:
     return {"asked": request, "person": person}
+
+
+healthy = PlainTextResponse("running\n")
 
 
 @contextlib.asynccontextmanager
@@ -67,18 +71,19 @@ async def ended(writers: list[asyncio.StreamWriter]) -> None:
 async def get(number: int) -> bytes:
     reader, writer = await asyncio.open_connection("127.0.0.1", number)
     writer.write(b"GET /healthz HTTP/1.1\r\nHost: toolpoint\r\n\r\n")
-    answer = await reader.read()
+    answer = await reader.readuntil(b"running\n")
     writer.close()
     return answer
 
 
-async def test_half_sent_http_requests_are_bounded_and_others_are_answered() -> None:
+async def test_half_sent_http_requests_are_bounded_and_others_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MOST_CONNECTIONS", 8)
     number, before = port(), descriptors()
     with capture_logs() as logs:
-        async with running(lambda on: serve_metrics(CollectorRegistry(), "127.0.0.1", number, on)):
+        async with running(lambda on: serve_web(healthy, "127.0.0.1", number, None, on)):
             peers = await half_said(lambda: asyncio.open_connection("127.0.0.1", number), b"GET /metrics HTTP/1.1\r\nX")
             assert (await get(number)).startswith(b"HTTP/1.1 200")
-            assert descriptors() - before <= MANY + connections.MOST_CONNECTIONS + 5
+            assert descriptors() - before <= MANY + 8 + 5
             await ended(peers)
     assert 0 < len(logs) <= FLOOD_REPORTS
     assert descriptors() <= before + 1

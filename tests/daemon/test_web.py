@@ -1,63 +1,71 @@
-"""/metrics over real HTTP."""
+"""The monitor over real HTTP: pages, metrics, documents, and what every answer carries."""
 
 import asyncio
+import json
 import socket
-import urllib.error
-import urllib.request
 
 import pytest
+from monitor_bench import monitor
 
-from daemon.monitor.web import serve_metrics
-from daemon.telemetry.metrics import Telemetry
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+from daemon.monitor.web.server import serve_web
 
 
-def get(url):
-    with urllib.request.urlopen(url, timeout=30) as answer:
-        return answer.status, answer.headers["content-type"], answer.read().decode()
-
-
-async def served(port, work):
-    telemetry = Telemetry()
-    task = asyncio.create_task(serve_metrics(telemetry.registry, "127.0.0.1", port))
-    try:
-        async with asyncio.timeout(30):
-            while not task.done():
-                try:
-                    await asyncio.to_thread(get, f"http://127.0.0.1:{port}/healthz")
-                    break
-                except urllib.error.URLError:
-                    await asyncio.sleep(0.01)
-        return await asyncio.to_thread(work, telemetry)
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-
-
-async def test_metrics_carry_the_stages_and_the_published_figures():
-    port = free_port()
-
-    def work(telemetry):
-        telemetry.delays["feedback"].add(0.002)
-        assert get(f"http://127.0.0.1:{port}/healthz")[0] == 200
-        status, kind, text = get(f"http://127.0.0.1:{port}/metrics")
-        assert status == 200 and kind.startswith("text/plain")
+async def test_metrics_carry_the_stages_and_the_published_figures(tmp_path):
+    async with monitor(tmp_path) as bench:
+        browser = bench.browser()
+        assert (await browser.get("/healthz")).status == 200
+        answer = await browser.get("/metrics")
+        text = answer.body.decode()
+        assert answer.status == 200 and answer.headers["content-type"].startswith("text/plain")
         assert "# TYPE toolpoint_stage_seconds histogram" in text
         assert 'toolpoint_published_delay_seconds{part="feedback"} 1.2' in text
         assert 'toolpoint_published_delay_seconds{part="total"} 24.7' in text
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            get(f"http://127.0.0.1:{port}/nothing")
-
-    await served(port, work)
-    with socket.create_server(("127.0.0.1", port)):
+        assert "there is nothing at /nothing" in (await browser.get("/nothing")).detail
+    with socket.create_server(("127.0.0.1", bench.port)):
         pass  # the port is free again
 
 
 async def test_a_taken_port_is_an_oserror():
     with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(OSError, match="in use"):
-        await serve_metrics(Telemetry().registry, "127.0.0.1", other.getsockname()[1])
+        await serve_web(None, "127.0.0.1", other.getsockname()[1])
+
+
+async def test_every_document_is_answered_before_anything_is_known(tmp_path):
+    async with monitor(tmp_path) as bench:
+        browser = bench.browser()
+        status = (await browser.get("/api/v1/status")).json
+        assert status["state"] == "OFF" and "not been reached" in status["reason"]
+        assert status["axes"]["z"]["applied_um"] is None and status["age_s"] is None
+        assert status["user"] == {"name": None, "role": "viewer", "csrf": None, "expires": None, "accounts": False}
+        assert status["latency"]["published_s"] == 24.7
+        for path in ("sensors", "names", "latency", "estimate", "models", "writes", "series?name=temperature.1"):
+            answer = await browser.get(f"/api/v1/{path}")
+            assert answer.status == 200, (path, answer.body)
+        assert "spindle_speed" in (await browser.get("/api/v1/dynamics")).detail
+
+
+async def test_a_live_viewer_sees_the_state_change(tmp_path):
+    async with monitor(tmp_path) as bench:
+        await bench.rig.turn()
+        reader, writer = await asyncio.open_connection("127.0.0.1", bench.port)
+        writer.write(b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        head = await reader.readuntil(b"\r\n\r\n")
+        assert b"text/event-stream" in head
+        bench.rig.set_reference()
+        await bench.rig.switch_on()
+        await bench.rig.follow(0.0, 0.0, 2)
+        async with asyncio.timeout(60):
+            while True:
+                line = await reader.readline()
+                if line.startswith(b"data: ") and json.loads(line[6:])["state"] == "ACTIVE":
+                    break
+        writer.close()
+
+
+async def test_every_answer_forbids_what_a_page_of_ours_does_not_need(tmp_path):
+    async with monitor(tmp_path) as bench:
+        for path in ("/", "/metrics", "/api/v1/status", "/nothing"):
+            headers = (await bench.browser().get(path)).headers
+            assert "script-src 'self'" in headers["content-security-policy"]
+            assert "unsafe" not in headers["content-security-policy"]
+            assert headers["x-content-type-options"] == "nosniff" and headers["x-frame-options"] == "DENY"

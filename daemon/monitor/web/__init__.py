@@ -1,0 +1,1 @@
+"""The monitor in the browser: pages, API, live events and metrics, served by the daemon itself."""

@@ -1,0 +1,164 @@
+"""The API of what is recorded: series, estimate with its reference marks, writes, downloads."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from starlette.responses import JSONResponse, Response
+
+from daemon.history.reader import HistoryReader
+from daemon.monitor.web import schemas
+from daemon.monitor.web.access import Viewer
+from daemon.monitor.web.pages import takes_gzip
+from daemon.monitor.web.problems import Problem, ProblemError
+from daemon.monitor.web.recorded import Recorded, encoded, write_document
+
+router = APIRouter(tags=["recorded"])
+LATEST_UTC_S = 4_102_444_800.0
+"""The year 2100."""
+DEFAULT_SPAN_S = 3600.0
+MOST_NAMES = 32
+MOST_POINTS = 4000
+MOST_WRITES = 1000
+DAY_S = 86400.0
+
+From = Annotated[
+    float | None, Query(alias="from", ge=0, le=LATEST_UTC_S, description="UTC [s]; none: an hour before `to`")
+]
+To = Annotated[float | None, Query(alias="to", ge=0, le=LATEST_UTC_S, description="UTC [s]; none: now")]
+Names = Annotated[
+    list[Annotated[str, Query(max_length=100)]],
+    Query(alias="name", min_length=1, max_length=MOST_NAMES, description="see /api/v1/names; may be repeated"),
+]
+Points = Annotated[int, Query(ge=2, le=MOST_POINTS, description="at most so many buckets")]
+
+
+def recorded_of(request: Request) -> Recorded:
+    """Return the queries of the application that serves a request."""
+    found = request.app.state.recorded
+    assert isinstance(found, Recorded)
+    return found
+
+
+def interval(request: Request, from_s: float | None, to_s: float | None) -> tuple[float, float]:
+    """Return the asked time as numbers; raises ProblemError when it is empty."""
+    end_s = request.app.state.parts.clock.now().utc_s if to_s is None else to_s
+    start_s = end_s - DEFAULT_SPAN_S if from_s is None else from_s
+    if not start_s < end_s:
+        raise ProblemError(422, f"from ({start_s:g}) must be before to ({end_s:g}); both are UTC [s since 1970]")
+    return start_s, end_s
+
+
+@router.get("/names", response_model=schemas.Names)
+async def names(request: Request, person: Viewer) -> Response:
+    """Return the series that can be asked for."""
+    configuration = request.app.state.parts.configuration
+    series: list[dict[str, Any]] = [
+        {
+            "name": f"temperature.{sensor.id}",
+            "kind": "temperature",
+            "unit": "degC",
+            "component": sensor.component,
+            "part": None if sensor.part == "-" else sensor.part,
+            "label": sensor.label,
+            "sensor": sensor.id,
+            "position": None,
+        }
+        for sensor in configuration.temperatures.sensors
+    ]
+    series += [
+        {"name": f"label.{label}", "kind": "label", "unit": "degC", "label": label}
+        for label in configuration.temperatures.labels
+    ]
+    by_channel = {axis.estimate: name for name, axis in configuration.compensation.axes.items() if axis.estimate}
+    channels = list(by_channel)
+    if configuration.displacements is not None:
+        channels += [each.name for each in configuration.displacements.channels]
+    for channel in dict.fromkeys(channels):
+        own = {"unit": "um", "channel": channel, "axis": by_channel.get(channel)}
+        if channel in by_channel:
+            series += [{"name": f"{kind}.{channel}", "kind": kind} | own for kind in ("estimated", "band")]
+        series.append({"name": f"measured.{channel}", "kind": "measured"} | own)
+    series += [
+        {"name": f"{kind}.{axis}", "kind": kind, "unit": "um", "axis": axis}
+        for axis in configuration.compensation.axes
+        for kind in ("requested", "written", "applied")
+    ]
+    series.append({"name": "spindle_speed", "kind": "spindle", "unit": "1/min"})
+    series.append({"name": "motor_temperature", "kind": "motor", "unit": "degC"})
+
+    def ask(reader: HistoryReader, go_on: object) -> tuple[float, float] | None:
+        return reader.extent("temperatures")
+
+    extent = await recorded_of(request).query(ask)
+    first, last = extent or (None, None)
+    return JSONResponse({"series": series, "first": first, "last": last})
+
+
+@router.get(
+    "/series",
+    response_model=dict[str, schemas.Series],
+    responses={404: {"model": Problem, "description": "there is no series of that name"}},
+)
+async def series(
+    request: Request, person: Viewer, name: Names, from_s: From = None, to_s: To = None, points: Points = 800
+) -> Response:
+    """Return series over time, each decimated to least, greatest and mean of at most `points` buckets."""
+    start_s, end_s = interval(request, from_s, to_s)
+    packed = takes_gzip(request.headers)
+    unique = list(dict.fromkeys(name))
+    body = await recorded_of(request).series(unique, start_s, end_s, points, packed=packed)
+    headers = {"content-encoding": "gzip"} if packed else {}
+    return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+
+
+@router.get("/writes", response_model=schemas.Writes)
+async def writes(
+    request: Request,
+    person: Viewer,
+    from_s: From = None,
+    to_s: To = None,
+    limit: Annotated[int, Query(ge=1, le=MOST_WRITES)] = 200,
+    reason: Annotated[
+        str | None, Query(max_length=200, description="only writes whose reason, cause or person holds this text")
+    ] = None,
+) -> Response:
+    """Return the audit of macro writes, the newest first."""
+    start_s, end_s = interval(request, from_s, to_s)
+
+    def ask(reader: HistoryReader, go_on: Any) -> bytes:
+        found: list[dict[str, Any]] = []
+        stop_s = end_s
+        more = False
+        while stop_s > start_s and not more:
+            go_on()
+            begin_s = max(start_s, stop_s - 3600.0)
+            for record in reversed(reader.writes(begin_s, stop_s)):
+                document = write_document(record) | {"old": [], "model_id": None}
+                if reason and not any(
+                    reason.lower() in (document[key] or "").lower() for key in ("reason", "cause", "person")
+                ):
+                    continue
+                if len(found) == limit:
+                    more = True
+                    break
+                found.append(document)
+            stop_s = begin_s
+        return encoded({"writes": found, "more": more}, packed=packed)
+
+    packed = takes_gzip(request.headers)
+    body = await recorded_of(request).query(ask)
+    headers = {"content-encoding": "gzip"} if packed else {}
+    return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+
+
+@router.get("/estimate", response_model=schemas.Estimate)
+async def estimate(request: Request, person: Viewer) -> Response:
+    """Return the estimate now: per channel band, contributions of sensors, residual to what is measured."""
+    now_s = request.app.state.parts.clock.now().utc_s
+
+    def ask(reader: HistoryReader, go_on: object) -> list[dict[str, Any]]:
+        found = reader.references(now_s - DAY_S, now_s + 1.0)
+        return [{"id": each.reference_id, "time": each.time.utc_s, "source": each.source} for each in found]
+
+    marks = await recorded_of(request).query(ask)
+    return JSONResponse(request.app.state.documents.estimate() | {"references": marks})

@@ -1,0 +1,116 @@
+"""The API of the present: status, events, sensors, estimate, delays, models, dynamics, health."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from starlette.responses import JSONResponse, Response
+
+from daemon.monitor.web import schemas
+from daemon.monitor.web.access import Access, Person, Viewer, access_of
+from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.live import EventStream, Live
+from daemon.monitor.web.problems import Problem, ProblemError
+
+router = APIRouter(tags=["now"])
+
+
+def documents_of(request: Request) -> Documents:
+    """Return the documents of the application that serves a request."""
+    found = request.app.state.documents
+    assert isinstance(found, Documents)
+    return found
+
+
+def who(access: Access, person: Person | None) -> dict[str, Any]:
+    """Return who is logged in as a document."""
+    return {
+        "name": (person.name or None) if person is not None else None,
+        "role": person.role if person is not None else None,
+        "csrf": (person.csrf or None) if person is not None else None,
+        "expires": person.expires_utc_s if person is not None else None,
+        "accounts": access.accounts is not None,
+    }
+
+
+@router.get("/status", response_model=schemas.Status)
+async def status(request: Request, person: Viewer) -> Response:
+    """Return everything that the overview shows."""
+    return JSONResponse(documents_of(request).status() | {"user": who(access_of(request), person)})
+
+
+class _Stream(Response):
+    """A response that hands its connection to an event stream."""
+
+    def __init__(self, stream: EventStream) -> None:
+        super().__init__()
+        self._stream = stream
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        await self._stream(scope, receive, send)
+
+
+@router.get(
+    "/events",
+    response_class=_Stream,
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}, "description": "events"}},
+)
+async def events(
+    request: Request,
+    person: Viewer,
+    temperatures: Annotated[bool, Query(description="send `cycle` events too")] = False,
+) -> Response:
+    """Follow the machine: event `status` when it changes and each second, `cycle` with every new temperatures."""
+    live, access = request.app.state.live, access_of(request)
+    assert isinstance(live, Live)
+    live.check_room()
+
+    def allowed() -> bool:
+        return access.accounts is None or not person.csrf or access.by_session(request) is not None
+
+    return _Stream(EventStream(live, cycles=temperatures, allowed=allowed))
+
+
+@router.get("/sensors", response_model=schemas.Sensors)
+async def sensors(request: Request, person: Viewer) -> Response:
+    """Return every sensor's newest temperature, its quality and the reason."""
+    return JSONResponse(documents_of(request).sensors())
+
+
+@router.get("/latency", response_model=schemas.Latency)
+async def latency(request: Request, person: Viewer) -> Response:
+    """Return the delay of every stage beside the published one."""
+    return JSONResponse(documents_of(request).latency())
+
+
+@router.get("/models", response_model=schemas.Models)
+async def models(request: Request, person: Viewer) -> Response:
+    """Return models in force and candidates; releasing stays on the command line."""
+    return JSONResponse(await request.app.state.parts.models())
+
+
+@router.get(
+    "/dynamics",
+    response_model=dict[str, Any],
+    responses={404: {"model": Problem, "description": "not configured; the sentence says how to get it"}},
+)
+async def dynamics(request: Request, person: Viewer) -> Response:
+    """Return the tool point's response, resonance over time, lobes and the working point."""
+    raise ProblemError(
+        404,
+        "the spindle's dynamics are not configured: make a spindle model (docs/how-to/"
+        "from-impact-test-to-spindle-model.md) and add the section spindle_speed to the configuration "
+        "(docs/how-to/tune-the-spindle-speed.md)",
+    )
+
+
+@router.get(
+    "/health",
+    response_model=schemas.Health,
+    responses={503: {"model": schemas.Health, "description": "the output is in FAULT, or a link is down"}},
+)
+async def health(request: Request, person: Viewer) -> Response:
+    """Answer 503 with the reason while the output is in FAULT or a link is down."""
+    reason = documents_of(request).unhealthy()
+    state = request.app.state.parts.board.control.state
+    document = {"healthy": not reason, "state": state, "reason": reason}
+    return JSONResponse(document, 503 if reason else 200)

@@ -1,0 +1,158 @@
+"""The monitor's application: pages, API, metrics; every route states what it takes and answers."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+from fastapi import APIRouter, FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.types import ASGIApp
+
+from config.schema import Configuration
+from daemon.monitor.accounts import Accounts
+from daemon.monitor.commands import CommandDesk
+from daemon.monitor.web import api_actions, api_history, api_now
+from daemon.monitor.web.access import Access, Report
+from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.gate import Gate
+from daemon.monitor.web.live import Live
+from daemon.monitor.web.pages import Pages
+from daemon.monitor.web.problems import PROBLEM_TYPE, Problem, ProblemError, invalid_in_words, problem_response
+from daemon.monitor.web.recorded import Recorded
+from daemon.snapshots import SnapshotBoard
+from drivers.clock import Clock
+
+Look = Callable[[], Awaitable[dict[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MonitorParts:
+    """What the daemon hands to the monitor."""
+
+    configuration: Configuration
+    clock: Clock
+    board: SnapshotBoard
+    desk: CommandDesk
+    registry: CollectorRegistry
+    latency: Callable[[], dict[str, Any]]
+    """Percentiles of the delays."""
+    report: Report
+    """Puts an event into the audit: kind, text, person."""
+    models: Look
+    """Models in force, candidates, scores."""
+
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "description": text}
+    for status, text in (
+        (401, "nobody is logged in"),
+        (403, "host, origin, token or role do not allow it"),
+        (422, "the request is not as described here"),
+        (429, "too many wrong passwords"),
+        (503, "not now"),
+    )
+}
+
+
+def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASGIApp:
+    """Return the application; `names` are those of its certificate."""
+    service = parts.configuration.service
+    app = FastAPI(
+        title="Toolpoint monitor",
+        version=version("toolpoint"),
+        description="State, error, delay and reason of the compensation. Times are UTC seconds; errors are problem "
+        "details (RFC 9457) with one sentence.",
+        openapi_url=None,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    documents = Documents(parts.configuration, parts.clock, parts.board, parts.latency)
+    app.state.access = Access(
+        accounts=None if service.users is None else Accounts(service.users),
+        session_s=service.session_hours * 3600.0,
+        secure=service.tls_certificate is not None,
+        report=parts.report,
+    )
+    app.state.parts, app.state.documents = parts, documents
+    app.state.live = Live(documents, parts.board)
+    app.state.recorded = Recorded(parts.configuration)
+    app.state.pages = Pages()
+    for part in (api_now, api_history, api_actions):
+        app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
+    app.include_router(_outside)
+    _take_refusals(app)
+    return Gate(app, names)
+
+
+def _take_refusals(app: FastAPI) -> None:
+    """Make every refusal problem details."""
+
+    async def refused(request: Request, error: Exception) -> Response:
+        assert isinstance(error, ProblemError)
+        return problem_response(error.status, error.detail, error.headers)
+
+    async def invalid(request: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        return problem_response(422, invalid_in_words(error))
+
+    async def other(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        detail = {
+            404: f"there is nothing at {request.url.path}; the pages begin at /, the API is described in /openapi.json",
+            405: f"{request.url.path} does not take {request.method}; /openapi.json says what it takes",
+        }.get(error.status_code, str(error.detail))
+        return problem_response(error.status_code, detail, dict(error.headers or {}))
+
+    app.add_exception_handler(ProblemError, refused)
+    app.add_exception_handler(RequestValidationError, invalid)
+    app.add_exception_handler(HTTPException, other)
+
+
+def openapi_document(app: FastAPI) -> dict[str, Any]:
+    """Return the OpenAPI document, in which every error is problem details."""
+    document = app.openapi()
+    for path in document["paths"].values():
+        for operation in path.values():
+            for status, answer in operation["responses"].items():
+                if status >= "400" and (content := answer.get("content", {}).pop("application/json", None)):
+                    answer["content"][PROBLEM_TYPE] = content
+    document.get("components", {}).get("schemas", {}).pop("HTTPValidationError", None)
+    document.get("components", {}).get("schemas", {}).pop("ValidationError", None)
+    return document
+
+
+_outside = APIRouter(include_in_schema=False)
+
+
+@_outside.get("/metrics")
+async def _metrics(request: Request) -> Response:
+    if not request.app.state.parts.configuration.service.http_is_local:
+        await request.app.state.access.viewer(request)
+    text = await asyncio.to_thread(generate_latest, request.app.state.parts.registry)
+    return Response(text, media_type=CONTENT_TYPE_LATEST)
+
+
+@_outside.get("/healthz")
+async def _healthz() -> Response:
+    return PlainTextResponse("running\n")
+
+
+@_outside.get("/openapi.json")
+async def _openapi(request: Request) -> Response:
+    return JSONResponse(openapi_document(request.app))
+
+
+@_outside.api_route("/{path:path}", methods=["GET", "HEAD"])
+async def _page(request: Request, path: str) -> Response:
+    answer = None if path.startswith("api/") else request.app.state.pages.answer(request, path)
+    if answer is None:
+        raise HTTPException(404)
+    assert isinstance(answer, Response)
+    return answer

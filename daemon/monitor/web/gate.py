@@ -1,0 +1,134 @@
+"""What every request passes: host, origin, headers of the answer, times within which both sides must go on."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection
+from typing import Any
+from urllib.parse import urlsplit
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from daemon.monitor.web.access import is_local_name
+from daemon.monitor.web.problems import problem_response
+
+log = structlog.get_logger(__name__)
+
+RECEIVE_S = 10.0
+"""A request's body must have arrived within this [s]."""
+SEND_S = 10.0
+"""Each piece of an answer must have been taken within this [s]."""
+MOST_BODY = 65536
+"""A longer body is refused [byte]."""
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "font-src 'self'; connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; "
+    "frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
+    "cache-control": "no-store",
+}
+
+
+class TooSlowError(Exception):
+    """The other side did not go on in time; its connection is ended."""
+
+
+class Gate:
+    """Passes a request on when its host and origin are ours; bounds how long either side may take."""
+
+    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
+        """`names`: by which the monitor is reached, beside those of this computer itself."""
+        self._app, self._names = app, frozenset(name.lower() for name in names)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+        started = False
+
+        async def timed_send(message: Message) -> None:
+            nonlocal started
+            if message["type"] == "http.response.start":
+                started = True
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await within(SEND_S, send(message))
+
+        try:
+            refused = self._refused(scope)
+            if refused:
+                await problem_response(403, refused)(scope, receive, timed_send)
+                return
+            await self._app(scope, _bounded(receive), timed_send)
+        except TooSlowError:
+            if started or "abort" in scope.get("state", {}):
+                _abort(scope)
+        except Exception:
+            log.exception("request.defect", path=scope["path"])
+            if started:
+                _abort(scope)
+                return
+            text = "the monitor has a defect here; the daemon's log has the details. The control goes on without it"
+            await problem_response(500, text)(scope, receive, timed_send)
+
+    def _refused(self, scope: Scope) -> str:
+        """Return why a request is none of ours, '' when it is."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        name = urlsplit(f"//{host}").hostname or ""
+        if not (is_local_name(name) or name in self._names):
+            return (
+                f"this monitor is not called {name[:80]!r}; use localhost, an address or a name of its certificate "
+                "(service.tls_certificate)"
+            )
+        site = headers.get("sec-fetch-site", "same-origin")
+        if site in ("cross-site", "same-site") and headers.get("sec-fetch-mode") != "navigate":
+            return "another web site has sent this request; open the monitor itself"
+        if scope["method"] in SAFE_METHODS:
+            return ""
+        origin = headers.get("origin")
+        if origin is not None and origin != f"{scope['scheme']}://{host}":
+            return f"a page of {origin[:80]} has sent this request; only the monitor's own pages may act"
+        return ""
+
+
+def _abort(scope: Scope) -> None:
+    abort: Callable[[], Any] = scope.get("state", {}).get("abort", lambda: None)
+    abort()
+
+
+async def within(seconds: float, work: Awaitable[None]) -> None:
+    """Wait for what the other side must do in time; raises TooSlowError when it does not."""
+    try:
+        async with asyncio.timeout(seconds):
+            await work
+    except TimeoutError:
+        raise TooSlowError from None
+
+
+def _bounded(receive: Receive) -> Receive:
+    """Return a `receive` whose body must arrive in time and is of bounded length."""
+    complete, size = False, 0
+
+    async def bounded() -> Message:
+        nonlocal complete, size
+        if complete:
+            return await receive()  # waits for the end of the connection
+        try:
+            async with asyncio.timeout(RECEIVE_S):
+                message = await receive()
+        except TimeoutError:
+            raise TooSlowError from None
+        size += len(message.get("body", b""))
+        if size > MOST_BODY:
+            raise TooSlowError
+        complete = not message.get("more_body", False)
+        return message
+
+    return bounded

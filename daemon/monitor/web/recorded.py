@@ -1,0 +1,130 @@
+"""What the monitor reads of the store, in threads of its own, few at a time and for a bounded time."""
+
+import asyncio
+import gzip
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import numpy as np
+
+from config.schema import Configuration
+from daemon.history.database import HistoryError
+from daemon.history.decimation import Decimated, SeriesError, check_names, decimated
+from daemon.history.reader import HistoryReader
+from daemon.history.series import WriteRecord
+from daemon.monitor.web.problems import ProblemError
+from models.json_values import finite_or_none, plain
+
+Answer = TypeVar("Answer")
+THREADS = 2
+MOST_WAITING = 32
+"""So many queries wait for a thread; more are refused."""
+LONGEST_QUERY_S = 20.0
+"""A query that takes longer is broken off [s]."""
+LEAST_COMPRESSED = 2048
+"""A shorter document is not compressed [byte]."""
+
+
+class QueryBrokenOffError(Exception):
+    """Nobody waits for the answer any more, or it takes too long."""
+
+
+class Recorded:
+    """Runs queries of the store beside the loop."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._path = configuration.history.path
+        self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="monitor-query")
+        self._waiting = 0
+
+    def close(self) -> None:
+        """Take no more queries."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    async def query(self, ask: Callable[[HistoryReader, Callable[[], None]], Answer]) -> Answer:
+        """Return what `ask(reader, go_on)` returns; it calls `go_on` now and then, which raises to break it off."""
+        if self._waiting >= MOST_WAITING:
+            raise ProblemError(503, "too many queries of the store are under way; try again", {"retry-after": "2"})
+        ended = threading.Event()
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._run, ask, ended)
+        except (HistoryError, SeriesError) as error:
+            raise ProblemError(404 if isinstance(error, SeriesError) else 503, str(error)) from error
+        except QueryBrokenOffError as error:
+            raise ProblemError(
+                503, f"the query took longer than {LONGEST_QUERY_S:g} s; ask for less time or fewer names"
+            ) from error
+        finally:
+            ended.set()
+            self._waiting -= 1
+
+    def _run(self, ask: Callable[[HistoryReader, Callable[[], None]], Answer], ended: threading.Event) -> Answer:
+        until_s = time.monotonic() + LONGEST_QUERY_S
+
+        def go_on() -> None:
+            if ended.is_set() or time.monotonic() > until_s:
+                raise QueryBrokenOffError
+
+        go_on()
+        with HistoryReader(self._path) as reader:
+            return ask(reader, go_on)
+
+    async def series(self, names: Sequence[str], from_s: float, to_s: float, points: int, *, packed: bool) -> bytes:
+        """Return the series document, encoded; compressed when `packed`."""
+        try:
+            check_names(names)
+        except SeriesError as error:
+            raise ProblemError(404, str(error)) from error
+
+        def ask(reader: HistoryReader, go_on: Callable[[], None]) -> bytes:
+            found = decimated(reader, names, from_s, to_s, points, go_on)
+            return encoded({name: series_document(each) for name, each in found.items()}, packed=packed)
+
+        return await self.query(ask)
+
+
+def encoded(document: Any, *, packed: bool) -> bytes:
+    """Return a document as JSON, compressed when `packed`."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return gzip.compress(text, 4, mtime=0) if packed else text
+
+
+def series_document(series: Decimated) -> dict[str, list[float | None]]:
+    """Return one series as lists: time to a millisecond, values to a thousandth of their unit."""
+    return {
+        "t": np.round(series.t, 3).tolist(),
+        "min": np.round(series.least, 3).tolist(),
+        "max": np.round(series.greatest, 3).tolist(),
+        "mean": np.round(series.mean, 3).tolist(),
+    }
+
+
+def write_document(write: WriteRecord) -> dict[str, Any]:
+    """Return one entry of the audit."""
+    document = plain(
+        {
+            "id": write.write_id,
+            "time": write.time_s,
+            "cause": write.cause,
+            "person": write.person,
+            "state": write.state,
+            "reason": write.reason,
+            "requested_um": write.requested_um,
+            "compensation_um": write.compensation_um,
+            "applied_um": write.applied_um,
+            "limits_hit": write.limits_hit,
+            "macros": [[number, finite_or_none(value)] for number, value in write.macros],
+            "read_back": write.read_back,
+            "outcome": write.outcome.name.lower(),
+            "detail": write.detail,
+            "delay_s": write.delay_s,
+            "echoed_after_s": write.echoed_after_s,
+        }
+    )
+    assert isinstance(document, dict)
+    return document

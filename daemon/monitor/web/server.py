@@ -1,0 +1,144 @@
+"""The web server: bounded connections, TLS where it is configured, and nobody who is slow holds a place."""
+
+import asyncio
+import contextlib
+import socket
+import ssl
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from daemon.monitor.connections import BoundedConnections, Conversation
+
+HEAD_S = 10.0
+"""A request's head must have arrived within this [s]."""
+KEEP_ALIVE_S = 15
+"""A connection without a request is ended after this [s]."""
+HANDSHAKE_S = 10.0
+WAITING_CONNECTIONS = 128
+"""So many connections wait in the kernel until they are taken."""
+MOST_CONNECTIONS = 256
+"""So many are open at a time: the pages of 50 viewers."""
+SHARE_OF_DESCRIPTORS = 4
+LONGEST_HEAD = 16384
+"""A longer head of a request is refused [byte]."""
+
+
+class _Connection(H11Protocol):
+    """HTTP on one connection, which says when it ends and is ended when a request's head does not arrive."""
+
+    def __init__(self, config: uvicorn.Config, state: ServerState, conversation: Conversation) -> None:
+        super().__init__(config=config, server_state=state, app_state={"abort": self._abort})
+        self.ended = asyncio.Event()
+        self._conversation = conversation
+        self._head: asyncio.TimerHandle | None = None
+
+    def _abort(self) -> None:
+        self.transport.abort()
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._wait_for_head()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._look()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._look()
+
+    def _look(self) -> None:
+        """Bound the time of a head that has begun; note whether a request is under way."""
+        under_way = self.cycle is not None and not self.cycle.response_complete
+        if under_way and not self._conversation.busy:
+            self._conversation.busy = True
+            self._conversation.on_request()
+        self._conversation.busy = under_way
+        if under_way and self._head is not None:
+            self._head.cancel()
+            self._head = None
+        elif not under_way and self._head is None and self.conn.trailing_data[0]:
+            self._wait_for_head()
+
+    def _wait_for_head(self) -> None:
+        self._head = self.loop.call_later(HEAD_S, self._abort)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._unset_keepalive_if_required()
+        if self._head is not None:
+            self._head.cancel()
+        self.ended.set()
+
+
+class Certificate:
+    """The certificate of the monitor; one that was replaced on the disk counts from the next connection on."""
+
+    def __init__(self, certificate: Path, key: Path) -> None:
+        """Raise OSError where the files cannot be read or are no certificate and key."""
+        self._certificate, self._key = certificate, key
+        self.context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        self.context.minimum_version = ssl.TLSVersion.TLSv1_2
+        self._seen = self._stamp()
+        self.context.load_cert_chain(certificate, key)
+
+    def _stamp(self) -> tuple[int, int]:
+        return self._certificate.stat().st_mtime_ns, self._key.stat().st_mtime_ns
+
+    def now(self) -> ssl.SSLContext:
+        """Return the context for a new connection."""
+        with contextlib.suppress(OSError):
+            if (stamp := self._stamp()) != self._seen:
+                self.context.load_cert_chain(self._certificate, self._key)
+                self._seen = stamp
+        return self.context
+
+
+async def serve_web(
+    application: ASGIApp,
+    host: str,
+    port: int,
+    certificate: Certificate | None = None,
+    on_serving: Callable[[], None] = lambda: None,
+) -> None:
+    """Serve until cancelled; raises OSError when the port is taken."""
+    config = uvicorn.Config(
+        application,
+        http=_Connection,
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        log_level="critical",  # what a peer sends wrongly is its own affair, and would fill the log
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        h11_max_incomplete_event_size=LONGEST_HEAD,
+    )
+    config.load()
+    state = ServerState()
+    state.default_headers = config.encoded_headers
+
+    async def serve(connection: socket.socket, conversation: Conversation) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        transport, protocol = await asyncio.get_running_loop().connect_accepted_socket(
+            lambda: _Connection(config, state, conversation),
+            connection,
+            ssl=certificate.now() if certificate is not None else None,
+            ssl_handshake_timeout=HANDSHAKE_S if certificate is not None else None,
+        )
+        try:
+            await protocol.ended.wait()
+        finally:
+            transport.abort()
+
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.create_server((host, port), family=family, backlog=WAITING_CONNECTIONS) as listener:
+        on_serving()
+        await BoundedConnections(
+            "monitor", serve, most=MOST_CONNECTIONS, share_of_descriptors=SHARE_OF_DESCRIPTORS
+        ).run(listener)
