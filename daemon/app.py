@@ -4,8 +4,6 @@ import asyncio
 import gc
 import signal
 from collections.abc import Coroutine, Iterator
-from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import scheduled_jobs
-from daemon.links import DisplacementLog, Links, Serve
+from daemon.links import DisplacementLog, Links
 from daemon.messages import SpindleSpeed
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
@@ -251,35 +249,10 @@ class Daemon:
         control_socket = ControlSocket(service.socket, service.socket_group, self._commands.handle)
         yield links.own("service.socket", service.socket, control_socket.run)
         if service.http_port is not None:
-            yield links.own("service.http_port", service.http_port, self._serve_monitor())
+            from daemon.monitoring import monitor_service  # noqa: PLC0415 (loaded only where it is configured)
 
-    def _serve_monitor(self) -> Serve:
-        """Return what serves the monitor; its modules are loaded only where it is configured."""
-        from daemon.monitor.web.application import MonitorParts  # noqa: PLC0415
-        from daemon.monitor.web.serving import serve_monitor  # noqa: PLC0415
-
-        parts = MonitorParts(
-            configuration=self._configuration,
-            clock=self._clock,
-            board=self.snapshots,
-            desk=self._commands,
-            registry=self._telemetry.registry,
-            latency=self._telemetry.picture,
-            report=self._history.event,
-            models=self._models_document,
-        )
-        return partial(serve_monitor, parts)
-
-    async def _models_document(self) -> dict[str, Any]:
-        """Return models in force and candidates for the monitor."""
-        thermal, bearings = self.snapshots.model, self.snapshots.bearing_model
-        return {
-            "thermal": None if thermal is None else asdict(thermal),
-            "bearings": None if bearings is None else asdict(bearings),
-            "releases": [],
-            "candidates": [],
-            "note": "`toolpoint model release` releases a candidate",
-        }
+            given = self._configuration, self._clock, self.snapshots, self._commands, self._telemetry, self._history
+            yield links.own("service.http_port", service.http_port, monitor_service(*given))
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros

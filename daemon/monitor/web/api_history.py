@@ -8,6 +8,7 @@ from starlette.responses import JSONResponse, Response
 from daemon.history.reader import HistoryReader
 from daemon.monitor.web import schemas
 from daemon.monitor.web.access import Viewer
+from daemon.monitor.web.estimate import estimate_document
 from daemon.monitor.web.pages import takes_gzip
 from daemon.monitor.web.problems import Problem, ProblemError
 from daemon.monitor.web.recorded import Recorded, encoded, write_document
@@ -161,4 +162,5 @@ async def estimate(request: Request, person: Viewer) -> Response:
         return [{"id": each.reference_id, "time": each.time.utc_s, "source": each.source} for each in found]
 
     marks = await recorded_of(request).query(ask)
-    return JSONResponse(request.app.state.documents.estimate() | {"references": marks})
+    parts = request.app.state.parts
+    return JSONResponse(estimate_document(parts.configuration, parts.board) | {"references": marks})

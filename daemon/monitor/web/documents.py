@@ -211,46 +211,6 @@ class Documents:
             "quality": latest.quality.tolist(),
         }
 
-    # --- the estimate -------------------------------------------------------------------
-
-    def estimate(self) -> dict[str, Any]:
-        """Return the estimate now, channel by channel."""
-        estimate, sample = self._board.thermal.estimate, self._board.displacements.latest
-        if estimate is None:
-            why = (
-                self._board.model.problem if self._board.model is not None else ""
-            ) or "no estimate has been made yet"
-            return {
-                **dict.fromkeys(("time", "model_id", "reference", "confidence", "in_domain")),
-                **{"imputed": [], "channels": {}, "why": why},
-            }
-        axes = self._configuration.compensation.axes
-        channels = {
-            channel: {
-                "thermal_error_um": float(estimate.thermal_error_um[i]),
-                "band_um": float(estimate.band_um[i]),
-                "measured_um": None,
-                "residual_um": None,
-                "axes": [name for name, axis in axes.items() if axis.estimate == channel],
-                "contributions": None,
-            }
-            for i, channel in enumerate(estimate.channels)
-        }
-        del sample
-        document = {
-            "time": (estimate.trace.estimated or estimate.trace.last_byte).utc_s,
-            "model_id": estimate.model_id,
-            "reference": estimate.reference_id,
-            "confidence": estimate.confidence,
-            "in_domain": estimate.in_domain,
-            "imputed": list(estimate.imputed),
-            "channels": channels,
-            "why": estimate.inhibit,
-        }
-        cleaned = plain(document)
-        assert isinstance(cleaned, dict)
-        return cleaned
-
     # --- delays -------------------------------------------------------------------------
 
     def latency_summary(self) -> dict[str, Any]:
