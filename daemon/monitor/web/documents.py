@@ -132,7 +132,7 @@ class Documents:
             "actual_rpm": actual_rpm,
             "programmed_rpm": speed.programmed_rpm,
             "written_rpm": speed.commanded_rpm,
-            "wish_rpm": speed.target_rpm,
+            "target_rpm": speed.target_rpm,
             "why": speed.alarm or speed.reason,
         }
 

@@ -66,7 +66,7 @@ class SpindleSpeedStatus(Document):
     switched_on: bool | None = None
     programmed_rpm: float | None = None
     written_rpm: float | None = None
-    wish_rpm: float | None = Field(None, description="target of the latest plan")
+    target_rpm: float | None = Field(None, description="target of the latest plan")
 
 
 class LinkStatus(Document):
