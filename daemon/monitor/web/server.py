@@ -16,7 +16,7 @@ from daemon.monitor.connections import BoundedConnections, Conversation
 
 HEAD_S = 10.0
 """A request's head must have arrived within this [s]."""
-KEEP_ALIVE_S = 15
+IDLE_S = 15
 """A connection without a request is ended after this [s]."""
 HANDSHAKE_S = 10.0
 WAITING_CONNECTIONS = 128
@@ -116,7 +116,7 @@ async def serve_web(
         log_level="critical",  # what a peer sends wrongly is its own affair, and would fill the log
         access_log=False,
         server_header=False,
-        timeout_keep_alive=KEEP_ALIVE_S,
+        timeout_keep_alive=IDLE_S,
         h11_max_incomplete_event_size=LONGEST_HEAD,
     )
     config.load()
