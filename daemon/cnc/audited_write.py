@@ -49,6 +49,8 @@ class MacroWrite:
     """Wait at most this long for the audit's commit of the intent before anything is sent [s of the wall clock]."""
     sending: Callable[[MacroValues], None] = lambda _found: None
     """Called with what stands in the macros, after the comparison and before anything is sent."""
+    kept: bool = False
+    """`sending` keeps macros and number of the write where they survive this process: the audit commits them later."""
     judge: Callable[[MacroValues], Sequence[str]] = lambda _found: ()
     """Called with what was read back; returns what is wrong with it beside the values that were written."""
 
@@ -79,7 +81,7 @@ class AuditedWriter:
         was sent is REFUSED in the audit; after any other error each macro may hold the old or the new value.
         """
         macros, trace = write.macros, write.trace
-        intent = self._history.write_intent(write.command, macros, write.cause, write.person)
+        intent = self._history.write_intent(write.command, macros, write.cause, write.person, kept=write.kept)
         self.last_write_id = int(intent)
         unsent = True
         try:

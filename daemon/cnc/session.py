@@ -163,6 +163,7 @@ class CncSession:
                 command=command,
                 also_read=self._block.read_back,
                 sending=sending,
+                kept=True,
                 judge=judge,
             )
         )

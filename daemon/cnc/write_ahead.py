@@ -29,6 +29,8 @@ class WriteAheadRecord:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor: int | None = None
+        self._length = 0
+        """Length of the file, as far as it is ours."""
 
     @classmethod
     def beside(cls, store: Path) -> "WriteAheadRecord":
@@ -54,8 +56,10 @@ class WriteAheadRecord:
             if len(line) > LONGEST_LINE:
                 raise OSError(f"{len(line)} bytes are more than {LONGEST_LINE}")
             descriptor = self._opened()
-            os.pwrite(descriptor, line, 0)
-            os.ftruncate(descriptor, len(line))
+            self._length = max(
+                self._length, len(line)
+            )  # never cut short: that would wait for the file system's journal
+            os.pwrite(descriptor, line.ljust(self._length, b"\n"), 0)
         except OSError as error:
             log.error("last_block.unwritten", path=str(self._path), problem=str(error))
 
@@ -70,6 +74,7 @@ class WriteAheadRecord:
                 self.close()
         if self._descriptor is None:
             self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+            self._length = min(os.fstat(self._descriptor).st_size, LONGEST_LINE)
         return self._descriptor
 
     def load(self) -> dict[int, tuple[float, ...]] | None:
@@ -96,6 +101,13 @@ class WriteAheadRecord:
             both = {n: (*audited[n], *values) for n, values in possible.items()}
             return {**(known or {}), **both}, _not_in(known or {}, possible)
         return {**(known or {}), **possible}, _not_in(known or {}, possible)
+
+    def unaudited(self, last_write_id: int | None) -> tuple[int, tuple[tuple[int, float], ...]] | None:
+        """Return number and macros of a write that the audit, whose newest has the given number, has not got."""
+        kept = self._read()
+        if kept is None or kept[1] is None or kept[1] <= (last_write_id or 0):
+            return None
+        return kept[1], tuple((number, values[-1]) for number, values in kept[0].items() if values)
 
     def _read(self) -> tuple[dict[int, tuple[float, ...]], int | None] | None:
         """Return what was kept last, and the number of its write; None where there is no whole line."""

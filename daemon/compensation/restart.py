@@ -73,7 +73,11 @@ def load_resume_point(
     resumable = 0 <= outage_s <= configuration.compensation.reference.max_outage_s
     if alive is not None and not resumable:
         log.warning("resume.too_old", outage_s=outage_s)
-    known, lost = last_block.newer_of(history.last_written_macros(), history.last_write_id())
+    newest = history.last_write_id()
+    known, lost = last_block.newer_of(history.last_written_macros(), newest)
+    if (unaudited := last_block.unaudited(newest)) is not None:
+        number, macros = unaudited
+        history.write_intent(None, macros, KEPT_CAUSE, number=number)
     if lost:
         log.warning("audit.gap", macros=lost)
         history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
@@ -85,6 +89,8 @@ def load_resume_point(
     )
 
 
+KEPT_CAUSE = "kept beside the store"
+"""Cause in the audit of a write whose intent it had not got when the daemon was killed."""
 NOT_REACHED = "the CNC has not been reached yet, so what it applies is unknown"
 
 

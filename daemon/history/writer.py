@@ -40,7 +40,9 @@ from models.records import (
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
 AUDIT_COMMIT_S = 0.02
-"""A write's intent waits this long for its outcome, so that one commit carries both."""
+"""A record of the audit waits this long for the next, so that one commit carries both."""
+KEPT_INTENT_COMMIT_S = 0.05
+"""An intent that is kept outside the store waits this long for its outcome, so that one commit carries both."""
 SAMPLE_COMMIT_S = 10.0
 """Samples wait for a cycle's commit, but no longer than this."""
 CLOSE_WITHIN_S = 10.0
@@ -48,6 +50,7 @@ QUEUE_LIMIT = 50_000
 """Records that wait while the disk fails: some five hours, about 50 MB."""
 
 T = TypeVar("T")
+Build = Callable[[], rows.Parameters]
 
 
 class WriteId(int):
@@ -175,9 +178,8 @@ class HistoryWriter:
         """Record an estimate, with its cycle's commit."""
         self._sample("estimates", rows.INSERT_ESTIMATE, partial(rows.estimate_row, estimate))
 
-    def _sample(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> None:
-        execute = _statement(sql, build)
-        self._intake.put(Entry(kind=kind, execute=execute, bulk=True), within_s=SAMPLE_COMMIT_S)
+    def _sample(self, kind: str, sql: str, build: Build) -> None:
+        self._intake.put(Entry(kind=kind, execute=_statement(sql, build), bulk=True), within_s=SAMPLE_COMMIT_S)
 
     # --- audit ---------------------------------------------------------------------------
 
@@ -187,16 +189,22 @@ class HistoryWriter:
         macros: Sequence[tuple[int, float]],
         cause: str,
         person: str | None = None,
+        *,
+        kept: bool = False,
+        number: int | None = None,
     ) -> WriteId:
-        """Record what is about to be written; the number goes to `write_outcome`."""
-        now = self._clock.now()
-        number = self._next_write_id()
-        build = partial(rows.intent_row, number, now, command, tuple(macros), cause, person)
-        return WriteId(number, self._audit("write intents", rows.INSERT_INTENT, build))
+        """Record what is about to be written; the write's number goes to `write_outcome`.
+
+        `kept`: the intent survives the process without the store, whose thread leaves the computer to the write.
+        `number`: of a write of the previous run that was kept and never came here.
+        """
+        self._write_id = self._next_write_id() if number is None else number
+        build = partial(rows.intent_row, self._write_id, self._clock.now(), command, tuple(macros), cause, person)
+        within_s = KEPT_INTENT_COMMIT_S if kept else 0.0
+        return WriteId(self._write_id, self._audit("write intents", rows.INSERT_INTENT, build, within_s=within_s))
 
     def write_outcome(self, write_id: int, receipt: Receipt) -> Commit:
-        now = self._clock.now()
-        build = partial(rows.outcome_row, self._machine, int(write_id), now, receipt)
+        build = partial(rows.outcome_row, self._machine, int(write_id), self._clock.now(), receipt)
         return self._audit("write outcomes", rows.UPDATE_OUTCOME, build)
 
     def write_echoed(self, write_id: int, trace: Trace) -> Commit:
@@ -229,21 +237,20 @@ class HistoryWriter:
         now_ms = rows.utc_ms(self._clock.now())
         return [(key, text, now_ms) for key, text in list(self._state.items()) if text != "null"]
 
-    def _audit(self, kind: str, sql: str, build: Callable[[], rows.Parameters]) -> Commit:
-        return self._put(kind, _statement(sql, build))
+    def _audit(self, kind: str, sql: str, build: Build, *, within_s: float = AUDIT_COMMIT_S) -> Commit:
+        return self._put(kind, _statement(sql, build), within_s=within_s)
 
-    def _put(self, kind: str, execute: Execute) -> Commit:
+    def _put(self, kind: str, execute: Execute, *, within_s: float = AUDIT_COMMIT_S) -> Commit:
         entry = Entry(kind=kind, execute=execute)
-        self._intake.put(entry, within_s=AUDIT_COMMIT_S)
+        self._intake.put(entry, within_s=within_s)
         return entry.commit
 
     def _next_write_id(self) -> int:
         if self._write_id is None:
             known = self._engine.last_write_id
             # A store that could not be opened yet does not tell its last number: start above any.
-            self._write_id = rows.utc_ms(self._clock.now()) if known is None else known
-        self._write_id += 1
-        return self._write_id
+            return 1 + (rows.utc_ms(self._clock.now()) if known is None else known)
+        return self._write_id + 1
 
     # --- what an earlier run left --------------------------------------------------------
 
@@ -318,7 +325,7 @@ def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Con
         report.packed_rows += hour.row_count
 
 
-def _statement(sql: str, build: Callable[[], rows.Parameters]) -> Execute:
+def _statement(sql: str, build: Build) -> Execute:
     def execute(connection: sqlite3.Connection, _layout_ids: LayoutIds) -> None:
         connection.execute(sql, [printable(p, keep="\n") if isinstance(p, str) else p for p in build()])
 

@@ -24,6 +24,7 @@ from drivers.clock import Clock
 from drivers.contract import DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
+from drivers.opcua.services import Services
 from drivers.opcua.variables import Variables
 from models.records import CncSample
 
@@ -62,6 +63,7 @@ class OpcUaCnc:
         self._endpoint = self._opcua.endpoint
         self._client: Client | None = None
         self._variables: Variables | None = None
+        self._services: Services | None = None
         self._lost: str | None = None
         self._renew_at_s = math.inf
         self._clock_value_s = math.nan
@@ -85,20 +87,20 @@ class OpcUaCnc:
 
     async def read(self, macros: Sequence[int]) -> CncSample:
         """Read the machine's state and the given macro variables in one request."""
-        client, variables = self._connected()
-        if self._clock.now().real_s >= self._renew_at_s:
-            await self._call("renewing the secure channel", self._renew(client))
+        services, variables = self._connected()
+        if self._clock.now().real_s >= self._renew_at_s and self._client is not None:
+            await self._call("renewing the secure channel", self._renew(self._client))
         request = variables.read_request(macros, state=True)
-        answers = await self._call("reading", client.uaclient.read(request))
+        answers = await self._call("reading", services.read(request))
         sample = variables.sample(self._clock.now(), macros, answers)
         self._watch_clock(sample)
         return sample
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
-        client, variables = self._connected()
+        services, variables = self._connected()
         request = variables.read_request(macros, state=False)
-        answers = await self._call("reading macro variables", client.uaclient.read(request))
+        answers = await self._call("reading macro variables", services.read(request))
         return variables.macro_values(macros, answers)
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
@@ -108,9 +110,9 @@ class OpcUaCnc:
         not be written; LinkError on a lost link or when the server refuses a value.
         """
         refuse_forbidden(groups, self._config, self.security)
-        client, variables = self._connected()
+        services, variables = self._connected()
         requests = [(group, variables.write_request(group)) for group in groups if group]
-        await self._call("writing macro variables", self._write(client, requests))
+        await self._call("writing macro variables", self._write(services, requests))
 
     async def close(self) -> None:
         """Close the session, the channel and the socket; never raises, never waits longer than the time-out."""
@@ -148,7 +150,8 @@ class OpcUaCnc:
         user, password = (credentials.user_name, credentials.password) if credentials else (None, None)
         await client.activate_session(username=user, password=password)
         self._schedule_renewal(client)
-        self._variables = await self._find_variables(client)
+        self._services = Services(client.uaclient, self._config.timeout_s)
+        self._variables = await self._find_variables(client, self._services)
 
     def _check_offer(
         self,
@@ -184,7 +187,7 @@ class OpcUaCnc:
                 f"(cnc.opcua.security.server_certificate): SHA-256 {found}, trusted {trusted}"
             )
 
-    async def _find_variables(self, client: Client) -> Variables:
+    async def _find_variables(self, client: Client, services: Services) -> Variables:
         uri = self._opcua.namespace_uri
         namespaces = await client.get_namespace_array()
         if uri not in namespaces:
@@ -193,20 +196,18 @@ class OpcUaCnc:
             )
         variables = Variables(self._opcua.nodes, namespaces.index(uri))
         block = self._config.macros.block
-        answers = await client.uaclient.read(variables.read_request(block, state=True))
+        answers = await services.read(variables.read_request(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
         self._clock_value_s, self._clock_moved_s = sample.clock_s, sample.time.monotonic_s
         return variables
 
-    async def _write(
-        self, client: Client, requests: Sequence[tuple[Sequence[tuple[int, float]], ua.WriteParameters]]
-    ) -> None:
+    async def _write(self, services: Services, requests: Sequence[tuple[Sequence[tuple[int, float]], bytes]]) -> None:
         for group, request in requests:
-            statuses = await client.uaclient.write(request)
+            statuses = await services.write(request)
             if len(statuses) != len(group):
                 raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(group)} writes")
-            for (number, value), status in zip(group, statuses, strict=True):
-                if not status.is_good():
+            for (number, value), code in zip(group, statuses, strict=True):
+                if code != 0 and not (status := ua.StatusCode(ua.UInt32(code))).is_good():
                     raise FatalDriverError(
                         f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
                     )
@@ -230,10 +231,10 @@ class OpcUaCnc:
         client.uaclient.revolve_security_token()
         self._schedule_renewal(client)
 
-    def _connected(self) -> tuple[Client, Variables]:
-        if self._client is None or self._variables is None or self._lost is not None:
+    def _connected(self) -> tuple[Services, Variables]:
+        if self._client is None or self._services is None or self._variables is None or self._lost is not None:
             raise LinkError(f"{self._endpoint}: not connected ({self._lost or 'never connected'})")
-        return self._client, self._variables
+        return self._services, self._variables
 
     def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
         self._lost = reason

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from asyncua import ua
-from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc_drivers import OpcUaNodesConfig
 from drivers.contract import FatalDriverError, LinkError
+from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
 
 STATE_NODES = (
@@ -59,37 +59,29 @@ class Variables:
         self._namespace_index = namespace_index
         self._macro_pattern = nodes.macro
         self._macros: dict[int, ua.NodeId] = {}
+        self._targets: dict[int, bytes] = {}
         self._texts = [getattr(nodes, key) for key in STATE_NODES]
-        self._state = [
-            self._read_value(self._node_id(key, text)) for key, text in zip(STATE_NODES, self._texts, strict=True)
-        ]
-        self._reads: dict[tuple[int, ...], ua.ReadParameters] = {}
+        self._state = [self._node_id(key, text) for key, text in zip(STATE_NODES, self._texts, strict=True)]
+        self._reads: dict[tuple[int, ...], bytes] = {}
 
-    def read_request(self, macros: Sequence[int], *, state: bool) -> ua.ReadParameters:
-        """Return the request that reads the state (or not) and the given macro variables."""
+    def read_request(self, macros: Sequence[int], *, state: bool) -> bytes:
+        """Return the parameters that read the state (or not) and the given macro variables."""
         key = (int(state), *macros)
         if key not in self._reads:
-            wanted = [self._read_value(self._macro_node_id(number)) for number in macros]
-            self._reads[key] = ua.ReadParameters(
-                TimestampsToReturn=ua.TimestampsToReturn.Neither,
-                NodesToRead=[*self._state, *wanted] if state else wanted,
-            )
+            wanted = [self._macro_node_id(number) for number in macros]
+            self._reads[key] = encode_read([*self._state, *wanted] if state else wanted)
         return self._reads[key]
 
-    def write_request(self, group: Sequence[tuple[int, float]]) -> ua.WriteParameters:
-        """Return the request that writes one group. Only values travel: many CNCs refuse status and time stamps."""
-        return ua.WriteParameters(
-            NodesToWrite=[
-                ua.WriteValue(
-                    NodeId=self._macro_node_id(number),
-                    AttributeId=AttributeIds.Value,
-                    Value=ua.DataValue(ua.Variant(float(value), ua.VariantType.Double), StatusCode=None),
-                )
-                for number, value in group
-            ]
-        )
+    def write_request(self, group: Sequence[tuple[int, float]]) -> bytes:
+        """Return the parameters that write one group."""
+        return encode_write([(self._target(number), float(value)) for number, value in group])
 
-    def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[ua.DataValue]) -> CncSample:
+    def _target(self, number: int) -> bytes:
+        if number not in self._targets:
+            self._targets[number] = encode_target(self._macro_node_id(number))
+        return self._targets[number]
+
+    def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[Answer]) -> CncSample:
         """Return what the answers to a read of state and macros say; raises LinkError or FatalDriverError."""
         expected = len(STATE_NODES) + len(macros)
         if len(answers) != expected:
@@ -114,14 +106,16 @@ class Variables:
             macros=self.macro_values(macros, answers[len(STATE_NODES) :]),
         )
 
-    def macro_values(self, macros: Sequence[int], answers: Sequence[ua.DataValue]) -> dict[int, float | None]:
+    def macro_values(self, macros: Sequence[int], answers: Sequence[Answer]) -> dict[int, float | None]:
         """Return macro variables by number, None where vacant."""
         if len(answers) != len(macros):
             raise LinkError(f"the CNC answered {len(answers)} values to a request for {len(macros)} macro variables")
         return {number: self._macro_value(number, answer) for number, answer in zip(macros, answers, strict=True)}
 
-    def _macro_value(self, number: int, answer: ua.DataValue) -> float | None:
-        status = _status(answer)
+    def _macro_value(self, number: int, answer: Answer) -> float | None:
+        if answer.status == 0 and type(answer.value) is float:  # as nearly all are
+            return None if math.isnan(answer.value) else answer.value
+        status = ua.StatusCode(ua.UInt32(answer.status))
         if status.value in VACANT:
             return None
         name = f"macro variable #{number} ({self._macro_pattern.format(number=number)})"
@@ -130,8 +124,8 @@ class Variables:
         value = _number(name, answer)
         return None if math.isnan(value) else value
 
-    def _state_value(self, key: str, text: str, answer: ua.DataValue) -> float:
-        status = _status(answer)
+    def _state_value(self, key: str, text: str, answer: Answer) -> float:
+        status = ua.StatusCode(ua.UInt32(answer.status))
         name = f"variable {key} ({text})"
         if status.value in UNKNOWN_NODE or not (status.is_good() or key in MEASURED):
             raise _unreadable(name, status)
@@ -153,17 +147,9 @@ class Variables:
                 f"cnc.opcua.nodes.{key}: {text!r} is no node identifier; write s=text or i=number"
             ) from error
 
-    @staticmethod
-    def _read_value(node_id: ua.NodeId) -> ua.ReadValueId:
-        return ua.ReadValueId(NodeId=node_id, AttributeId=AttributeIds.Value)
 
-
-def _status(answer: ua.DataValue) -> ua.StatusCode:
-    return answer.StatusCode if answer.StatusCode is not None else ua.StatusCode()
-
-
-def _number(name: str, answer: ua.DataValue) -> float:
-    value: Any = None if answer.Value is None else answer.Value.Value
+def _number(name: str, answer: Answer) -> float:
+    value: Any = answer.value
     if value is None:
         return math.nan
     if not isinstance(value, (bool, int, float)):

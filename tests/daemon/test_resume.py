@@ -5,7 +5,7 @@ import pytest
 from control_rig import HandClock, machine
 
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.compensation.restart import load_resume_point, wanted_at_start
+from daemon.compensation.restart import KEPT_CAUSE, load_resume_point, wanted_at_start
 from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
@@ -72,6 +72,22 @@ def test_what_was_kept_before_the_write_counts_more_than_the_audit(configuration
     with HistoryReader(configuration.history.path) as reader:
         gaps = [event.text for event in reader.events(0.0, 1e11) if event.kind == "audit gap"]
     assert len(gaps) == 1 and "#500 8" in gaps[0] and "#503 0.0012" in gaps[0]
+
+
+def test_a_write_that_the_audit_had_not_got_is_in_it_after_the_next_start(configuration, clock):
+    leave(configuration, clock)
+    history = history_of(configuration, clock)
+    newest = history.last_write_id() or 0
+    block_of(configuration).keep({500: (7.0, 8.0), 503: (0.001, 0.0012)}, newest + 2)
+    load_resume_point(configuration, history, clock, block_of(configuration))
+    history.start()
+    later = history.write_intent(None, ((500, 9.0),), "tick")
+    load_resume_point(configuration, history, clock, block_of(configuration))
+    history.close()
+    with HistoryReader(configuration.history.path) as reader:
+        kept, tick = reader.unsettled_writes()[-2:]
+    assert (kept.write_id, kept.cause, kept.macros) == (newest + 2, KEPT_CAUSE, ((500, 8.0), (503, 0.0012)))
+    assert tick.write_id == int(later) == newest + 3, "no number is given twice"
 
 
 @pytest.mark.parametrize("content", [b"", b"00000000 {}\n", b"garbage", b"\xff" * 5000])

@@ -1,0 +1,202 @@
+"""Read and Write of OPC UA (OPC 10000-4, 5.11) with as little work per call as the daemon's feedback needs.
+
+The library keeps the channel: socket, chunks, encryption, tokens, sequence numbers. Only the body of these two
+requests is put together here, from bytes that the library's own encoder made once per request (OPC 10000-6, 5.2),
+and a plain answer is taken apart here; whatever is not plain (diagnostics, arrays, other types) goes to the library's
+decoder.
+"""
+
+import asyncio
+import struct
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from asyncua import ua
+from asyncua.client.ua_client import UaClient
+from asyncua.common.utils import Buffer
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.object_ids import ObjectIds
+from asyncua.ua.ua_binary import nodeid_to_binary, struct_from_binary, struct_to_binary
+from asyncua.ua.uaerrors import UaError
+
+
+class Answer(NamedTuple):
+    """What a server says of one value."""
+
+    status: int
+    value: Any
+    """None where there is none."""
+
+
+def _type_id(identifier: int) -> bytes:
+    """Return the four-byte node id with which a message begins."""
+    return struct.pack("<BBH", 1, 0, identifier)
+
+
+READ_REQUEST, READ_RESPONSE = (
+    _type_id(ObjectIds.ReadRequest_Encoding_DefaultBinary),
+    _type_id(ObjectIds.ReadResponse_Encoding_DefaultBinary),
+)
+WRITE_REQUEST, WRITE_RESPONSE = (
+    _type_id(ObjectIds.WriteRequest_Encoding_DefaultBinary),
+    _type_id(ObjectIds.WriteResponse_Encoding_DefaultBinary),
+)
+SERVICE_FAULT = _type_id(ObjectIds.ServiceFault_Encoding_DefaultBinary)
+
+REQUEST_HEADER = struct.Struct("<qIIiI3s")
+"""After the session's token: time, handle, diagnostics asked for, no audit entry, time-out, no additional header."""
+NO_ADDITION = bytes(3)
+RESPONSE_HEADER = struct.Struct("<4sqIIBi3si")
+"""Type, time, handle, result, no diagnostics, no texts, no additional header; then the number of results."""
+VARIABLE = struct.Struct("<BBd")
+"""A DataValue with a value alone, which is a Double."""
+WITH_VALUE, WITH_STATUS = 1, 2
+NULL, DOUBLE = 0, 11
+STATUS = struct.Struct("<I")
+NUMBERS: dict[int, struct.Struct] = {
+    1: struct.Struct("<?"),
+    2: struct.Struct("<b"),
+    3: struct.Struct("<B"),
+    4: struct.Struct("<h"),
+    5: struct.Struct("<H"),
+    6: struct.Struct("<i"),
+    7: struct.Struct("<I"),
+    8: struct.Struct("<q"),
+    9: struct.Struct("<Q"),
+    10: struct.Struct("<f"),
+    DOUBLE: struct.Struct("<d"),
+}
+"""Built-in type on the wire -> its bytes (OPC 10000-6, 5.1.2)."""
+NOTHING = ua.DataValue(None, StatusCode=None)
+EPOCH_100NS = 116_444_736_000_000_000
+"""1970-01-01 in the time of OPC UA, which counts steps of 100 ns from 1601."""
+
+
+def encode_read(nodes: Sequence[ua.NodeId]) -> bytes:
+    """Return the parameters of a request that reads the values of these nodes, without time stamps."""
+    wanted = [ua.ReadValueId(NodeId=node, AttributeId=AttributeIds.Value) for node in nodes]
+    parameters = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Neither, NodesToRead=wanted)
+    encoded: bytes = struct_to_binary(parameters)
+    return encoded
+
+
+def encode_target(node: ua.NodeId) -> bytes:
+    """Return the part of a written value that names its node."""
+    item: bytes = struct_to_binary(ua.WriteValue(NodeId=node, AttributeId=AttributeIds.Value, Value=NOTHING))
+    return item[: -len(struct_to_binary(NOTHING))]
+
+
+def encode_write(values: Sequence[tuple[bytes, float]]) -> bytes:
+    """Return the parameters of a request that writes doubles. Only values travel: many CNCs refuse status and time."""
+    items = [target + VARIABLE.pack(WITH_VALUE, DOUBLE, value) for target, value in values]
+    return struct.pack("<i", len(items)) + b"".join(items)
+
+
+def decode_read(body: bytes) -> list[Answer]:
+    """Return what the server answers to a read; raises UaStatusCodeError when it refuses the whole request."""
+    try:
+        answers = _plain_values(body)
+    except (struct.error, IndexError):  # it breaks off
+        answers = None
+    if answers is None:
+        answers = [_answer(each) for each in _decoded(ua.ReadResponse, body, READ_RESPONSE).Results]
+    return answers
+
+
+def decode_write(body: bytes) -> list[int]:
+    """Return the status of each written value; raises UaStatusCodeError when the server refuses the whole request."""
+    plain = _plain(body, WRITE_RESPONSE)
+    if plain is None or len(body) < plain[1] + 4 * plain[0]:
+        return [status.value for status in _decoded(ua.WriteResponse, body, WRITE_RESPONSE).Results]
+    count, at = plain
+    return list(struct.unpack_from(f"<{count}I", body, at))
+
+
+def _plain_values(body: bytes) -> list[Answer] | None:
+    """Return the values of a good answer that holds numbers and statuses alone; None where it holds more."""
+    plain = _plain(body, READ_RESPONSE)
+    if plain is None:
+        return None
+    count, at = plain
+    answers = []
+    for _ in range(count):
+        mask, value, status = body[at], None, 0
+        at += 1
+        if mask & ~(WITH_VALUE | WITH_STATUS):
+            return None
+        if mask & WITH_VALUE:
+            kind = body[at]
+            at += 1
+            if kind != NULL:
+                number = NUMBERS.get(kind)
+                if number is None:
+                    return None
+                (value,) = number.unpack_from(body, at)
+                at += number.size
+        if mask & WITH_STATUS:
+            (status,) = STATUS.unpack_from(body, at)
+            at += STATUS.size
+        answers.append(Answer(status, value))
+    return answers
+
+
+def _plain(body: bytes, type_id: bytes) -> tuple[int, int] | None:
+    """Return number and place of the results of a good answer without diagnostics; None where it is not that plain."""
+    if len(body) < RESPONSE_HEADER.size:
+        return None
+    found, _, _, result, diagnostics, texts, addition, count = RESPONSE_HEADER.unpack_from(body)
+    plain = found == type_id and result == 0 and diagnostics == 0 and texts <= 0 and addition == NO_ADDITION
+    return (count, RESPONSE_HEADER.size) if plain and count >= 0 else None
+
+
+def _decoded(kind: Any, body: bytes, type_id: bytes) -> Any:
+    """Return the answer as the library reads it; raises UaError when it is another, UaStatusCodeError a refusal."""
+    if body[:4] == SERVICE_FAULT:
+        struct_from_binary(ua.ResponseHeader, Buffer(body[4:])).ServiceResult.check()
+    if body[:4] != type_id:
+        raise UaError(f"the server answers with a message of type {body[:4].hex()} to a {kind.__name__[:-8]}")
+    response = struct_from_binary(kind, Buffer(body))
+    response.ResponseHeader.ServiceResult.check()
+    return response
+
+
+def _answer(found: ua.DataValue) -> Answer:
+    status = 0 if found.StatusCode is None else found.StatusCode.value
+    return Answer(status, None if found.Value is None else found.Value.Value)
+
+
+class Services:
+    """Sends the two requests over the library's channel; one at a time, which its owner sees to."""
+
+    def __init__(self, client: UaClient, timeout_s: float) -> None:
+        """Take a client with an activated session."""
+        protocol: Any = client.protocol
+        self._protocol = protocol
+        self._token = nodeid_to_binary(protocol.authentication_token)
+        self._timeout_ms = int(timeout_s * 1000)
+
+    async def read(self, parameters: bytes) -> list[Answer]:
+        """Read what `encode_read` has put together."""
+        return decode_read(await self._sent(READ_REQUEST, parameters))
+
+    async def write(self, parameters: bytes) -> list[int]:
+        """Write what `encode_write` has put together."""
+        return decode_write(await self._sent(WRITE_REQUEST, parameters))
+
+    async def _sent(self, type_id: bytes, parameters: bytes) -> bytes:
+        """Send a request as the library's `UASocketProtocol.send_request` does; return the answer's body."""
+        protocol = self._protocol
+        if protocol.transport is None:
+            raise ConnectionError("the connection is closed")
+        number = protocol._request_id + 1
+        header = REQUEST_HEADER.pack(EPOCH_100NS + time.time_ns() // 100, number, 0, -1, self._timeout_ms, NO_ADDITION)
+        protocol.revolve_security_token()
+        message = protocol._connection.message_to_binary(
+            b"".join((type_id, self._token, header, parameters)), request_id=number
+        )
+        protocol._request_id = number
+        answered = protocol._callbackmap[number] = asyncio.get_running_loop().create_future()
+        protocol.transport.write(message)
+        body: Buffer = await answered
+        return body.read(len(body))
