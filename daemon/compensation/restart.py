@@ -89,7 +89,7 @@ def load_resume_point(
     )
 
 
-KEPT_CAUSE = "kept beside the store"
+KEPT_CAUSE = "last block"
 """Cause in the audit of a write whose intent it had not got when the daemon was killed."""
 NOT_REACHED = "the CNC has not been reached yet, so what it applies is unknown"
 

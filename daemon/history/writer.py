@@ -41,10 +41,9 @@ CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
 AUDIT_COMMIT_S = 0.02
 """A record of the audit waits this long for the next, so that one commit carries both."""
-KEPT_INTENT_COMMIT_S = 0.05
-"""An intent that is kept outside the store waits this long for its outcome, so that one commit carries both."""
 SAMPLE_COMMIT_S = 10.0
-"""Samples wait for a cycle's commit, but no longer than this."""
+"""Samples wait for a cycle's commit, but no longer than this; so does an intent that is kept outside the store, for
+the commit of its cycle or of its outcome: to tell the thread about it would hold the write up."""
 CLOSE_WITHIN_S = 10.0
 QUEUE_LIMIT = 50_000
 """Records that wait while the disk fails: some five hours, about 50 MB."""
@@ -200,7 +199,7 @@ class HistoryWriter:
         """
         self._write_id = self._next_write_id() if number is None else number
         build = partial(rows.intent_row, self._write_id, self._clock.now(), command, tuple(macros), cause, person)
-        within_s = KEPT_INTENT_COMMIT_S if kept else 0.0
+        within_s = SAMPLE_COMMIT_S if kept else 0.0
         return WriteId(self._write_id, self._audit("write intents", rows.INSERT_INTENT, build, within_s=within_s))
 
     def write_outcome(self, write_id: int, receipt: Receipt) -> Commit:

@@ -126,7 +126,7 @@ async def test_intent_is_awaitable_and_settled_by_its_outcome(watched: Watched, 
 async def test_an_intent_that_is_kept_elsewhere_is_committed_with_its_outcome(
     watched: Watched, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daemon.history.writer.KEPT_INTENT_COMMIT_S", 3600.0)
+    monkeypatch.setattr("daemon.history.writer.SAMPLE_COMMIT_S", 3600.0)
     await watched.writer.flushed()
     written = make.macros(5, np.array([0.0, 1.5, -2.5]))
     write_id = watched.writer.write_intent(make.command([0.0, 1.5, -2.5]), written, "estimate", kept=True)
@@ -143,7 +143,7 @@ async def test_an_intent_that_is_kept_elsewhere_is_committed_with_its_outcome(
 async def test_an_intent_that_is_kept_elsewhere_does_not_wait_for_ever(
     watched: Watched, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daemon.history.writer.KEPT_INTENT_COMMIT_S", 0.0)
+    monkeypatch.setattr("daemon.history.writer.SAMPLE_COMMIT_S", 0.0)
     await watched.writer.write_intent(None, ((500, 1.0),), "estimate", kept=True)
     with HistoryReader(store) as reader:
         assert [each.macros for each in reader.unsettled_writes()] == [((500, 1.0),)]
