@@ -1,10 +1,14 @@
-"""The terminal view of a running daemon, and of the simulated machine beside it."""
+"""The terminal view of a running daemon, and of the simulated machine beside it.
+
+It fits the terminal: where lines are few, what matters least is left out, and a line says so; nothing is cut off.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
-from rich.panel import Panel
+from rich.rule import Rule
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -18,8 +22,15 @@ STATE_STYLES = {
 }
 SPARKS = "▁▂▃▄▅▆▇█"
 SPARK_WIDTH = 36
-LEAST_PANEL_WIDTH = 42
-"""A panel of the middle row is never narrower [character]."""
+LABEL_WIDTH = 18
+"""What a line is about stands in a column of this width [character]."""
+NARROW = 60
+"""On a narrower terminal these words stand on a line of their own [character]."""
+NUMBERS_WIDTH = 23
+"""Of the two numbers of an axis, with the space around them [character]."""
+LEFT_OUT = "a taller terminal shows more"
+SAME_UM = 0.05
+"""A smaller difference is not seen in tenths [um]."""
 
 
 def number(value: float | None, digits: int = 1, unit: str = "") -> str:
@@ -34,48 +45,102 @@ def milliseconds(value: float | None) -> str:
 
 def sparkline(values: Sequence[float], *, top: float, width: int = SPARK_WIDTH) -> str:
     """Return magnitudes as a line of block characters from 0 to `top`, thinned out to `width`."""
-    every = max(1, -(-len(values) // width))
+    every = max(1, -(-len(values) // max(width, 1)))
     shown = values[::-every][::-1]
     steps = len(SPARKS) - 1
     return "".join(SPARKS[round(min(abs(value) / (top or 1.0), 1.0) * steps)] for value in shown)
 
 
-def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "") -> Group:
+def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "") -> RenderableType:
     """Return the whole view of one status picture; `beside` comes under the header."""
-    return Group(
-        _header(picture),
-        *beside,
-        _axes(picture["axes"]),
-        _SideBySide(_temperatures(picture), _cnc(picture), _latency(picture)),
-        _links(picture),
-        Text(footer, style="dim"),
+    return _Fitted(
+        [
+            (0, Rule(f"Toolpoint · {picture['machine']}", align="left", style="dim")),
+            (0, _header(picture)),
+            (3, _permitted(picture["output"])),
+            *((1, renderable) for renderable in beside),
+            (0, _Axes(picture["axes"])),
+            (2, _labelled("temperatures [°C]", _temperatures(picture["temperatures"]))),
+            (2, _labelled("CNC", _cnc(picture))),
+            (2, _labelled("delay", _latency(picture["latency_s"]))),
+            (1, _labelled("links", _links(picture))),
+            (0, Text(footer, style="dim") if footer else None),
+        ]
     )
 
 
-class _SideBySide:
-    """Panels in one row, or one under the other where the terminal is too narrow for their words."""
+class _Flow:
+    """Parts one after the other; a line ends between two of them."""
 
-    def __init__(self, *panels: RenderableType) -> None:
-        self._panels = panels
+    def __init__(self, parts: Sequence[Text], gap: str) -> None:
+        self._parts, self._gap = parts, gap
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        if options.max_width < LEAST_PANEL_WIDTH * len(self._panels):
-            yield from self._panels
+        line = Text()
+        for part in self._parts:
+            if line and line.cell_len + len(self._gap) + part.cell_len > options.max_width:
+                yield line
+                line = Text()
+            line = Text.assemble(line, self._gap if line else "", part)
+        yield line
+
+
+class _Fitted:
+    """Pieces one under the other, with space between where there is room, and without the least where there is none."""
+
+    def __init__(self, pieces: Sequence[tuple[int, RenderableType | None]]) -> None:
+        """`pieces`: how soon it is left out (0: never), and what; None is left out always."""
+        self._pieces = [(rank, piece) for rank, piece in pieces if piece is not None]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        free = options.update(height=None)
+        drawn = [(rank, console.render_lines(piece, free, pad=False)) for rank, piece in self._pieces]
+        height = options.height
+        shown = drawn
+        worst = max((rank for rank, _ in drawn), default=0)
+        while height is not None and sum(len(lines) for _, lines in shown) > height and worst > 0:
+            shown = [(rank, lines) for rank, lines in drawn if rank < worst]
+            worst -= 1
+        count = sum(len(lines) for _, lines in shown)
+        if shown is not drawn and height is not None and count < height:
+            shown = [*shown, (0, console.render_lines(Text(LEFT_OUT, style="dim"), free, pad=False))]
+        airy = height is None or count + len(shown) - 1 <= height
+        for place, (_, lines) in enumerate(shown):
+            if airy and place > 1:
+                yield Segment.line()
+            for line in lines:
+                yield from line
+                yield Segment.line()
+
+
+def _labelled(label: str, body: RenderableType | None) -> RenderableType | None:
+    return None if body is None else _Labelled(label, body)
+
+
+class _Labelled:
+    """A body beside the words that say what it is about, or below them where the terminal is narrow."""
+
+    def __init__(self, label: str, body: RenderableType) -> None:
+        self._label, self._body = Text(label, style="bold"), body
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if options.max_width < NARROW:
+            yield Group(self._label, self._body)
             return
-        table = Table.grid(expand=True)
-        for _ in self._panels:
-            table.add_column(ratio=1)
-        table.add_row(*self._panels)
+        table = Table.grid()
+        table.add_column(width=LABEL_WIDTH)
+        table.add_column(width=options.max_width - LABEL_WIDTH, overflow="fold")
+        table.add_row(self._label, self._body)
         yield table
 
 
-def _header(picture: Mapping[str, Any]) -> Panel:
+def _header(picture: Mapping[str, Any]) -> Text:
     output = picture["output"]
     line = Text.assemble(
         (f" {output['state']} ", STATE_STYLES.get(output["state"], "bold")),
         "  ",
         output["reason"],
-        ("   machine is ", "dim"),
+        ("; the machine is ", "dim"),
         output["phase"],
     )
     reference = picture["reference"]
@@ -84,7 +149,7 @@ def _header(picture: Mapping[str, Any]) -> Panel:
     else:
         line.append(f"\nreference {reference['source']}, {reference['age_s'] / 60:.1f} min ago", style="dim")
     if tools := picture.get("tools_set"):
-        line.append(f"\ntools set: {', '.join(f'T{number}' for number in tools)}", style="dim")
+        line.append(f"; tools set: {', '.join(f'T{number}' for number in tools)}", style="dim")
     if output["weight"] is not None and output["weight"] < 1.0:
         line.append(f"\nthe estimate counts {output['weight']:.0%}: sensors are missing", style="yellow")
     if output["alarm"]:
@@ -95,11 +160,17 @@ def _header(picture: Mapping[str, Any]) -> Panel:
         line.append(f"\nmodel refused: {problem}", style="red")
     if speed := picture.get("spindle_speed"):
         line.append(f"\nspindle speed {speed_in_words(speed)}", style="bold red" if speed["alarm"] else "dim")
+    return line
+
+
+def _permitted(output: Mapping[str, Any]) -> Text | None:
+    """Return what the configuration permits that a real machine should not have."""
+    words = []
     if output["insecure_writes"]:
-        line.append("\nwrites go over an insecure connection (allow_insecure_writes)", style="yellow")
+        words.append("writes go over an insecure connection (allow_insecure_writes)")
     if output["writable_model_directory"]:
-        line.append("\nany model is loaded, released or not (allow_writable_model_directory)", style="yellow")
-    return Panel(line, title=f"Toolpoint · {picture['machine']}", title_align="left")
+        words.append("any model is loaded, released or not (allow_writable_model_directory)")
+    return Text("\n".join(words), style="yellow") if words else None
 
 
 def speed_in_words(speed: Mapping[str, Any]) -> str:
@@ -110,115 +181,147 @@ def speed_in_words(speed: Mapping[str, Any]) -> str:
     return f"S{speed['commanded_rpm']:.0f} for S{speed['programmed_rpm']:.0f}, {words}"
 
 
-def _axes(axes: Mapping[str, Mapping[str, Any]]) -> Table:
-    table = Table(title="Compensation [µm]", title_justify="left", expand=True)
-    for column in ("axis", "on", "estimated error", "requested", "written", "applied by the CNC", "within bound"):
-        table.add_column(column, justify="left" if column in ("axis", "within bound") else "right")
-    for name, axis in axes.items():
-        if axis["estimate_from"] is None:
-            table.add_row(name, "–", *["–"] * 4, Text("no model for this axis: disabled", style="dim"))
-            continue
-        table.add_row(
-            name,
-            "yes" if axis["wanted"] else "no",
-            number(axis["thermal_error_um"]),
-            number(axis["requested_um"]),
-            number(axis["written_um"]),
-            number(axis["applied_um"]),
-            _gauge(axis["applied_um"], axis["bound_um"]),
-        )
+class _Axes:
+    """Each axis: estimated, requested, written, applied, and a gauge of the bound where there is room."""
+
+    HEADINGS = ("compensation [µm]", "on", "estimated", "requested", "written", "applied", "within bound")
+    NUMBERS_END = 60
+    """The gauge stands behind this column."""
+
+    def __init__(self, axes: Mapping[str, Mapping[str, Any]]) -> None:
+        self._axes = axes
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        narrow = options.max_width < NARROW
+        table = Table(box=None, padding=(0, 0, 0, 1), pad_edge=False, header_style="bold")
+        for place, heading in enumerate(self.HEADINGS[:-1]):
+            words = ("axis", "on", "estim.", "request", "written", "applied")[place] if narrow else heading
+            table.add_column(words, justify="right" if place > 1 else "left", no_wrap=True)
+        width = min(options.max_width - self.NUMBERS_END, 45)
+        if not narrow:
+            table.add_column(self.HEADINGS[-1] if width >= len(self.HEADINGS[-1]) else "", no_wrap=True)
+        for name, axis in self._axes.items():
+            if axis["estimate_from"] is None:
+                words = "no model for this axis" if width >= 23 else "no model"
+                table.add_row(name, "–", *["–"] * 4, *([] if narrow else [Text(words, style="dim")]))
+                continue
+            values = [axis[key] for key in ("thermal_error_um", "requested_um", "written_um", "applied_um")]
+            gauge = [] if narrow else [_gauge(axis["applied_um"], axis["bound_um"], width)]
+            table.add_row(name, "yes" if axis["wanted"] else "no", *(number(value) for value in values), *gauge)
+        yield table
+        if words := _since_reference(self._axes):
+            yield Text(words, style="dim")
+
+
+def _since_reference(axes: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return why the request is not minus the estimate: the offset that was applied at the reference stays in it."""
+    offsets = {name: axis.get("baseline_um") for name, axis in axes.items()}
+    known = [f"{name} {value:+.1f}" for name, value in offsets.items() if value is not None and abs(value) > SAME_UM]
+    if not known:
+        return ""
+    return f"requested = what was applied at the reference ({', '.join(known)}) - estimated"
+
+
+def _gauge(value: float | None, bound: float, width: int) -> Text:
+    """Return a bar from -bound to +bound with the value marked."""
+    low, high = f"{-bound:+.0f} ", f" {bound:+.0f}"
+    inner = max(width - len(low) - len(high), 5) | 1
+    text = Text(low)
+    place = None if value is None else round((min(max(value / bound, -1.0), 1.0) + 1.0) / 2.0 * (inner - 1))
+    for index in range(inner):
+        mark, style = ("●", "bold green") if index == place else ("│" if index == inner // 2 else "─", "dim")
+        text.append(mark, style=style)
+    return text.append(high)
+
+
+def _temperatures(temperatures: Mapping[str, Any] | None) -> RenderableType:
+    if temperatures is None:
+        return Text("none yet")
+    parts = [
+        Text.assemble((f"{label} ", "dim"), number(value, 2, " ").rstrip())
+        for label, value in temperatures["labels_degc"].items()
+    ]
+    parts.append(Text(f"{temperatures['usable']} of {temperatures['total']} usable"))
+    parts += [
+        Text(f"sensor {sensor}: {why}", style="yellow") for sensor, why in list(temperatures["not_good"].items())[:3]
+    ]
+    parts += [
+        Text(f"line {line}: {faults[0]}", style="yellow")
+        for line, faults in temperatures.get("line_faults", {}).items()
+    ]
+    return _Flow(parts, "  ")
+
+
+def _cnc(picture: Mapping[str, Any]) -> RenderableType:
+    cnc, writes = picture["cnc"], picture["writes"]
+    if cnc is None:
+        return Text("not connected", style="bold red")
+    parts = (
+        f"O{cnc['program']} N{cnc['sequence_number']}",
+        f"{cnc['mode']}, {cnc['run']}{', ALARM' if cnc['alarm'] else ''}",
+        f"{cnc['spindle_speed_rpm']:.0f} 1/min, motor {cnc['motor_temperature_degc']:.0f} °C",
+        f"T{cnc['tool_number']}, G{cnc['work_offset']}",
+        f"{writes['verified']} of {writes['sent']} writes read back and equal",
+    )
+    return _Flow([Text(part) for part in parts], " · ")
+
+
+def _latency(latency: Mapping[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    published = latency["published"]
+    shown = {part: latency[part]["mean"] for part in ("measurement", "feedback", "total")}
+    table.add_row("", *(Text(part, style="dim") for part in shown))
+    means = (number(shown["measurement"], 2, " s"), milliseconds(shown["feedback"]), number(shown["total"], 2, " s"))
+    table.add_row(Text("mean", style="dim"), *means)
+    theirs = (f"> {published['measurement']:g} s", f"{published['feedback']} s", f"{published['total']} s")
+    table.add_row(Text("published", style="dim"), *theirs, Text("by another rig", style="dim"))
     return table
 
 
-def _gauge(value: float | None, bound: float) -> Text:
-    """Return a bar from -bound to +bound with the value marked."""
-    width = 25
-    text = Text(f"{-bound:+.0f} ")
-    place = None if value is None else round((min(max(value / bound, -1.0), 1.0) + 1.0) / 2.0 * (width - 1))
-    for index in range(width):
-        mark, style = ("●", "bold green") if index == place else ("│" if index == width // 2 else "─", "dim")
-        text.append(mark, style=style)
-    return text.append(f" {bound:+.0f}")
-
-
-def _temperatures(picture: Mapping[str, Any]) -> Panel:
-    temperatures = picture["temperatures"]
-    if temperatures is None:
-        return Panel("no temperatures yet", title="Temperatures [°C]")
-    table = Table.grid(padding=(0, 2))
-    labels = list(temperatures["labels_degc"].items())
-    for left, right in zip(labels[::2], [*labels[1::2], ("", None)], strict=False):
-        table.add_row(left[0], number(left[1], 2, " "), right[0], number(right[1], 2, " ") if right[0] else "")
-    table.add_row("usable", f"{temperatures['usable']} of {temperatures['total']}")
-    for sensor, why in list(temperatures["not_good"].items())[:3]:
-        table.add_row(f"sensor {sensor}", Text(why, style="yellow"))
-    return Panel(table, title="Temperatures [°C]")
-
-
-def _cnc(picture: Mapping[str, Any]) -> Panel:
-    cnc = picture["cnc"]
-    if cnc is None:
-        return Panel(Text("not connected", style="bold red"), title="CNC")
-    table = Table.grid(padding=(0, 2))
-    table.add_row("program", f"O{cnc['program']} N{cnc['sequence_number']}")
-    table.add_row("state", f"{cnc['mode']}, {cnc['run']}{', ALARM' if cnc['alarm'] else ''}")
-    table.add_row("spindle", f"{cnc['spindle_speed_rpm']:.0f} 1/min, motor {cnc['motor_temperature_degc']:.0f} °C")
-    table.add_row("tool, offset", f"T{cnc['tool_number']}, G{cnc['work_offset']}")
-    writes = picture["writes"]
-    table.add_row("writes", f"{writes['verified']} of {writes['sent']} read back and equal")
-    return Panel(table, title="CNC")
-
-
-def _latency(picture: Mapping[str, Any]) -> Panel:
-    latency = picture["latency_s"]
-    table = Table.grid(padding=(0, 1))
-    table.add_row("", "mean", "p99", "published*")
-    feedback, total, published = latency["feedback"], latency["total"], latency["published"]
-    measurement = latency["measurement"]
-    means = number(measurement["mean"], 2, " s"), number(measurement["p99"], 2, " s")
-    table.add_row("measurement", *means, f"> {published['measurement']:g} s")
-    table.add_row(
-        "feedback", milliseconds(feedback["mean"]), milliseconds(feedback["p99"]), f"{published['feedback']} s"
-    )
-    table.add_row("total", number(total["mean"], 2, " s"), number(total["p99"], 2, " s"), f"{published['total']} s")
-    note = Text("* another rig, with database polling", style="dim")
-    return Panel(Group(table, note), title="Delay")
-
-
-def _links(picture: Mapping[str, Any]) -> Text:
-    text = Text()
+def _links(picture: Mapping[str, Any]) -> RenderableType:
+    parts = []
     for link in picture["links"]:
-        text.append("● " if link["up"] else "○ ", style="green" if link["up"] else "bold red")
-        text.append(link["name"] + "  ")
+        part = Text.assemble(("● ", "green") if link["up"] else ("○ ", "bold red"), link["name"])
         if not link["up"] and link["problem"]:
-            text.append(f"({link['problem']})  ", style="red")
-    for line, faults in ((picture["temperatures"] or {}).get("line_faults", {})).items():
-        text.append(f"\nline {line}: {faults[0]}", style="yellow")
+            part.append(f" ({link['problem']})", style="red")
+        parts.append(part)
     if (rows := picture.get("displacement_rows")) and rows["problems"]:
-        text.append(
-            f"\n{rows['problems']} problems in displacement files, the latest: {rows['last_problem']}", "yellow"
-        )
+        words = f"{rows['problems']} problems in displacement files, the latest: {rows['last_problem']}"
+        parts.append(Text(words, style="yellow"))
     cycles = picture["cycles"]
-    text.append(f"\n{cycles['received']} line cycles, {cycles['incomplete']} incomplete", style="dim")
-    return text
+    parts.append(Text(f"{cycles['received']} line cycles, {cycles['incomplete']} incomplete", style="dim"))
+    return _Flow(parts, "  ")
 
 
-def truth_panel(report: Mapping[str, Any], trail: Mapping[str, Sequence[tuple[float, float]]]) -> Panel:
+def truth_panel(report: Mapping[str, Any], trail: Mapping[str, Sequence[tuple[float, float]]]) -> RenderableType:
     """Return the simulated machine's own account: the tool point with and without compensation."""
-    table = Table(expand=True, box=None)
-    for column in ("axis", "without [µm]", "with [µm]", "without compensation, over time", "with, same scale"):
-        table.add_column(column, no_wrap=True)
-    top = max((abs(pair[0]) for series in trail.values() for pair in series), default=1.0)
-    for axis, truth in report["truth"].items():
-        series = list(trail.get(axis, ()))
-        table.add_row(
-            axis,
-            number(truth["uncompensated_um"]),
-            Text(number(truth["compensated_um"]), style="bold green"),
-            Text(sparkline([pair[0] for pair in series], top=top), style="red"),
-            Text(sparkline([pair[1] for pair in series], top=top), style="green"),
-        )
-    minutes = report["time_s"] / 60
-    return Panel(
-        table, title=f"Simulated machine · {minutes:.1f} min · tool point since work positioning", title_align="left"
-    )
+    return _Truth(report, trail)
+
+
+class _Truth:
+    """The simulated machine's own account: the tool point with and without compensation."""
+
+    def __init__(self, report: Mapping[str, Any], trail: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+        self._report, self._trail = report, trail
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        narrow = options.max_width < NARROW
+        spark = 0 if narrow else min((options.max_width - LABEL_WIDTH - NUMBERS_WIDTH - 2) // 2, 45)
+        table = Table(box=None, padding=(0, 0, 0, 1), pad_edge=False, header_style="bold")
+        minutes = f"{self._report['time_s'] / 60:.1f} min"
+        table.add_column(minutes if narrow else f"true error, {minutes}"[: LABEL_WIDTH + 2], no_wrap=True)
+        table.add_column("without", justify="right", no_wrap=True)
+        table.add_column("with", justify="right", no_wrap=True, min_width=8)
+        if spark:
+            table.add_column("without, over time", no_wrap=True, width=spark)
+            table.add_column("with, same scale", no_wrap=True, width=spark)
+        top = max((abs(pair[0]) for series in self._trail.values() for pair in series), default=1.0)
+        for axis, truth in self._report["truth"].items():
+            series = list(self._trail.get(axis, ()))
+            lines = [
+                Text(sparkline([pair[side] for pair in series], top=top, width=spark), style=("red", "green")[side])
+                for side in (0, 1)
+            ]
+            numbers = number(truth["uncompensated_um"]), Text(number(truth["compensated_um"]), style="bold green")
+            table.add_row(axis, *numbers, *(lines if spark else ()))
+        yield table

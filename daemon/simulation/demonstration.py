@@ -138,6 +138,7 @@ class Trail:
         self._kept = kept
         self._seen = 0
         self.axes: dict[str, deque[tuple[float, float]]] = {}
+        self.time_s = 0.0
 
     def take(self, reports: list[dict[str, Any]]) -> dict[str, Any] | None:
         """Add what is new; return the newest report."""
@@ -145,5 +146,14 @@ class Trail:
             for axis, truth in report.get("truth", {}).items():
                 series = self.axes.setdefault(axis, deque(maxlen=self._kept))
                 series.append((truth["uncompensated_um"], truth["compensated_um"]))
+            self.time_s = report.get("time_s", self.time_s)
         self._seen = len(reports)
         return reports[-1] if reports else None
+
+    def largest_um(self) -> dict[str, tuple[float, float]]:
+        """Return per axis the largest error that was seen, without and with compensation [um]."""
+        return {
+            axis: (max(abs(without) for without, _ in series), max(abs(with_it) for _, with_it in series))
+            for axis, series in self.axes.items()
+            if series
+        }

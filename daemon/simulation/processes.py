@@ -36,6 +36,8 @@ LOOK_AHEAD = 1.5
 POSITIONING_S = 15.0
 """The simulated part programs stand at work positioning for longer than this [s]."""
 STOP_PATIENCE_S = 15.0
+PORTS_TRIED = 100
+LAST_PORT = 65535
 
 
 def free_port() -> int:
@@ -45,11 +47,22 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def port_from(wanted: int) -> int:
+    """Return the first free TCP port of the loopback interface from `wanted` on; raises SimulationError."""
+    for port in range(wanted, min(wanted + PORTS_TRIED, LAST_PORT + 1)):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that was served a moment ago is free
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise SimulationError(f"no port from {wanted} on is free; name another: --web-port")
+
+
 def write_simulation_configuration(
-    base: dict[str, Any], directory: Path, *, speed: float, http: bool, secure: bool = False
+    base: dict[str, Any], directory: Path, *, speed: float, http_port: int | None = None, secure: bool = False
 ) -> tuple[Path, Configuration]:
     """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
 
+    The monitor is served at `http_port` of this computer alone, None: not at all.
     Waiting times that stand for the speed of the wires grow with the speed of the simulation,
     because a pause of this computer is then a long time for the machine.
     """
@@ -77,7 +90,7 @@ def write_simulation_configuration(
     base["history"] = {"path": str(directory / "history.sqlite")}
     base["service"] = {
         "socket": str(directory / "control.sock"),
-        "http_port": free_port() if http else None,
+        "http_port": http_port,
         "log_level": "info",
     }
     path = directory / "toolpoint.yaml"

@@ -27,7 +27,7 @@ def draw(minutes: float, speed: float) -> None:
     """Run the demonstration and write the picture beside this script."""
     trail = Trail()
     with folder_for(None) as folder:
-        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed, http=False)
+        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed)
         with start_simulation([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
             watch(running, minutes * 60.0, lambda _: None, 0.25)

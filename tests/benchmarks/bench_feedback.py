@@ -87,7 +87,7 @@ def main() -> None:
     try:
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            path, _ = write_simulation_configuration(base, directory, speed=1.0, http=True, secure=options.secure)
+            path, _ = write_simulation_configuration(base, directory, speed=1.0, http_port=0, secure=options.secure)
             with start_simulation([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
                 switch_on(running)
                 daemon = psutil.Process(running.daemon.pid)

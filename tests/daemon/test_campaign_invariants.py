@@ -17,7 +17,7 @@ claims = partial(campaign_claims.claims, wanted=(False, True, True))
 
 @pytest.fixture(scope="module")
 def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
-    path, _ = write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)
+    path, _ = write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0)
     return load_configuration(path)
 
 

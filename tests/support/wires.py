@@ -137,7 +137,7 @@ def on_wires(
     """
     speed = bearable(speed)
     content = demo_machine()
-    path, _ = write_simulation_configuration(content, directory, speed=speed, http=False)
+    path, _ = write_simulation_configuration(content, directory, speed=speed)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
     content["service"]["retry_min_s"], content["service"]["retry_max_s"] = 0.05, 0.5
     change(content)

@@ -33,7 +33,7 @@ class Standing:
         self.directory = directory
         self.record = directory / "record.json"
         self.config, self.configuration = write_simulation_configuration(
-            self._machine(), directory, speed=speed, http=False, secure=True
+            self._machine(), directory, speed=speed, secure=True
         )
         self.clock = f"{time.monotonic()!r}:{time.time()!r}:{speed!r}"
 

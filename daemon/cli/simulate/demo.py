@@ -19,15 +19,22 @@ from daemon.simulation.demonstration import Trail, result, settle, switch_on, to
 from daemon.simulation.processes import (
     RunningSimulation,
     folder_for,
+    port_from,
     start_simulation,
     write_simulation_configuration,
 )
 
 LIVE_PERIOD_S = 0.25
+WEB_PORT = 8080
 
 
 @click.command()
 @option("--headless", is_flag=True, help="No live view: run for --minutes and end.")
+@option(
+    "--web-port",
+    type=click.IntRange(1, 65535),
+    help="Port of the pages on this computer, or the next that is free (default: 8080; headless: no pages).",
+)
 @option("--minutes", type=POSITIVE, help="Simulated minutes (headless: 60).")
 @option("--speed", type=FiniteFloat(min=0, min_open=True, max=600), default=60.0, help="Simulated seconds per second.")
 @directory_option
@@ -36,6 +43,7 @@ LIVE_PERIOD_S = 0.25
 @json_option
 def demo(
     headless: bool,
+    web_port: int | None,
     minutes: float | None,
     speed: float,
     directory: Path | None,
@@ -53,10 +61,13 @@ def demo(
     if faults_path is not None:
         _check_faults(faults_path)
     with simulation_folder(directory) as folder:
+        port = None if headless and web_port is None else port_from(web_port or WEB_PORT)
+        if port is not None:
+            say(f"open {page_address(port)} in a browser: the machine, its error, the delay and the reason")
         machine = demo_machine()
         for line in machine["temperatures"]["lines"]:
             line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
-        path, _ = write_simulation_configuration(machine, folder, speed=speed, http=not headless, secure=secure)
+        path, _ = write_simulation_configuration(machine, folder, speed=speed, http_port=port, secure=secure)
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]
@@ -65,8 +76,9 @@ def demo(
             if headless:
                 watch(running, duration_s, lambda status: None, 1.0)
             else:
-                _show(running, duration_s)
+                trail, seen = _show(running, duration_s)
                 if math.isinf(duration_s):
+                    say_result(trail, seen, page_address(port))
                     return
             final, status = settle(running)
             period_s = min(line.cycle_period_s for line in load_configuration(path).temperatures.lines)
@@ -100,26 +112,46 @@ def _check_faults(path: Path) -> None:
     read_faults(path, load_configuration(shipped_file("cfrpmt.yaml")))
 
 
-def _show(running: RunningSimulation, until_s: float) -> None:
+def page_address(port: int | None) -> str:
+    """Return where the pages are."""
+    return f"http://127.0.0.1:{port}/"
+
+
+def _show(running: RunningSimulation, until_s: float) -> tuple[Trail, dict[str, Any]]:
+    """Show both until the time is over or a person ends it; return the trail and the status that were seen last."""
     from rich.console import Console
     from rich.live import Live
 
     from daemon.monitor.view import status_view, truth_panel
 
-    trail = Trail()
+    trail, seen = Trail(), running.client.ask("status")
     port = running.configuration.service.http_port
     with Live(console=Console(), screen=True, auto_refresh=False) as live:
 
         def look(status: dict[str, Any]) -> None:
+            nonlocal seen
+            seen = status
             report = trail.take(running.reports)
             beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
             live.update(
-                status_view(status, beside, footer=f"metrics: http://127.0.0.1:{port}/metrics · Ctrl-C ends"),
+                status_view(status, beside, footer=f"in a browser: {page_address(port)} · Ctrl-C ends"),
                 refresh=True,
             )
 
         with contextlib.suppress(KeyboardInterrupt):
             watch(running, until_s, look, LIVE_PERIOD_S)
+    return trail, seen
+
+
+def say_result(trail: Trail, status: dict[str, Any], address: str) -> None:
+    """Say what was seen, for when the live view has gone from the screen."""
+    minutes, writes, feedback = trail.time_s / 60.0, status["writes"], status["latency_s"]["feedback"]
+    say(f"seen until {minutes:.0f} min of the machine's time; the output is {status['output']['state']}")
+    for axis, (without, compensated) in trail.largest_um().items():
+        say(f"axis {axis}: error up to {without:.1f} um without compensation, up to {compensated:.1f} um with it")
+    delay = "" if feedback["mean"] is None else f"; feedback {feedback['mean'] * 1e3:.0f} ms in the mean"
+    say(f"{writes['verified']} of {writes['sent']} writes read back and equal{delay}")
+    say(f"the pages were at {address}; `toolpoint demo` shows them again")
 
 
 BROKEN_OFF = 1

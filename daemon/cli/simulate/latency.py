@@ -109,7 +109,7 @@ def _perform(experiment: Any, folder: Path, epoch_utc_s: float) -> tuple[Any, li
     from daemon.simulation.processes import start_simulation, write_simulation_configuration
 
     base = latency_machine(demo_machine(), experiment, folder)
-    path, configuration = write_simulation_configuration(base, folder, speed=experiment.speed, http=False)
+    path, configuration = write_simulation_configuration(base, folder, speed=experiment.speed)
     setting = setting_of(experiment, configuration)
     script = folder / "packs.yaml"
     write_script(setting.script, script)

@@ -72,7 +72,7 @@ def replay(
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
-            path, _ = write_simulation_configuration(machine, folder, speed=speed, http=False)
+            path, _ = write_simulation_configuration(machine, folder, speed=speed)
         except ValueError as error:
             refuse(str(error))
         until_s = playing_time_s(part)

@@ -1,6 +1,6 @@
 // The frame of every page: navigation, age, stale, theme, who is logged in, and questions before anything acts.
 
-import { h, put, clock, duration, seconds } from "./dom.js";
+import { h, put, clock, duration } from "./dom.js";
 import { PAGES, STATES } from "./words.js";
 import { live, STALE_S } from "./live.js";
 import { act, who, Refused } from "./api.js";
@@ -78,7 +78,7 @@ live.addEventListener("age", () => {
     put($("stale"), status === null ? "The daemon does not answer. This page tries again by itself."
       : `What you see is ${duration(waited_s)} old: the daemon has not answered since. This page tries again by itself.`);
   }
-  $("age").textContent = status === null ? "connecting" : old ? `stale, ${duration(waited_s)} old` : `live, ${seconds(Math.max(waited_s, 0))} old`;
+  $("age").textContent = status === null ? "connecting" : old ? `stale, ${duration(waited_s)} old` : `live, ${Math.max(waited_s, 0).toFixed(1)} s old`;
 });
 
 // --- rights, login, questions ------------------------------------------------------------

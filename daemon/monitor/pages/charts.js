@@ -136,11 +136,13 @@ export class Chart {
 
   follow(index) {
     const { options } = this;
-    if (index === null || index === undefined) index = this.last();
+    const ends = index === null || index === undefined;
+    if (ends) index = this.last();
     options.series.forEach((one, place) => {
-      const value = this.data[place + 1]?.[index];
+      const values = this.data[place + 1] ?? [];
+      const value = ends ? values.findLast((one) => typeof one === "number") : values[index];
       const shown = typeof value === "number" ? `${number(value, options.digits ?? 1)} ${options.unit_short ?? options.unit ?? ""}` : NONE;
-      this.values[place].textContent = one.points && index === null ? "" : shown;
+      this.values[place].textContent = shown;
     });
     const at = this.data[0]?.[index];
     const time = options.x === undefined || options.x === "time";

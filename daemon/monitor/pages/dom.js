@@ -77,13 +77,18 @@ export function clock(utc_s, { date = false } = {}) {
   return date ? `${at.getFullYear()}-${two(at.getMonth() + 1)}-${two(at.getDate())} ${time}` : time;
 }
 
+// A sentence in which `commands` stand between backticks.
+export function prose(text) {
+  return text.split("`").map((piece, place) => (place % 2 ? h("code", {}, piece) : piece));
+}
+
 export function card(title, ...children) {
   return h("section", { class: "card", "aria-label": title }, h("h2", {}, title), ...children);
 }
 
 // What a page says where its part is not configured: why it is empty, and how to get it.
 export function absent(title, why, how) {
-  return h("section", { class: "card absent", "aria-label": title }, h("h2", {}, title), h("p", {}, why), h("p", {}, how));
+  return h("section", { class: "card absent", "aria-label": title }, h("h2", {}, title), h("p", {}, prose(why)), h("p", {}, prose(how)));
 }
 
 export function table(head, rows, { caption = "", classes = "" } = {}) {

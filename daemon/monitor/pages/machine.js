@@ -62,9 +62,9 @@ export class MachineDrawing {
     const group = s("g", {}, s("rect", { class: "zone", x, y, width, height, rx: 8 }),
       s("text", { x: x + 8, y: y + 20 }, name), s("text", { class: "small", x: x + width - 8, y: y + 20, "text-anchor": "end" }, sensors.length));
     const free = { width: width - 16, height: height - 38 };
-    const columns = Math.max(1, Math.ceil(Math.sqrt((sensors.length * free.width) / free.height)));
-    const rows = Math.ceil(sensors.length / columns);
-    const step = Math.min(26, free.width / columns, free.height / Math.max(rows, 1));
+    let step = 26;
+    while (step > 4 && Math.floor(free.width / step) * Math.floor(free.height / step) < sensors.length) step -= 0.5;
+    const columns = Math.floor(free.width / step);
     sensors.forEach((sensor, index) => {
       const cx = x + 8 + step * ((index % columns) + 0.5), cy = y + 31 + step * (Math.floor(index / columns) + 0.5);
       const dot = s("circle", { class: "sensor", cx, cy, r: step * 0.42, onclick: () => choose(sensor.name) }, s("title", {}, ""));

@@ -38,7 +38,7 @@ def run_campaign(
     happenings = campaign(days, seed, lines) if script is None else script
     models = CampaignModels.beside(Path(base["compensation"]["model_file"]), directory, happenings)
     base["compensation"]["model_file"] = str(models.path)
-    path, configuration = write_simulation_configuration(base, directory, speed=1.0, http=False)
+    path, configuration = write_simulation_configuration(base, directory, speed=1.0)
     running = Campaign(
         configuration,
         path,

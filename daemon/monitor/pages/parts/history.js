@@ -1,6 +1,6 @@
 // History: every write of macro variables, with filter and download.
 
-import { h, choice, buttons, card, clock, seconds, signed, NONE } from "../dom.js";
+import { h, prose, choice, buttons, card, clock, seconds, signed, NONE } from "../dom.js";
 import { RANGES } from "../words.js";
 import { ask } from "../api.js";
 
@@ -31,7 +31,7 @@ class History {
         h("span", { class: "actions" }, h("label", { class: "choice" }, h("span", {}, "find"), search),
           choice("outcome", [["", "all"], ...Object.entries(OUTCOMES).map(([name, [, words]]) => [name, words])], "", (outcome) => { this.outcome = outcome; this.load(); })),
         buttons("Range", RANGES.slice(0, 6), this.range_s, (range) => { this.range_s = range; this.load(); })), this.said, this.list),
-      card("Download", h("p", { class: "dim" }, "The range above. A recording is the file that `toolpoint thermal train` reads."), this.downloads));
+      card("Download", h("p", { class: "dim" }, prose("The range above. A recording is the file that `toolpoint thermal train` reads.")), this.downloads));
   }
 
   leave() { clearInterval(this.timer); }
@@ -43,7 +43,7 @@ class History {
     try {
       const found = await ask("writes", { from, to, limit: LIMIT, reason: this.reason || undefined });
       const shown = found.writes.filter((write) => !this.outcome || write.outcome === this.outcome);
-      this.said.textContent = `${shown.length} writes${found.more ? `, the newest ${LIMIT} of the range: ask for less time, or download all` : ""}.`;
+      this.said.textContent = `${shown.length} ${shown.length === 1 ? "write" : "writes"}${found.more ? `, the newest ${LIMIT} of the range: ask for less time, or download all` : ""}.`;
       this.draw(shown);
       this.offer(from, to);
     } catch (error) {
@@ -67,7 +67,7 @@ class History {
   }
 
   offer(from, to) {
-    const link = (what, words, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, download: "" }, `${words} (${format.toUpperCase()})`);
+    const link = (what, words, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, download: "" }, `${words} (${format === "csv" ? "CSV" : "Parquet"})`);
     this.downloads.replaceChildren(...[["writes", "writes"], ["recording", "recording"], ["temperatures", "temperatures"]].flatMap(([what, words]) => ["csv", "parquet"].map((format) => link(what, words, format))));
   }
 }
@@ -75,6 +75,6 @@ class History {
 const vector = (values) => Object.entries(values ?? {}).filter(([, value]) => value !== null).map(([axis, value]) => `${axis.toUpperCase()} ${signed(value)}`).join("  ") || NONE;
 
 function macros(write) {
-  return h("details", {}, h("summary", {}, `${write.macros.length} variables`), h("ul", { class: "plain" }, write.macros.map(([number, value], index) =>
+  return h("details", {}, h("summary", {}, write.macros.length === 1 ? `#${write.macros[0][0]}` : `${write.macros.length} variables`), h("ul", { class: "plain" }, write.macros.map(([number, value], index) =>
     h("li", {}, `#${number}: ${write.old?.[index] === null || write.old?.[index] === undefined ? "" : `${write.old[index]} → `}${value}${write.read_back?.[index] !== undefined && write.read_back[index] !== value ? ` (read back ${write.read_back[index]})` : ""}`))));
 }

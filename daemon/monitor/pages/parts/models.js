@@ -1,6 +1,6 @@
 // Models: which are in force, what else there is, how they score. Releasing stays on the command line.
 
-import { h, card, table, clock, number, NONE } from "../dom.js";
+import { h, prose, card, table, clock, number, NONE } from "../dom.js";
 import { ask } from "../api.js";
 
 const NAMES = { thermal: "Thermal model in force", bearings: "Bearing model in force" };
@@ -14,7 +14,7 @@ export async function page(place) {
     grid.append(section);
   }
   grid.append(list("Candidates", found.candidates, "No candidate lies in the folder of proposals: `toolpoint thermal train` makes one."), list("Releases", found.releases, "Nothing was released yet: `toolpoint model release` does it, under another account than the daemon's."),
-    card("Releasing", h("p", {}, found.note || "A model is released by a person on the command line: `toolpoint model release`. The daemon cannot release its own.")));
+    card("Releasing", h("p", {}, prose(found.note || "A model is released by a person on the command line: `toolpoint model release`. The daemon cannot release its own."))));
   place.append(h("h1", { class: "hidden" }, "Models"), grid);
   return {};
 }
@@ -37,7 +37,7 @@ function show(key, value) {
 }
 
 function list(title, entries, empty) {
-  if (!entries?.length) return card(title, h("p", { class: "dim" }, empty));
+  if (!entries?.length) return card(title, h("p", { class: "dim" }, prose(empty)));
   const keys = [...new Set(entries.flatMap((entry) => Object.keys(entry)))];
   return card(title, table(keys.map(words), entries.map((entry) => keys.map((key) => show(key, entry[key]))), { caption: title }));
 }

@@ -106,7 +106,7 @@ class ThermalError {
       : card("Which sensors contribute how much", h("p", { class: "dim" }, one ? "This kind of model does not say." : "There is no estimate yet.")));
     const marks = [...estimate.references].reverse();
     put(this.marks, card("Reference marks, last 24 h", marks.length
-      ? table(["set at", "by", "ago"], marks.slice(0, 10).map((mark) => [clock(mark.time), mark.source, duration(status.time - mark.time)]), { caption: "Reference marks" })
+      ? table(["set at", "by", "ago"], marks.slice(0, 10).map((mark) => [clock(mark.time), mark.source, duration(status.time - mark.time)]), { caption: "Reference marks", classes: "marks" })
       : h("p", { class: "dim" }, "None: a reference is set after work positioning, by the NC program or by hand.")));
   }
 }
