@@ -17,6 +17,7 @@ TEMPERATURE = "temperature"
 """`temperature.61`: one sensor, as measured and accepted [degC]."""
 OF_FRAMES = {
     "label": (ESTIMATES, "label_degc"),
+    "label_reference": (ESTIMATES, "label_reference_degc"),
     "estimated": (ESTIMATES, "thermal_error_um"),
     "band": (ESTIMATES, "band_um"),
     "measured": (DISPLACEMENTS, "um"),

@@ -96,6 +96,7 @@ class StatusBoard:
                 "written_um": control.written_um[i],
                 "applied_um": control.applied_um[i],
                 "bound_um": control.bound_um[i],
+                "baseline_um": control.baseline_um[i],
                 "slew_um_per_min": control.slew_um_per_min[i],
             }
             for i, axis in enumerate(control.axes)

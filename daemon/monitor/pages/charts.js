@@ -69,7 +69,8 @@ export class Chart {
 
   get height() {
     const base = parseFloat(getComputedStyle(document.documentElement).fontSize);
-    return Math.round((this.options.height ?? 16) * base);
+    const tall = innerHeight > 60 * base ? 1.6 : 1; // a large screen is used
+    return Math.round((this.options.height ?? 16) * base * tall);
   }
 
   build() {

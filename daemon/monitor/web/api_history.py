@@ -67,8 +67,9 @@ async def names(request: Request, person: Viewer) -> Response:
         for sensor in configuration.temperatures.sensors
     ]
     series += [
-        {"name": f"label.{label}", "kind": "label", "unit": "degC", "label": label}
+        {"name": f"{kind}.{label}", "kind": kind, "unit": "degC", "label": label}
         for label in configuration.temperatures.labels
+        for kind in ("label", "label_reference")
     ]
     by_channel = {axis.estimate: name for name, axis in configuration.compensation.axes.items() if axis.estimate}
     channels = list(by_channel)

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from config.schema import Configuration
+from config.schema.compensation import ToolTermConfig
 from daemon.snapshots import ControlSnapshot, ModelSnapshot, SnapshotBoard
 from daemon.telemetry.latency import PUBLISHED_DELAY_S, PUBLISHED_NOTE
 from drivers.clock import Clock
@@ -15,6 +17,7 @@ from models.json_values import finite_or_none, plain
 from models.quality import Quality, describe
 from models.records import OutputState
 
+VERSION = version("toolpoint")
 STATES = {state: number for number, state in enumerate(OutputState)}
 """Each state of the output as a number, for charts and metrics."""
 
@@ -40,6 +43,7 @@ class Documents:
         since_s = control.since_monotonic_s
         document = {
             "machine": self._configuration.machine,
+            "version": VERSION,
             "time": now.utc_s,
             "clock_speed": self._clock.speed,
             "age_s": self._age_s(now.monotonic_s),
@@ -98,6 +102,8 @@ class Documents:
                 "applied_um": control.applied_um[i],
                 "band_um": band_um,
                 "bound_um": control.bound_um[i],
+                "baseline_um": control.baseline_um[i],
+                "tool_um_per_k": _tool_um_per_k(self._configuration.compensation.axes[axis].tool_term),
                 "wanted": control.wanted[i],
                 "enabled": control.enabled[i],
                 "confidence": estimate.confidence if estimate is not None and channel else None,
@@ -238,6 +244,14 @@ class Documents:
         cleaned = plain(document)
         assert isinstance(cleaned, dict)
         return cleaned
+
+
+def _tool_um_per_k(term: ToolTermConfig | None) -> dict[str, float]:
+    """Return what 1 K of each label adds to the axis by the tool's own growth [um/K]."""
+    if term is None:
+        return {}
+    um_per_k = term.direction * term.expansion_um_per_m_k * term.length_mm * 1e-3
+    return {label: um_per_k * weight for label, weight in term.temperatures.items()}
 
 
 def model_document(model: ModelSnapshot | None) -> dict[str, Any] | None:

@@ -39,6 +39,10 @@ class AxisStatus(Document):
     applied_um: float | None = Field(description="what the guard in the CNC says that it applies")
     band_um: float | None = Field(description="half width of the estimate's band")
     bound_um: float | None = Field(description="the compensation never exceeds this")
+    baseline_um: float | None = Field(description="what was applied when the reference was set")
+    tool_um_per_k: dict[str, float] = Field(
+        description="how far the tool's own growth moves this axis for 1 K more of each label since the reference"
+    )
     wanted: bool = Field(description="a person has switched it on")
     enabled: bool = Field(description="its enable bit is written")
     confidence: float | None = Field(description="how far the estimate may be followed, 0 to 1")
@@ -131,6 +135,7 @@ class Status(Document):
     """Everything that the overview shows."""
 
     machine: str
+    version: str = Field(description="of the daemon; when it changes, its pages are loaded anew")
     time: Utc
     clock_speed: float = Field(description="seconds of the machine in a second: 1, or more in a simulation")
     age_s: float | None = Field(description="age of the newest temperatures; null before the first")
@@ -166,7 +171,17 @@ class SeriesName(Document):
 
     name: str
     kind: Literal[
-        "temperature", "label", "estimated", "band", "measured", "requested", "written", "applied", "spindle", "motor"
+        "temperature",
+        "label",
+        "label_reference",
+        "estimated",
+        "band",
+        "measured",
+        "requested",
+        "written",
+        "applied",
+        "spindle",
+        "motor",
     ]
     unit: Literal["degC", "um", "1/min"]
     component: str | None = None

@@ -251,19 +251,22 @@ class ErrorOverShift {
 
   async load(status) {
     this.asked_ms = performance.now();
-    const to = status.time, from = await begun(to - SHIFT_S, to), { channel } = status.axes[this.axis];
-    const names = [`requested.${this.axis}`, `applied.${this.axis}`, `band.${channel}`];
+    const to = status.time, from = await begun(to - SHIFT_S, to), { channel, tool_um_per_k: tool } = status.axes[this.axis];
+    const labels = Object.keys(tool);
+    const names = [`estimated.${channel}`, `applied.${this.axis}`, `band.${channel}`, ...labels.flatMap((label) => [`label.${label}`, `label_reference.${label}`])];
     try {
       const [answers, estimate] = await Promise.all([series(names, from, to, this.points), ask("estimate")]);
-      const [t, requested, applied, band] = aligned(answers, names.map((name) => [name, "mean"]), from, to, this.points);
+      const [t, estimated, applied, band, ...means] = aligned(answers, names.map((name) => [name, "mean"]), from, to, this.points);
       const of_cnc = held(applied);
       const marks = (estimate.references ?? []).map((reference) => reference.time).filter((time) => time >= from && time <= to);
       const baseline = since(t, marks, (mark) => (mark === null ? 0 : at(t, of_cnc, mark) ?? 0));
-      const without = each(requested, baseline, (value, start) => start - value);
+      // the model's channel is the nose; the tool in front of it grows by itself
+      const without = labels.reduce((sum, label, place) => each(sum, each(means[2 * place], means[2 * place + 1], (now, then) => now - then),
+        (value, kelvin) => value + tool[label] * kelvin), estimated);
       const remaining = without.map((value, index) => (value === null || value === undefined ? value : value + (of_cnc[index] ?? 0) - baseline[index]));
       this.recorded = { t, without, remaining, band: held(band), to };
       this.chart.options.marks = marks.map((x) => ({ x, words: "reference" }));
-      const last = t.findLast((time, index) => typeof requested[index] === "number") ?? from;
+      const last = t.findLast((time, index) => typeof estimated[index] === "number") ?? from;
       this.tail = this.tail.filter(([time]) => time > last);
       this.draw(status);
     } catch (error) {
