@@ -9,6 +9,8 @@ from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.web.application import MonitorParts
+from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
 from daemon.snapshots import SnapshotBoard
 from daemon.telemetry.metrics import Telemetry
@@ -24,13 +26,15 @@ def monitor_service(
     history: HistoryWriter,
 ) -> Callable[[Callable[[], None]], Awaitable[None]]:
     """Return what serves the monitor."""
+    documents = Documents(configuration, clock, board, telemetry.picture)
+    telemetry.registry.register(PresentMetrics(configuration, board, documents))
     parts = MonitorParts(
         configuration=configuration,
         clock=clock,
         board=board,
         desk=desk,
         registry=telemetry.registry,
-        latency=telemetry.picture,
+        documents=documents,
         report=history.event,
         models=partial(_models, board),
     )

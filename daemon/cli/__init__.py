@@ -40,6 +40,7 @@ COMMANDS: Mapping[str, str] = {
     "thermal": "Train and evaluate thermal models.",
     "model": "Release thermal models, and take them back.",
     "keys": "Whose signatures count; sign what stands here.",
+    "users": "Accounts of the monitor: who may look, who may act.",
     "stability": "Stability of milling: lobes and stable speeds.",
     "dynamics": "Spindle dynamics: modes, responses, bearings.",
 }
@@ -121,6 +122,10 @@ def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each 
             from daemon.cli.admin import keys
 
             return keys
+        case "users":
+            from daemon.cli.admin import users
+
+            return users
         case "stability":
             from daemon.cli.stability import group as stability_group
 

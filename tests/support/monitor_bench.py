@@ -17,6 +17,8 @@ from memory_cnc import MemoryNc
 from config.schema import Configuration
 from daemon.monitor.accounts import Account, Role, hashed, write_accounts
 from daemon.monitor.web.application import MonitorParts
+from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
 
 PASSWORD = "long enough a password"
@@ -126,13 +128,15 @@ async def no_models() -> dict[str, Any]:
 
 
 def parts_of(rig: Rig, configuration: Configuration) -> MonitorParts:
+    documents = Documents(configuration, rig.clock, rig.snapshots, rig.telemetry.picture)
+    rig.telemetry.registry.register(PresentMetrics(configuration, rig.snapshots, documents))
     return MonitorParts(
         configuration=configuration,
         clock=rig.clock,
         board=rig.snapshots,
         desk=rig.desk(),
         registry=rig.telemetry.registry,
-        latency=rig.telemetry.picture,
+        documents=documents,
         report=rig.history.event,
         models=no_models,
     )

@@ -16,6 +16,7 @@ from config.reference import configuration_reference
 from config.schema import Configuration
 from daemon.cli import COMMANDS, main
 from daemon.cli.reference import commands, commands_reference
+from daemon.monitor.web.metrics import OF_AXES
 from daemon.telemetry.metrics import Telemetry
 
 ROOT = Path(__file__).parents[2]
@@ -63,6 +64,9 @@ def test_every_metric_is_in_the_reference() -> None:
     text = page("reference/metrics.md")
     for family in Telemetry().registry.collect():
         assert f"| `{family.name}` |" in text, family.name
+    present = {"toolpoint_output_state_number", "toolpoint_temperatures_age_seconds", "toolpoint_temperature_celsius"}
+    for name in present | {name for name, _ in OF_AXES.values()}:
+        assert f"| `{name}` |" in text, name
 
 
 def test_every_key_of_a_recording_map_is_in_the_reference() -> None:

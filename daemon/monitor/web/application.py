@@ -40,8 +40,7 @@ class MonitorParts:
     board: SnapshotBoard
     desk: CommandDesk
     registry: CollectorRegistry
-    latency: Callable[[], dict[str, Any]]
-    """Percentiles of the delays."""
+    documents: Documents
     report: Report
     """Puts an event into the audit: kind, text, person."""
     models: Look
@@ -73,15 +72,14 @@ def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASG
         redoc_url=None,
         redirect_slashes=False,
     )
-    documents = Documents(parts.configuration, parts.clock, parts.board, parts.latency)
     app.state.access = Access(
         accounts=None if service.users is None else Accounts(service.users),
         session_s=service.session_hours * 3600.0,
         secure=service.tls_certificate is not None,
         report=parts.report,
     )
-    app.state.parts, app.state.documents = parts, documents
-    app.state.live = Live(documents, parts.board)
+    app.state.parts, app.state.documents = parts, parts.documents
+    app.state.live = Live(parts.documents, parts.board)
     app.state.recorded = Recorded(parts.configuration)
     app.state.pages = Pages()
     for part in (api_now, api_history, api_actions):

@@ -46,7 +46,7 @@ class Documents:
             "version": VERSION,
             "time": now.utc_s,
             "clock_speed": self._clock.speed,
-            "age_s": self._age_s(now.monotonic_s),
+            "age_s": self.age_s(),
             "state": control.state.value,
             "reason": control.reason,
             "since_s": None if since_s is None else now.monotonic_s - since_s,
@@ -78,9 +78,9 @@ class Documents:
         assert isinstance(cleaned, dict)
         return cleaned
 
-    def _age_s(self, now_s: float) -> float | None:
+    def age_s(self) -> float | None:
         """Return the age of the newest temperatures [s]; None before the first."""
-        latest = self._board.thermal.temperatures
+        latest, now_s = self._board.thermal.temperatures, self._clock.now().monotonic_s
         return None if latest is None else max(0.0, now_s - latest.trace.last_byte.monotonic_s)
 
     def axes(self) -> dict[str, dict[str, Any]]:
