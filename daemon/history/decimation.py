@@ -2,17 +2,21 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from daemon.history.columns.codec import FloatArray
-from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, WRITES
+from daemon.history.columns.frames import Kind
+from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
 from daemon.history.reader import HistoryReader
 from models.quality import Quality
 
-WINDOW_S = 3600.0
+HOUR_S = 3600.0
 """Rows are read in pieces of this length."""
+COARSE_S = 1800.0
+"""Buckets of at least this length are filled from the extremes of packed hours, which have one value for each [s]."""
 TEMPERATURE = "temperature"
 """`temperature.61`: one sensor, as measured and accepted [degC]."""
 OF_FRAMES = {
@@ -29,8 +33,8 @@ OF_FRAMES = {
 SCALARS = {"spindle_speed": "spindle_speed_rpm", "motor_temperature": "motor_temperature_degc"}
 """Series with one word -> column of a poll of the CNC."""
 
-Pieces = Iterator[dict[str, tuple[FloatArray, FloatArray]]]
-"""Per series its times [s] and values, piece by piece; values that are none are NaN."""
+Piece = Iterator[tuple[str, tuple[FloatArray, FloatArray]]]
+"""Per series its times [s] and values; values that are none are NaN."""
 
 
 class SeriesError(ValueError):
@@ -109,17 +113,20 @@ def decimated(
     points: int,
     go_on: Callable[[], object] = lambda: None,
 ) -> dict[str, Decimated]:
-    """Return series in at most `points` buckets each.
+    """Return series in at most `points` buckets each; of months from the extremes of packed hours.
 
     `go_on` is called between pieces and raises to break off. Raises SeriesError naming a series that cannot be.
     """
-    groups = _by_source(names)
     width_s = (to_s - from_s) / points
     buckets = {name: Buckets(from_s=from_s, width_s=width_s, count=points) for name in names}
-    for read in groups:
-        for piece in read(reader, from_s, to_s):
+    for source in _by_source(names):
+        first, last = _within(reader.extent(source.kind), from_s, to_s)
+        covered: set[int] = set()
+        if width_s >= COARSE_S:
+            covered = _add_hours(reader, source, buckets, (first, last), go_on)
+        for start, stop in _windows(reader, source.kind, first, last, covered):
             go_on()
-            for name, (time_s, values) in piece.items():
+            for name, (time_s, values) in source.read(reader, start, stop):
                 buckets[name].add(time_s, values)
     return {name: each.series() for name, each in buckets.items()}
 
@@ -129,67 +136,126 @@ def check_names(names: Sequence[str]) -> None:
     _by_source(names)
 
 
-def _by_source(names: Sequence[str]) -> list[Callable[[HistoryReader, float, float], Pieces]]:
-    """Return what reads the series, each source once for all of them."""
-    sensors: dict[int, str] = {}
-    keys: dict[str, dict[str, tuple[str, str]]] = {}
-    scalars: dict[str, str] = {}
-    for name in names:
-        word, _, key = name.partition(".")
-        if word == TEMPERATURE and key.isdecimal() and len(key) < 9:
-            sensors[int(key)] = name
-        elif word in OF_FRAMES and key:
-            kind, mapping = OF_FRAMES[word]
-            keys.setdefault(kind.name, {})[name] = (mapping, key)
-        elif name in SCALARS:
-            scalars[name] = SCALARS[name]
-        else:
-            raise SeriesError(f"there is no series {name!r}; GET /api/v1/names lists them")
-    sources: list[Callable[[HistoryReader, float, float], Pieces]] = []
-    if sensors:
-        sources.append(lambda reader, from_s, to_s: _temperatures(reader, sensors, from_s, to_s))
-    for kind_name, wanted in keys.items():
-        sources.append(lambda r, f, t, k=kind_name, w=wanted: _mappings(r, k, w, f, t))  # type: ignore[misc]
-    if scalars:
-        sources.append(lambda reader, from_s, to_s: _scalars(reader, scalars, from_s, to_s))
-    return sources
+def _within(extent: tuple[float, float] | None, from_s: float, to_s: float) -> tuple[float, float]:
+    return (from_s, from_s) if extent is None else (max(from_s, extent[0]), min(to_s, extent[1] + 0.001))
 
 
-def _windows(reader: HistoryReader, kind: str, from_s: float, to_s: float) -> Iterator[tuple[float, float]]:
-    extent = reader.extent(kind)
-    if extent is None:
+def _windows(
+    reader: HistoryReader, kind: str, first_s: float, last_s: float, covered: set[int]
+) -> Iterator[tuple[float, float]]:
+    """Yield the hours that hold something and are not covered, cut to the time that is asked for."""
+    if not first_s < last_s:
         return
-    start, end = max(from_s, extent[0]), min(to_s, extent[1] + 0.001)
-    while start < end:
-        stop = min(end, (start // WINDOW_S + 1.0) * WINDOW_S)
-        yield start, stop
-        start = stop
+    for hour_ms in sorted(reader.hours(kind, first_s, last_s) - covered):
+        start, stop = max(first_s, hour_ms / 1e3), min(last_s, hour_ms / 1e3 + HOUR_S)
+        if start < stop:
+            yield start, stop
 
 
-def _temperatures(reader: HistoryReader, sensors: Mapping[int, str], from_s: float, to_s: float) -> Pieces:
-    for start, stop in _windows(reader, "temperatures", from_s, to_s):
-        found = reader.temperatures(list(sensors), start, stop)
-        piece = {}
+def _add_hours(
+    reader: HistoryReader,
+    source: "_Source",
+    buckets: Mapping[str, Buckets],
+    span: tuple[float, float],
+    go_on: Callable[[], object],
+) -> set[int]:
+    """Add the extremes of the packed hours; return the hours that are covered by that."""
+    covered: set[int] = set()
+    for layout_id, places in source.layouts(reader):
+        hours: list[int] = []
+        found: dict[str, list[npt.NDArray[np.float32]]] = {name: [] for name in places}
+        none = np.zeros(4, dtype=np.float32)
+        for hour_ms, extremes in reader.extremes(source.kind, layout_id, *span):
+            go_on()
+            hours.append(hour_ms)
+            table = extremes.table
+            for name, place in places.items():
+                column = place if isinstance(place, int) else extremes.place(place)
+                found[name].append(none if column is None or column >= table.shape[1] else table[:, column])
+        if hours:
+            middle_s = np.array(hours) / 1e3 + HOUR_S / 2.0
+            for name, columns in found.items():
+                least, greatest, mean, count = np.stack(columns, axis=1).astype(np.float64)
+                buckets[name].add_extremes(middle_s, least, greatest, mean, count)
+        covered |= set(hours)
+    return covered
+
+
+Place = int | str
+"""Position on a line, or name in the extremes of a kind."""
+
+
+class _Source(Protocol):
+    """One kind of record with the series that are wanted of it."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind."""
+        ...
+
+    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+        """Yield the series with times [s] and values; values that are none are NaN."""
+        ...
+
+    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+        """Return where the series stand in the extremes, by layout."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Temperatures:
+    sensors: Mapping[int, str]
+    kind: str = TEMPERATURES
+
+    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+        found = reader.temperatures(list(self.sensors), from_s, to_s)
         for column, sensor_id in enumerate(found.sensor_ids):
             good = found.quality[:, column] == Quality.GOOD
-            piece[sensors[sensor_id]] = found.time_s[good], found.degc[good, column]
-        yield piece
+            yield self.sensors[sensor_id], (found.time_s[good], found.degc[good, column])
+
+    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+        return [
+            (layout_id, {self.sensors[sensor_id]: position for sensor_id, position in places.items()})
+            for layout_id, places in reader.positions(self.sensors)
+        ]
 
 
-def _mappings(
-    reader: HistoryReader, kind_name: str, wanted: Mapping[str, tuple[str, str]], from_s: float, to_s: float
-) -> Pieces:
-    kind = {kind.name: kind for kind in (DISPLACEMENTS, ESTIMATES, WRITES)}[kind_name]
-    columns = sorted({mapping for mapping, _ in wanted.values()})
-    for start, stop in _windows(reader, kind_name, from_s, to_s):
-        frame = reader.frame(kind, start, stop, columns)
-        time_s = frame.integers("utc_ms") / 1e3
-        none = np.full(frame.rows, np.nan)
-        yield {name: (time_s, frame.mapping(column).values.get(key, none)) for name, (column, key) in wanted.items()}
+@dataclass(frozen=True, kw_only=True)
+class _Frames:
+    source: Kind
+    series: Mapping[str, tuple[str, str]]
+    """Name of the series -> column, and key where the column is a mapping."""
+
+    @property
+    def kind(self) -> str:
+        return self.source.name
+
+    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+        frame = reader.frame(self.source, from_s, to_s, sorted({column for column, _ in self.series.values()}))
+        time_s, none = frame.integers("utc_ms") / 1e3, np.full(frame.rows, np.nan)
+        for name, (column, key) in self.series.items():
+            values = frame.mapping(column).values.get(key, none) if key else frame.numbers(column)
+            yield name, (time_s, values)
+
+    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+        return [(0, {name: f"{column}.{key}" if key else column for name, (column, key) in self.series.items()})]
 
 
-def _scalars(reader: HistoryReader, wanted: Mapping[str, str], from_s: float, to_s: float) -> Pieces:
-    for start, stop in _windows(reader, CNC.name, from_s, to_s):
-        frame = reader.frame(CNC, start, stop, list(wanted.values()))
-        time_s = frame.integers("utc_ms") / 1e3
-        yield {name: (time_s, frame.numbers(column)) for name, column in wanted.items()}
+def _by_source(names: Sequence[str]) -> list[_Source]:
+    """Return what reads the series, each kind of record once for all of them."""
+    sensors: dict[int, str] = {}
+    frames: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {}
+    for name in names:
+        word, _, key = name.partition(".")
+        if word == TEMPERATURE and key.isascii() and key.isdecimal() and len(key) < 9:
+            sensors[int(key)] = name
+            continue
+        if word in OF_FRAMES and key:
+            kind, column = OF_FRAMES[word]
+        elif name in SCALARS:
+            kind, column = CNC, SCALARS[name]
+        else:
+            raise SeriesError(f"there is no series {name!r}; GET /api/v1/names lists them")
+        frames.setdefault(kind.name, (kind, {}))[1][name] = (column, key)
+    found: list[_Source] = [_Temperatures(sensors=sensors)] if sensors else []
+    return [*found, *(_Frames(source=kind, series=series) for kind, series in frames.values())]

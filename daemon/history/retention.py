@@ -3,12 +3,20 @@
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from config.schema.service import HistoryConfig
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
-from daemon.history.columns.packing import PackedHour, pack_hours, packing_cutoff_ms, rows_of_hour, table_of
-from daemon.history.database import HistoryError, connect_reader, connect_writer
+from daemon.history.columns.packing import (
+    PackedHour,
+    missing_extremes,
+    pack_hours,
+    packing_cutoff_ms,
+    rows_of_hour,
+    table_of,
+)
+from daemon.history.database import HOUR_MS, HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
 
 DAY_MS = 86_400_000
@@ -33,14 +41,19 @@ class HousekeepingReport:
 def store_hour(connection: sqlite3.Connection, hour: PackedHour) -> bool:
     """Put a chunk in the place of its rows, in one transaction.
 
-    False, with nothing changed, when the rows are no longer those that were packed.
+    False, with nothing changed, when the rows are no longer those that were packed. An older chunk gets its extremes.
     """
+    if hour.chunk_id is not None:
+        _store_extremes(connection, hour, hour.chunk_id)
+        return False
     table, _ = table_of(hour.kind)
     connection.execute("BEGIN IMMEDIATE")
-    connection.execute(
+    inserted = connection.execute(
         "INSERT INTO chunks (kind, layout_id, start_ms, end_ms, row_count, data) VALUES (?, ?, ?, ?, ?, ?)",
         (hour.kind, hour.layout_id, hour.start_ms, hour.end_ms, hour.row_count, hour.data),
     )
+    assert inserted.lastrowid is not None
+    _store_extremes(connection, hour, inserted.lastrowid)
     removed = connection.execute(
         f"DELETE FROM {table} WHERE {rows_of_hour(hour.kind)}",
         {"hour_ms": hour.hour_ms, "layout_id": hour.layout_id, "last_id": hour.last_id},
@@ -50,6 +63,13 @@ def store_hour(connection: sqlite3.Connection, hour: PackedHour) -> bool:
         return False
     connection.execute("COMMIT")
     return True
+
+
+def _store_extremes(connection: sqlite3.Connection, hour: PackedHour, chunk_id: int) -> None:
+    connection.execute(
+        "INSERT OR REPLACE INTO extremes (kind, layout_id, hour_ms, chunk_id, data) VALUES (?, ?, ?, ?, ?)",
+        (hour.kind, hour.layout_id, hour.hour_ms, chunk_id, hour.extremes),
+    )
 
 
 def retention(config: HistoryConfig) -> list[tuple[str, str, float]]:
@@ -72,6 +92,11 @@ def tidy(connection: sqlite3.Connection, config: HistoryConfig, now_utc_s: float
         rows = _delete(connection, table, "utc_ms < ?", (cutoff_ms,), SLICE_ROWS)
         chunks = _delete(
             connection, "chunks", "kind = ? AND start_ms < ? AND end_ms < ?", (kind, cutoff_ms, cutoff_ms), SLICE_CHUNKS
+        )
+        connection.execute(
+            "DELETE FROM extremes WHERE kind = ? AND layout_id IN (SELECT layout_id FROM layouts UNION SELECT 0) "
+            "AND hour_ms < ? AND hour_ms >= 0",
+            (kind, cutoff_ms // HOUR_MS * HOUR_MS),
         )
         report.removed_rows += rows
         report.removed_chunks += chunks
@@ -105,7 +130,8 @@ def housekeeping(path: Path, config: HistoryConfig, now_utc_s: float) -> Houseke
     """
     report = HousekeepingReport()
     with WriterLock(path), closing(connect_writer(path)) as connection, closing(connect_reader(path)) as reading:
-        for hour in pack_hours(reading, packing_cutoff_ms(now_utc_s, config.pack_after_s)):
+        packed = pack_hours(reading, packing_cutoff_ms(now_utc_s, config.pack_after_s))
+        for hour in chain(packed, missing_extremes(reading)):
             if store_hour(connection, hour):
                 report.packed_hours += 1
                 report.packed_rows += hour.row_count

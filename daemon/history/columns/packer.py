@@ -1,7 +1,7 @@
 """Packing in a process of its own, so that it takes no time from the control loop.
 
 `python -P -m daemon.history.columns.packer STORE BEFORE_MS` reads the store and writes chunks to standard
-output: length of a JSON header (4 bytes, big-endian), the header, the chunk's data.
+output: length of a JSON header (4 bytes, big-endian), the header, the chunk's data, its extremes.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from config.schema.service import HistoryConfig
-from daemon.history.columns.packing import PackedHour, pack_hours, packing_cutoff_ms
+from daemon.history.columns.packing import PackedHour, missing_extremes, pack_hours, packing_cutoff_ms
 from daemon.history.database import connect_reader
 
 _LENGTH = struct.Struct(">I")
@@ -27,9 +27,9 @@ _CHUNK_LIMIT = 2**24
 def write_hour(stream: BinaryIO, hour: PackedHour) -> None:
     """Write one chunk to a stream."""
     header = asdict(hour)
-    del header["data"]
-    text = json.dumps(header | {"size": len(hour.data)}).encode("ascii")
-    stream.write(_LENGTH.pack(len(text)) + text + hour.data)
+    del header["data"], header["extremes"]
+    text = json.dumps(header | {"sizes": (len(hour.data), len(hour.extremes))}).encode("ascii")
+    stream.write(_LENGTH.pack(len(text)) + text + hour.data + hour.extremes)
     stream.flush()
 
 
@@ -38,10 +38,10 @@ async def read_hour(stream: asyncio.StreamReader) -> PackedHour | None:
     try:
         length = await stream.readexactly(_LENGTH.size)
         header = json.loads(await stream.readexactly(_LENGTH.unpack(length)[0]))
-        data = await stream.readexactly(header.pop("size"))
+        data, extremes = [await stream.readexactly(size) for size in header.pop("sizes")]
     except asyncio.IncompleteReadError:
         return None
-    return PackedHour(**header, data=data)
+    return PackedHour(**header, data=data, extremes=extremes)
 
 
 async def packed_hours(path: Path, config: HistoryConfig, now_utc_s: float) -> AsyncGenerator[PackedHour, None]:
@@ -75,8 +75,9 @@ def main() -> None:
     """Pack; called in the packing process."""
     os.nice(_NICENESS)
     with closing(connect_reader(Path(sys.argv[1]))) as connection:
-        for hour in pack_hours(connection, int(sys.argv[2])):
-            write_hour(sys.stdout.buffer, hour)
+        for hours in (pack_hours(connection, int(sys.argv[2])), missing_extremes(connection)):
+            for hour in hours:
+                write_hour(sys.stdout.buffer, hour)
 
 
 if __name__ == "__main__":

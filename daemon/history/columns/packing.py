@@ -1,5 +1,6 @@
 """Packing whole hours of rows into chunks. Reads only; `retention.store_hour` swaps rows for the chunk."""
 
+import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,11 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from daemon.history.columns.frames import Kind, encode_frame, frame_from_rows
+from daemon.history.columns.extremes import frame_extremes, temperature_extremes
+from daemon.history.columns.frames import Kind, decode_frame, encode_frame, frame_from_rows
 from daemon.history.columns.kinds import CYCLES, KINDS, TEMPERATURES, WRITES
-from daemon.history.columns.temperature_chunks import CycleBlock, encode_temperatures
+from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
 from daemon.history.database import HOUR_MS
 from daemon.history.rows import FLAG
+
+MOST_BELATED = 5000
+"""So many older chunks get their extremes in one run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +31,9 @@ class PackedHour:
     row_count: int
     last_id: int
     data: bytes
+    extremes: bytes
+    chunk_id: int | None = None
+    """An older chunk that only gets its extremes."""
 
 
 def table_of(kind: str) -> tuple[str, str]:
@@ -83,8 +91,14 @@ def _select(
 
 
 def _packed(
-    kind: str, hour_ms: int, layout_id: int, rows: list[tuple[Any, ...]], times_ms: Sequence[int], data: bytes
+    kind: str,
+    hour_ms: int,
+    layout_id: int,
+    rows: list[tuple[Any, ...]],
+    times_ms: Sequence[int],
+    data: tuple[bytes, bytes],
 ) -> PackedHour:
+    """Return one chunk; `data`: its content and its extremes."""
     return PackedHour(
         kind=kind,
         layout_id=layout_id,
@@ -93,7 +107,8 @@ def _packed(
         end_ms=max(times_ms),
         row_count=len(rows),
         last_id=rows[-1][0],
-        data=data,
+        data=data[0],
+        extremes=data[1],
     )
 
 
@@ -104,7 +119,8 @@ def _pack_rows(connection: sqlite3.Connection, kind: str, hour_ms: int, layout_i
         return None
     frame = frame_from_rows(KINDS[kind], names, [row[1:] for row in rows])
     times_ms = frame.integers("utc_ms").tolist()
-    return _packed(kind, hour_ms, layout_id, rows, times_ms, encode_frame(KINDS[kind], frame))
+    data = encode_frame(KINDS[kind], frame), frame_extremes(KINDS[kind], frame)
+    return _packed(kind, hour_ms, layout_id, rows, times_ms, data)
 
 
 def _pack_cycles(connection: sqlite3.Connection, kind: str, hour_ms: int, layout_id: int) -> PackedHour | None:
@@ -113,7 +129,41 @@ def _pack_cycles(connection: sqlite3.Connection, kind: str, hour_ms: int, layout
         return None
     content = cycle_block(CYCLES.names, [row[1:] for row in rows])
     times_ms = content.cycles.integers("utc_ms").tolist()
-    return _packed(kind, hour_ms, layout_id, rows, times_ms, encode_temperatures(content))
+    data = encode_temperatures(content), temperature_extremes(content)
+    return _packed(kind, hour_ms, layout_id, rows, times_ms, data)
+
+
+def missing_extremes(connection: sqlite3.Connection) -> Iterator[PackedHour]:
+    """Yield the extremes of chunks that a version without them has packed, the newest first, a bounded number."""
+    chunks = connection.execute(
+        f"SELECT chunk_id, kind, layout_id, start_ms, end_ms, row_count, data FROM chunks AS c WHERE NOT EXISTS "
+        f"(SELECT 1 FROM extremes WHERE kind = c.kind AND layout_id = c.layout_id "
+        f"AND hour_ms = c.start_ms / {HOUR_MS} * {HOUR_MS} AND chunk_id = c.chunk_id) "
+        f"ORDER BY start_ms DESC LIMIT {MOST_BELATED}"
+    )
+    for chunk_id, kind, layout_id, start_ms, end_ms, row_count, data in chunks:
+        if kind == TEMPERATURES:
+            sensors = len(json.loads(_members(connection, layout_id)))
+            extremes = temperature_extremes(decode_temperatures(data, range(sensors), ()))
+        else:
+            extremes = frame_extremes(KINDS[kind], decode_frame(KINDS[kind], data))
+        yield PackedHour(
+            kind=kind,
+            layout_id=layout_id,
+            hour_ms=start_ms // HOUR_MS * HOUR_MS,
+            start_ms=start_ms,
+            end_ms=end_ms,
+            row_count=row_count,
+            last_id=0,
+            data=b"",
+            extremes=extremes,
+            chunk_id=chunk_id,
+        )
+
+
+def _members(connection: sqlite3.Connection, layout_id: int) -> str:
+    (members,) = connection.execute("SELECT members FROM layouts WHERE layout_id = ?", (layout_id,)).fetchone()
+    return str(members)
 
 
 def cycle_block(names: Sequence[str], rows: list[tuple[Any, ...]]) -> CycleBlock:
