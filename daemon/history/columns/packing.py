@@ -142,11 +142,10 @@ def missing_extremes(connection: sqlite3.Connection) -> Iterator[PackedHour]:
         f"ORDER BY start_ms DESC LIMIT {MOST_BELATED}"
     )
     for chunk_id, kind, layout_id, start_ms, end_ms, row_count, data in chunks:
-        if kind == TEMPERATURES:
-            sensors = len(json.loads(_members(connection, layout_id)))
-            extremes = temperature_extremes(decode_temperatures(data, range(sensors), ()))
-        else:
-            extremes = frame_extremes(KINDS[kind], decode_frame(KINDS[kind], data))
+        try:
+            extremes = _belated(connection, kind, layout_id, data)
+        except Exception:  # a chunk that is damaged keeps nothing else from being packed
+            extremes = b""
         yield PackedHour(
             kind=kind,
             layout_id=layout_id,
@@ -161,9 +160,12 @@ def missing_extremes(connection: sqlite3.Connection) -> Iterator[PackedHour]:
         )
 
 
-def _members(connection: sqlite3.Connection, layout_id: int) -> str:
+def _belated(connection: sqlite3.Connection, kind: str, layout_id: int, data: bytes) -> bytes:
+    """Return the extremes of a chunk's content."""
+    if kind != TEMPERATURES:
+        return frame_extremes(KINDS[kind], decode_frame(KINDS[kind], data))
     (members,) = connection.execute("SELECT members FROM layouts WHERE layout_id = ?", (layout_id,)).fetchone()
-    return str(members)
+    return temperature_extremes(decode_temperatures(data, range(len(json.loads(members))), ("utc_ms",)))
 
 
 def cycle_block(names: Sequence[str], rows: list[tuple[Any, ...]]) -> CycleBlock:
