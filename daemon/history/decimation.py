@@ -1,6 +1,6 @@
 """Recorded values as series over time, decimated to least, greatest and mean of as many buckets as fit a screen."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from daemon.history.columns.codec import FloatArray
+from daemon.history.columns.extremes import Extremes, decode_extremes
 from daemon.history.columns.frames import Kind
+from daemon.history.columns.joining import ms_from_s
 from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
-from daemon.history.reader import HistoryReader
+from daemon.history.database import HOUR_MS
+from daemon.history.reader import TABLES, HistoryReader
 from models.quality import Quality
 
 HOUR_S = 3600.0
@@ -39,6 +42,40 @@ Piece = Iterator[tuple[str, tuple[FloatArray, FloatArray]]]
 
 class SeriesError(ValueError):
     """There is no such series; the text names it."""
+
+
+class SeriesReader(HistoryReader):
+    """A reader that knows the extremes of packed hours too."""
+
+    def positions(self, sensor_ids: Collection[int]) -> list[tuple[int, dict[int, int]]]:
+        """Return for each layout of a line that holds one of the sensors: its number, position of each by its ID."""
+        found = []
+        for layout_id, _, members in self._line_layouts():
+            if places := {i: position for position, i in enumerate(members) if i in sensor_ids}:
+                found.append((layout_id, places))
+        return found
+
+    def hours(self, kind: str, from_utc_s: float, to_utc_s: float) -> set[int]:
+        """Return the beginning [ms] of every hour that holds something of a kind."""
+        span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
+        queries = (
+            (f"SELECT DISTINCT utc_ms / {HOUR_MS} FROM {TABLES[kind]} WHERE utc_ms >= ? AND utc_ms < ?", span),
+            (
+                f"SELECT DISTINCT start_ms / {HOUR_MS} FROM chunks WHERE start_ms >= ? AND start_ms < ? AND kind = ?",
+                (*span, kind),
+            ),
+        )
+        with self._snapshot() as connection:
+            return {hour * HOUR_MS for sql, values in queries for (hour,) in connection.execute(sql, values)}
+
+    def extremes(self, kind: str, layout_id: int, from_utc_s: float, to_utc_s: float) -> Iterator[tuple[int, Extremes]]:
+        """Yield the packed hours [ms] of a kind, and in temperatures of a line, with the extremes of their series."""
+        span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
+        found = self._connection.execute(
+            "SELECT hour_ms, data FROM extremes WHERE kind = ? AND layout_id = ? AND hour_ms >= ? AND hour_ms < ?",
+            (kind, layout_id, *span),
+        )
+        return ((hour_ms, decode_extremes(data)) for hour_ms, data in found if data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +143,7 @@ class Buckets:
 
 
 def decimated(
-    reader: HistoryReader,
+    reader: SeriesReader,
     names: Sequence[str],
     from_s: float,
     to_s: float,
@@ -141,7 +178,7 @@ def _within(extent: tuple[float, float] | None, from_s: float, to_s: float) -> t
 
 
 def _windows(
-    reader: HistoryReader, kind: str, first_s: float, last_s: float, covered: set[int]
+    reader: SeriesReader, kind: str, first_s: float, last_s: float, covered: set[int]
 ) -> Iterator[tuple[float, float]]:
     """Yield the hours that hold something and are not covered, cut to the time that is asked for."""
     if not first_s < last_s:
@@ -153,7 +190,7 @@ def _windows(
 
 
 def _add_hours(
-    reader: HistoryReader,
+    reader: SeriesReader,
     source: "_Source",
     buckets: Mapping[str, Buckets],
     span: tuple[float, float],
@@ -193,11 +230,11 @@ class _Source(Protocol):
         """Name of the kind."""
         ...
 
-    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+    def read(self, reader: SeriesReader, from_s: float, to_s: float) -> Piece:
         """Yield the series with times [s] and values; values that are none are NaN."""
         ...
 
-    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+    def layouts(self, reader: SeriesReader) -> list[tuple[int, dict[str, Place]]]:
         """Return where the series stand in the extremes, by layout."""
         ...
 
@@ -207,13 +244,13 @@ class _Temperatures:
     sensors: Mapping[int, str]
     kind: str = TEMPERATURES
 
-    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+    def read(self, reader: SeriesReader, from_s: float, to_s: float) -> Piece:
         found = reader.temperatures(list(self.sensors), from_s, to_s)
         for column, sensor_id in enumerate(found.sensor_ids):
             good = found.quality[:, column] == Quality.GOOD
             yield self.sensors[sensor_id], (found.time_s[good], found.degc[good, column])
 
-    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+    def layouts(self, reader: SeriesReader) -> list[tuple[int, dict[str, Place]]]:
         return [
             (layout_id, {self.sensors[sensor_id]: position for sensor_id, position in places.items()})
             for layout_id, places in reader.positions(self.sensors)
@@ -230,14 +267,14 @@ class _Frames:
     def kind(self) -> str:
         return self.source.name
 
-    def read(self, reader: HistoryReader, from_s: float, to_s: float) -> Piece:
+    def read(self, reader: SeriesReader, from_s: float, to_s: float) -> Piece:
         frame = reader.frame(self.source, from_s, to_s, sorted({column for column, _ in self.series.values()}))
         time_s, none = frame.integers("utc_ms") / 1e3, np.full(frame.rows, np.nan)
         for name, (column, key) in self.series.items():
             values = frame.mapping(column).values.get(key, none) if key else frame.numbers(column)
             yield name, (time_s, values)
 
-    def layouts(self, reader: HistoryReader) -> list[tuple[int, dict[str, Place]]]:
+    def layouts(self, reader: SeriesReader) -> list[tuple[int, dict[str, Place]]]:
         return [(0, {name: f"{column}.{key}" if key else column for name, (column, key) in self.series.items()})]
 
 

@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 
 from daemon.history.audit import possible_macros, write_records
-from daemon.history.columns.extremes import Extremes, decode_extremes
 from daemon.history.columns.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
 from daemon.history.columns.joining import (
     in_order,
@@ -98,36 +97,6 @@ class HistoryReader:
                     for content in self._cycles(layout_id, positions, ms_from_s(from_utc_s), ms_from_s(to_utc_s)):
                         parts.append((line, columns, content))
         return merge_cycles(wanted, parts, ms_from_s(from_utc_s), ms_from_s(to_utc_s))
-
-    def positions(self, sensor_ids: Collection[int]) -> list[tuple[int, dict[int, int]]]:
-        """Return for each layout of a line that holds one of the sensors: its number, position of each by its ID."""
-        found = []
-        for layout_id, _, members in self._line_layouts():
-            if places := {i: position for position, i in enumerate(members) if i in sensor_ids}:
-                found.append((layout_id, places))
-        return found
-
-    def hours(self, kind: str, from_utc_s: float, to_utc_s: float) -> set[int]:
-        """Return the beginning [ms] of every hour that holds something of a kind."""
-        span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
-        queries = (
-            (f"SELECT DISTINCT utc_ms / {HOUR_MS} FROM {TABLES[kind]} WHERE utc_ms >= ? AND utc_ms < ?", span),
-            (
-                f"SELECT DISTINCT start_ms / {HOUR_MS} FROM chunks WHERE start_ms >= ? AND start_ms < ? AND kind = ?",
-                (*span, kind),
-            ),
-        )
-        with self._snapshot() as connection:
-            return {hour * HOUR_MS for sql, values in queries for (hour,) in connection.execute(sql, values)}
-
-    def extremes(self, kind: str, layout_id: int, from_utc_s: float, to_utc_s: float) -> Iterator[tuple[int, Extremes]]:
-        """Yield the packed hours [ms] of a kind, and in temperatures of a line, with the extremes of their series."""
-        span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
-        found = self._connection.execute(
-            "SELECT hour_ms, data FROM extremes WHERE kind = ? AND layout_id = ? AND hour_ms >= ? AND hour_ms < ?",
-            (kind, layout_id, *span),
-        )
-        return ((hour_ms, decode_extremes(data)) for hour_ms, data in found if data)
 
     def _line_layouts(self) -> list[tuple[int, str, list[int]]]:
         found = self._connection.execute("SELECT layout_id, name, members FROM layouts WHERE kind = 'line'")

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryWriter, housekeeping
 from daemon.history.columns.extremes import decode_extremes, frame_extremes, temperature_extremes
 from daemon.history.columns.frames import frame_from_rows
 from daemon.history.columns.kinds import KINDS
 from daemon.history.columns.temperature_chunks import CycleBlock
-from daemon.history.decimation import COARSE_S, Buckets, SeriesError, check_names, decimated
+from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, check_names, decimated
 from models.quality import Quality
 
 DAYS = 3
@@ -52,7 +52,7 @@ def packed(store, tmp_path_factory):
 
 
 def ask(path, names, from_s, to_s, points):
-    with HistoryReader(path) as reader:
+    with SeriesReader(path) as reader:
         return decimated(reader, names, from_s, to_s, points)
 
 
@@ -137,7 +137,7 @@ def test_a_query_can_be_broken_off(packed):
     def enough():
         raise Enough
 
-    with HistoryReader(packed) as reader, pytest.raises(Enough):
+    with SeriesReader(packed) as reader, pytest.raises(Enough):
         decimated(reader, ["temperature.12"], EPOCH_S, END_S, 4000, enough)
 
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from config.schema import Configuration
 from daemon.history.database import HistoryError
-from daemon.history.decimation import Decimated, SeriesError, check_names, decimated
-from daemon.history.reader import HistoryReader
+from daemon.history.decimation import Decimated, SeriesError, SeriesReader, check_names, decimated
 from daemon.history.series import WriteRecord
 from daemon.monitor.web.problems import ProblemError
 from models.json_values import finite_or_none, plain
@@ -45,7 +44,7 @@ class Recorded:
         """Take no more queries."""
         self._threads.shutdown(wait=False, cancel_futures=True)
 
-    async def query(self, ask: Callable[[HistoryReader, Callable[[], None]], Answer]) -> Answer:
+    async def query(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer]) -> Answer:
         """Return what `ask(reader, go_on)` returns; it calls `go_on` now and then, which raises to break it off."""
         if self._waiting >= MOST_WAITING:
             raise ProblemError(503, "too many queries of the store are under way; try again", {"retry-after": "2"})
@@ -63,7 +62,7 @@ class Recorded:
             ended.set()
             self._waiting -= 1
 
-    def _run(self, ask: Callable[[HistoryReader, Callable[[], None]], Answer], ended: threading.Event) -> Answer:
+    def _run(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer], ended: threading.Event) -> Answer:
         until_s = time.monotonic() + LONGEST_QUERY_S
 
         def go_on() -> None:
@@ -71,7 +70,7 @@ class Recorded:
                 raise QueryBrokenOffError
 
         go_on()
-        with HistoryReader(self._path) as reader:
+        with SeriesReader(self._path) as reader:
             return ask(reader, go_on)
 
     async def series(self, names: Sequence[str], from_s: float, to_s: float, points: int, *, packed: bool) -> bytes:
@@ -81,7 +80,7 @@ class Recorded:
         except SeriesError as error:
             raise ProblemError(404, str(error)) from error
 
-        def ask(reader: HistoryReader, go_on: Callable[[], None]) -> bytes:
+        def ask(reader: SeriesReader, go_on: Callable[[], None]) -> bytes:
             found = decimated(reader, names, from_s, to_s, points, go_on)
             return encoded({name: series_document(each) for name, each in found.items()}, packed=packed)
 
