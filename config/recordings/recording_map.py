@@ -1,14 +1,15 @@
 """Which columns of a recording are time, spindle speed, temperatures and displacements."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from config.loader import load_yaml_model
-from config.schema.base import Seconds, Section
+from config.schema.base import KeyProblems, Seconds, Section
 
 
 class RecordingMap(Section):
@@ -17,6 +18,17 @@ class RecordingMap(Section):
     time: str = Field(min_length=1, description="column that holds the time")
     time_unit: Literal["s", "min", "h", "iso"] = Field(
         "s", description="unit of the time column; iso: date and time as ISO 8601"
+    )
+    time_format: str | None = Field(
+        None,
+        min_length=2,
+        description="form of the times (strptime), such as %d.%m.%Y %H:%M:%S, where it is not ISO 8601",
+    )
+    date: str | None = Field(
+        None, min_length=1, description="column of the date, where `time` holds the time of day; joined by one blank"
+    )
+    time_zone: str | None = Field(
+        None, description="IANA name of the zone of times without an offset, such as Europe/Zurich; none: UTC"
     )
     speed: str | None = Field(None, description="column that holds the spindle speed [1/min], if there is one")
     temperatures: list[str] = Field(
@@ -28,7 +40,34 @@ class RecordingMap(Section):
     axis_positions: list[str] | None = Field(
         None, min_length=1, description="columns that hold axis positions [mm], if there are any: names or patterns"
     )
+    decimal: Literal[".", ","] | None = Field(
+        None, description="decimal mark; none: a comma is one where it does not separate fields"
+    )
+    encoding: Literal["utf-8", "latin-1", "cp1252", "cp932", "utf-16"] = Field("utf-8", description="text encoding")
+    unit_row: bool = Field(False, description="the row after the header holds units")
     sample_s: Seconds = Field(60.0, description="the recording is averaged to this time between rows [s]")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "RecordingMap":
+        if problems := [((key,), sentence) for key, sentence in self._time_problems()]:
+            raise KeyProblems(problems)
+        return self
+
+    def _time_problems(self) -> Iterator[tuple[str, str]]:
+        of_text = self.time_format is not None or self.time_unit == "iso"
+        if self.time_format is not None and self.time_unit != "s":
+            yield "time_unit", "goes with numbers and with ISO 8601, not with time_format; leave one of them out"
+        if self.time_format is not None and "%" not in self.time_format:
+            yield "time_format", f"{self.time_format!r} has no part such as %H; write it like %d.%m.%Y %H:%M:%S"
+        if self.date is not None and not of_text:
+            yield "date", "needs time_format, or time_unit: iso, which say how date and time are written"
+        if self.time_zone is not None:
+            if not of_text:
+                yield "time_zone", f"a time in {self.time_unit} has no zone; leave it out"
+            try:
+                ZoneInfo(self.time_zone)
+            except (ValueError, OSError, ZoneInfoNotFoundError):
+                yield "time_zone", f"{self.time_zone!r} is no zone of this computer; write one such as Europe/Zurich"
 
 
 class ColumnError(ValueError):
@@ -43,6 +82,7 @@ class Columns(Section):
     """Numbers of the columns of one file, from 0."""
 
     time: int
+    date: int | None
     speed: int | None
     temperatures: list[int]
     axis_positions: list[int]
@@ -57,14 +97,18 @@ def load_recording_map(path: Path) -> RecordingMap:
 def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Columns:
     """Return the columns that the map means in a file with this header.
 
-    A column named as time or speed is never also a temperature or a displacement. Raises
-    `ColumnError` for a name or pattern without a column, and for a column with two meanings.
+    A column named as time, date or speed is never also a temperature or a displacement. What is the name of a column
+    means that column, whatever brackets it has; else it is a pattern. Raises `ColumnError` for a name or pattern
+    without a column, and for a column with two meanings.
     """
     time = _named("time", recording_map.time, header)
+    date = None if recording_map.date is None else _named("date", recording_map.date, header)
     speed = None if recording_map.speed is None else _named("speed", recording_map.speed, header)
-    if speed == time:
-        raise ColumnError("speed", f"column {recording_map.speed!r} is the time already")
-    taken = {time} if speed is None else {time, speed}
+    taken = {time}
+    for key, column, name in (("date", date, recording_map.date), ("speed", speed, recording_map.speed)):
+        if column in taken:
+            raise ColumnError(key, f"column {name!r} is the {'time' if column == time else 'date'} already")
+        taken |= {column} if column is not None else set()
     temperatures = _matching("temperatures", recording_map.temperatures, header, taken)
     displacements = _matching("displacements", recording_map.displacements, header, taken)
     positions = _matching("axis_positions", recording_map.axis_positions or [], header, taken)
@@ -78,8 +122,47 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
                 key, f"{_listed(header[i] for i in both)} would be {meanings} at once; write narrower patterns"
             )
     return Columns(
-        time=time, speed=speed, temperatures=temperatures, axis_positions=positions, displacements=displacements
+        time=time,
+        date=date,
+        speed=speed,
+        temperatures=temperatures,
+        axis_positions=positions,
+        displacements=displacements,
     )
+
+
+def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, list[str]]:
+    """Return the names of the columns of each kind in a file with this header, whether or not the file has all of them.
+
+    Raises `ColumnError` where there is no time, and for a column with two meanings.
+    """
+    keys = {"speed": [recording_map.speed] if recording_map.speed else []}
+    keys |= {kind: getattr(recording_map, kind) or [] for kind in ("temperatures", "axis_positions", "displacements")}
+    present = {key: [one for one in names if _matches(one, header)] for key, names in keys.items()}
+    if not present["temperatures"] or not present["displacements"]:
+        lacking = [key for key in ("temperatures", "displacements") if not present[key]]
+        raise ColumnError(lacking[0], f"no column matches {keys[lacking[0]][0]!r}; the columns are {_listed(header)}")
+    columns = resolve_columns(
+        recording_map.model_copy(
+            update={
+                **present,
+                "speed": next(iter(present["speed"]), None),
+                "axis_positions": present["axis_positions"] or None,
+            }
+        ),
+        header,
+    )
+    found = {
+        kind: [header[i] for i in getattr(columns, kind)]
+        for kind in ("temperatures", "axis_positions", "displacements")
+    }
+    return {"speed": present["speed"], **found}
+
+
+def _matches(pattern: str, header: Sequence[str]) -> list[int]:
+    """Return the columns of that name; else those that match it as a pattern."""
+    named = [i for i, name in enumerate(header) if name == pattern]
+    return named or [i for i, name in enumerate(header) if fnmatchcase(name, pattern)]
 
 
 def _named(key: str, name: str, header: Sequence[str]) -> int:
@@ -91,7 +174,7 @@ def _named(key: str, name: str, header: Sequence[str]) -> int:
 def _matching(key: str, patterns: Sequence[str], header: Sequence[str], taken: set[int]) -> list[int]:
     chosen: set[int] = set()
     for pattern in patterns:
-        matches = {i for i, name in enumerate(header) if fnmatchcase(name, pattern)} - taken
+        matches = set(_matches(pattern, header)) - taken
         if not matches:
             raise ColumnError(key, f"no column matches {pattern!r}; the columns are {_listed(header)}")
         chosen |= matches

@@ -149,6 +149,11 @@ def hours_option(name: str, help: str) -> Callable[[Command], Command]:  # noqa:
     return option(name, metavar="A-B", callback=parse_hours, help=help)
 
 
+common_columns_option = option(
+    "--common-columns", is_flag=True, help="Use only the columns that all recordings have, where they differ."
+)
+
+
 class ProgressBar:
     """A progress bar on standard error; nothing where that is no terminal."""
 
@@ -203,7 +208,7 @@ def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
     return value
 
 
-def _destination(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+def destination(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
     """Refuse a file that cannot be written before the work is done."""
     if value is not None and (value.is_dir() or not value.parent.is_dir()):
         raise click.BadParameter(f"{value}: name a file in a folder that exists")
@@ -215,7 +220,7 @@ csv_option = option(
     "csv_path",
     metavar="FILE",
     type=FILE,
-    callback=_destination,
+    callback=destination,
     help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
 )
 picture_option = option(

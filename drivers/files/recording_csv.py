@@ -1,15 +1,17 @@
 """Reads a recording (CSV) into arrays, by a map of its columns.
 
 Comma, semicolon or tab between fields (told by the header), UTF-8 with or without a byte-order
-mark, decimal commas where the comma does not separate fields. An empty field, `nan` or `NA` is a
-missing value in every column but time. Anything else that is not a number is refused, with
-file, line and column. Lines `# key: value` before the header say what the recording is of.
+mark or what the map says, decimal commas where the comma does not separate fields or the map says so.
+An empty field, `nan` or `NA` is a missing value in every column but time. Anything else that is not
+a number is refused, with file, line and column. Lines `# key: value` before the header say what the
+recording is of.
 """
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +19,32 @@ import numpy as np
 from config.files import write_whole
 from config.recordings.recording_map import ColumnError, Columns, RecordingMap, resolve_columns, usual_map
 from drivers.contract import FatalDriverError
+from drivers.files.recording_time import SECONDS, TimeReader, time_reader
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
 
+__all__ = [
+    "SECONDS",
+    "EncodingError",
+    "RecordingFileError",
+    "read_beginning",
+    "read_header",
+    "read_recording",
+    "write_recording",
+]
 DELIMITERS = (",", ";", "\t")
 MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
 MAX_FIELDS = 4096
 """A recording has hundreds of columns; more means that the file is something else."""
 METADATA_MARK = "#"
-SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 class RecordingFileError(FatalDriverError):
     """A recording cannot be read; the text begins with file, line and column where there is one."""
+
+
+class EncodingError(RecordingFileError):
+    """A recording is not written in the encoding that was expected."""
 
 
 class _Place:
@@ -51,6 +66,21 @@ def read_header(path: Path) -> list[str]:
         return _header(place, lines)[0]
 
 
+def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list[str], list[list[str]]]:
+    """Return the names of a recording's columns and the texts of its first rows, whatever they hold.
+
+    Raises `RecordingFileError`.
+    """
+    place = _Place(path)
+    with _opened(place, encoding) as lines:
+        header, delimiter = _header(place, lines)
+        reader = csv.reader((line for line in lines if line.strip()), delimiter=delimiter)
+        try:
+            return header, [[text.strip() for text in fields] for fields in islice(reader, rows)]
+        except csv.Error as error:
+            raise place.refuse(f"is not CSV ({error})") from error
+
+
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
     """Read a recording as it is, without down-sampling.
 
@@ -65,14 +95,17 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
 
     """
     place = _Place(path)
-    with _opened(place) as lines:
+    with _opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
         header, delimiter = _header(place, lines)
         try:
             recording_map = recording_map or usual_map(header)
             columns = resolve_columns(recording_map, header)
         except ColumnError as error:
             raise place.refuse(str(error)) from error
-        time_s, table = _rows(place, lines, header, delimiter, columns, _time_reader(recording_map.time_unit))
+        if recording_map.unit_row:
+            next(lines, "")
+        form = _Form(header=header, delimiter=delimiter, columns=columns, recording_map=recording_map)
+        time_s, table = _rows(place, lines, form)
     first_temperature = 0 if columns.speed is None else 1
     inputs = [*columns.temperatures, *columns.axis_positions]
     first_displacement = first_temperature + len(inputs)
@@ -94,12 +127,12 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
 class _opened:
     """The file's lines; read errors and wrong encodings become sentences."""
 
-    def __init__(self, place: _Place) -> None:
-        self._place = place
+    def __init__(self, place: _Place, encoding: str = "utf-8") -> None:
+        self._place, self._encoding = place, "utf-8-sig" if encoding == "utf-8" else encoding
 
     def __enter__(self) -> Iterator[str]:
         try:
-            self._file = self._place.path.open(encoding="utf-8-sig", newline="")
+            self._file = self._place.path.open(encoding=self._encoding, newline="")
         except OSError as error:
             raise self._place.refuse(f"cannot be opened ({error.strerror})") from error
         return self._lines()
@@ -111,11 +144,12 @@ class _opened:
                 if "\0" in line:
                     raise self._place.refuse("holds a NUL byte; the file is damaged or not text")
                 yield line
-        except UnicodeDecodeError as error:
+        except UnicodeError as error:
             self._place.line += 1
-            raise self._place.refuse(
-                f"is not UTF-8 at or after this line (byte {error.object[error.start]:#04x}); save it as UTF-8"
-            ) from error
+            byte = f" (byte {error.object[error.start]:#04x})" if isinstance(error, UnicodeDecodeError) else ""
+            name = "UTF-8" if self._encoding == "utf-8-sig" else self._encoding
+            sentence = f"is not {name} at or after this line{byte}; save it as UTF-8, or name its encoding in the map"
+            raise EncodingError(str(self._place.refuse(sentence))) from error
         except OSError as error:
             raise self._place.refuse(f"cannot be read ({error.strerror})") from error
 
@@ -164,20 +198,26 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _rows(
-    place: _Place,
-    lines: Iterator[str],
-    header: list[str],
-    delimiter: str,
-    columns: Columns,
-    read_time: Callable[[str], float],
-) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Form:
+    """How the rows of one file are written."""
+
+    header: list[str]
+    delimiter: str
+    columns: Columns
+    recording_map: RecordingMap
+
+
+def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray, FloatArray]:
     """Return times from the first row [s] and the table of speed, temperatures, displacements."""
+    columns, header = form.columns, form.header
     speed = [] if columns.speed is None else [columns.speed]
     wanted = [*speed, *columns.temperatures, *columns.axis_positions, *columns.displacements]
+    decimal = form.recording_map.decimal or ("." if form.delimiter == "," else None)
+    read_time = time_reader(form.recording_map)
     times: list[float] = []
     table: list[FloatArray] = []
-    reader = csv.reader(lines, delimiter=delimiter)
+    reader = csv.reader(lines, delimiter=form.delimiter)
     while True:
         try:
             fields = next(reader, None)
@@ -192,63 +232,67 @@ def _rows(
                 f"has {len(fields)} fields where the header has {len(header)}; is the row cut off or the "
                 "decimal mark a comma?"
             )
-        times.append(_time(place, header[columns.time], fields[columns.time], read_time))
+        times.append(_time(place, form, fields, read_time))
         if len(times) > 1 and times[-1] <= times[-2]:
             raise place.refuse(
                 f"{fields[columns.time].strip()!r} does not come after the row before; sort the rows, and split "
                 "the file where the logger was restarted",
                 header[columns.time],
             )
-        table.append(_numbers(place, header, fields, wanted, delimiter))
+        table.append(_numbers(place, header, fields, wanted, decimal))
     if not times:
         raise place.refuse("holds no rows after its header")
     time_s = np.array(times)
     return time_s - time_s[0], np.array(table)
 
 
-def _time(place: _Place, column: str, text: str, read_time: Callable[[str], float]) -> float:
-    if not text.strip():
+def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) -> float:
+    columns = form.columns
+    texts = [fields[columns.time].strip()] if columns.date is None else [fields[columns.date].strip()]
+    texts += [] if columns.date is None else [fields[columns.time].strip()]
+    column = form.header[columns.time]
+    if not all(texts):
         raise place.refuse("is empty; every row needs its time, so fill it in or take the row out", column)
+    text = " ".join(texts)
     try:
-        time_s = read_time(text.strip())
-    except ValueError:
+        time_s = read_time(text)
+    except (ValueError, OverflowError):
         time_s = math.nan
     if not math.isfinite(time_s):
-        raise place.refuse(f"{text!r} is not a time in the unit that the map gives", column)
+        wanted = form.recording_map.time_format
+        sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
+        raise place.refuse(f"{text!r} is not a time {sentence}", column)
     return time_s
 
 
-def _numbers(place: _Place, header: list[str], fields: list[str], wanted: list[int], delimiter: str) -> FloatArray:
+def _numbers(place: _Place, header: list[str], fields: list[str], wanted: list[int], decimal: str | None) -> FloatArray:
     try:
         numbers = np.array([float(fields[i]) for i in wanted])
-        if np.isfinite(numbers).all():
+        if decimal != "," and np.isfinite(numbers).all():
             return numbers
     except ValueError:
         pass
-    return np.array([_number(place, header[i], fields[i].strip(), delimiter) for i in wanted])
+    return np.array([_number(place, header[i], fields[i].strip(), decimal) for i in wanted])
 
 
-def _number(place: _Place, column: str, text: str, delimiter: str) -> float:
+def _number(place: _Place, column: str, text: str, decimal: str | None) -> float:
+    """Return a field as a number; `decimal` is the mark that it may have, None: either."""
     if text in MISSING:
         return math.nan
     try:
-        number = float(text if delimiter == "," else text.replace(",", "."))
+        if decimal == "," and "." in text:
+            raise ValueError
+        number = float(text if decimal == "." else text.replace(",", "."))
     except ValueError:
-        raise place.refuse(
-            f"{text[:40]!r} is not a number; leave the field empty where a value is missing", column
-        ) from None
+        raise place.refuse(f"{text[:40]!r} is not a number; {_advice(text, decimal)}", column) from None
     if math.isinf(number):
         raise place.refuse(f"{text!r} is not a possible value; leave the field empty where it is missing", column)
     return number
 
 
-def _time_reader(unit: str) -> Callable[[str], float]:
-    if unit == "iso":
-        return _iso_s
-    factor = SECONDS[unit]
-    return lambda text: float(text.replace(",", ".")) * factor
-
-
-def _iso_s(text: str) -> float:
-    moment = datetime.fromisoformat(text)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _advice(text: str, decimal: str | None) -> str:
+    if decimal == "." and "," in text:
+        return "if its comma is the decimal mark, say decimal: ',' in the map"
+    if decimal == "," and "." in text:
+        return "the map says that the decimal mark is a comma"
+    return "leave the field empty where a value is missing"

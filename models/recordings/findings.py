@@ -15,6 +15,7 @@ from models.recordings.plausibility import (
     impossible_speeds,
     impossible_temperatures,
 )
+from models.recordings.sensor_agreement import Disagreement, disagreements
 from models.records import FloatArray
 
 SMALLEST_SPAN_UM = 0.5
@@ -82,8 +83,28 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
     """
     together = sum(recording.rows for recording in recordings)
-    warnings = tuple(f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together))
-    return [recording.without_impossible() for recording in recordings], warnings
+    warnings = [f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together)]
+    possible = [recording.without_impossible() for recording in recordings]
+    doubted = [f"{possible[found.recording].name}: {_doubt(possible, found)}" for found in disagreements(possible)]
+    return possible, (*doubted, *warnings)
+
+
+def _doubt(recordings: Sequence[Recording], found: Disagreement) -> Finding:
+    """Return what is said of a sensor that contradicts the others."""
+    recording = recordings[found.recording]
+    name = recording.temperature_names[found.sensor]
+    advice = "check the sensor, and leave the fields empty where it is wrong, or take it out of the map"
+    if found.row is None:
+        sentence = (
+            f"contradicts the other temperatures by {found.by_k:.2g} K in this recording alone: exchanged, loose or "
+            f"mounted elsewhere? {advice[0].upper()}{advice[1:]}"
+        )
+        return _warning(name, None, sentence)
+    sentence = (
+        f"stands still from here on for {found.stuck_h:.1f} h while the other temperatures say that it moved by "
+        f"{found.by_k:.2g} K; it seems stuck: {advice}"
+    )
+    return _warning(name, recording.rows_before + found.row + 1, sentence)
 
 
 def _error(column: str, row: int | None, sentence: str) -> Finding:

@@ -168,3 +168,82 @@ def test_metadata_alone_are_no_recording_and_errors_count_their_lines(tmp_path: 
     path.write_text("# machine: mill 7\n# a\nt,t1,c1\n0,20,1\n60,warm,1\n", encoding="utf-8")
     with pytest.raises(RecordingFileError, match=r"day\.csv:5: column t1: 'warm' is not a number"):
         read_recording(path)
+
+
+def times(folder: Path, *texts: str, **keys: str) -> list[float]:
+    rows = "".join(f"{text};20,5;1,5\n" for text in texts)
+    found = read_recording(
+        written(folder, "when;T 1 [degC];Z (um)\n" + rows),
+        RecordingMap(time="when", temperatures=["T 1 [degC]"], displacements=["Z (um)"], **keys),  # type: ignore[arg-type]
+    )
+    assert found.temperatures_degc[0, 0] == 20.5
+    return [float(time_s) for time_s in found.time_s]
+
+
+def test_times_are_read_in_the_form_and_the_zone_of_the_map(tmp_path: Path) -> None:
+    form = {"time_format": "%d.%m.%Y %H:%M:%S"}
+    assert times(tmp_path, "31.01.2026 23:59:50", "01.02.2026 00:00:00", **form) == [0.0, 10.0]
+    assert times(tmp_path, "23:59:50", "00:00:10", time_format="%H:%M:%S") == [0.0, 20.0]
+    zurich = form | {"time_zone": "Europe/Zurich"}
+    spring = "29.03.2026 01:59:00", "29.03.2026 03:00:00"
+    assert (times(tmp_path, *spring, **zurich), times(tmp_path, *spring, **form)) == ([0.0, 60.0], [0.0, 3660.0])
+    autumn = "25.10.2026 02:30:00", "25.10.2026 02:50:00", "25.10.2026 02:10:00", "25.10.2026 03:00:00"
+    assert times(tmp_path, *autumn, **zurich) == [0.0, 1200.0, 2400.0, 5400.0]
+    iso = {"time_unit": "iso", "time_zone": "Europe/Zurich"}
+    assert times(tmp_path, "2026-03-29T01:59:00", "2026-03-29T03:00:00", **iso) == [0.0, 60.0]
+
+
+def test_date_and_time_of_day_may_be_two_columns(tmp_path: Path) -> None:
+    content = "day,clock,t1,c1\n31.01.2026,23:59:50,20,1\n01.02.2026,00:00:20,20,1\n"
+    keys = {"time": "clock", "date": "day", "temperatures": ["t1"], "displacements": ["c1"]}
+    both = RecordingMap.model_validate(keys | {"time_format": "%d.%m.%Y %H:%M:%S"})
+    assert read_recording(written(tmp_path, content), both).time_s.tolist() == [0.0, 30.0]
+    assert "'31.01.2026 23:59:50' is not a time of the form %H:%M that" in refusal(
+        tmp_path, content, RecordingMap.model_validate(keys | {"time_format": "%H:%M"})
+    )
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"time_zone": "Europe/Zurich"}, "time_zone: a time in s has no zone"),
+        ({"time_unit": "iso", "time_zone": "Mars"}, "time_zone: 'Mars' is no zone of this computer"),
+        (
+            {"time_unit": "h", "time_format": "%H:%M"},
+            "time_unit: goes with numbers and with ISO 8601, not with time_format",
+        ),
+        ({"time_format": "dd.mm"}, "time_format: 'dd.mm' has no part such as %H"),
+        ({"date": "day"}, "date: needs time_format"),
+    ],
+)
+def test_a_map_whose_times_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, str], sentence: str) -> None:
+    text = "time: t\ntemperatures: [t1]\ndisplacements: [c1]\n" + "".join(f"{k}: '{v}'\n" for k, v in keys.items())
+    with pytest.raises(ConfigurationError) as raised:
+        load_recording_map(written(tmp_path, text, "map.yaml"))
+    assert sentence in str(raised.value)
+
+
+def test_decimal_commas_in_quoted_fields_need_the_map(tmp_path: Path) -> None:
+    content = 't,t1,c1\n0,"20,5","-1,25"\n'
+    keys = {"time": "t", "temperatures": ["t1"], "displacements": ["c1"]}
+    found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"decimal": ","}))
+    assert (found.temperatures_degc[0, 0], found.displacements_um[0, 0]) == (20.5, -1.25)
+    assert "say decimal: ',' in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
+    dotted = RecordingMap.model_validate(keys | {"decimal": ","})
+    assert "'20.5' is not a number; the map says" in refusal(tmp_path, "t,t1,c1\n0,20.5,1\n", dotted)
+
+
+def test_a_name_with_brackets_is_a_name_before_it_is_a_pattern() -> None:
+    header = ["t", "T [C]", "TC", "T C", "Z (um)"]
+    keys = {"time": "t", "displacements": ["Z (um)"]}
+    named = resolve_columns(RecordingMap.model_validate(keys | {"temperatures": ["T [C]"]}), header)
+    pattern = resolve_columns(RecordingMap.model_validate(keys | {"temperatures": ["T[ C]*"]}), header)
+    assert (named.temperatures, pattern.temperatures) == ([1], [1, 2, 3])
+
+
+def test_units_below_the_header_and_other_encodings_are_read_as_the_map_says(tmp_path: Path) -> None:
+    content = "Zeit;Öl;Weg\ns;°C;µm\n0;20,5;1\n10;20,6;2\n".encode("cp1252")
+    keys = {"time": "Zeit", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True}
+    found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"encoding": "cp1252"}))
+    assert (found.temperature_names, found.temperatures_degc[1, 0]) == (("Öl",), 20.6)
+    assert "name its encoding in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))

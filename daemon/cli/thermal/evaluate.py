@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import click
 
-from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, say, write_json
+from daemon.cli.common import (
+    FILE,
+    POSITIVE,
+    ProgressBar,
+    common_columns_option,
+    hours_option,
+    json_option,
+    option,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
@@ -49,6 +59,7 @@ def parse_fault(text: str) -> "Fault":
 @hours_option("--test-hours", help="Test these hours of each recording, as one run with one reference at its start.")
 @option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")
 @option("--leave-out-runs", is_flag=True, help="Test each recording on a model of the others.")
+@common_columns_option
 @option("--probe-minutes", type=POSITIVE, help="A probe resets the offset so often [min].")
 @option(
     "--fault",
@@ -67,6 +78,7 @@ def evaluate(
     test_hours: tuple[float, float] | None,
     leave_out_cycles: bool,
     leave_out_runs: bool,
+    common_columns: bool,
     probe_minutes: float | None,
     faults: "tuple[Fault, ...]",
     json_path: str | None,
@@ -90,7 +102,7 @@ def evaluate(
         faults=faults,
     )
     with ProgressBar() as bar:
-        read, warnings = read_recordings(recordings, recording_map, bar.show)
+        read, warnings = read_recordings(recordings, recording_map, bar.show, common=common_columns)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s
         found = evaluated(read, sample_s, model, protocol, bar.show)
     found["warnings"] = list(warnings)

@@ -1,16 +1,31 @@
 """`toolpoint thermal`: thermal models from recordings."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from daemon.cli.common import FILE, POSITIVE, ProgressBar, hours_option, json_option, option, refuse, say, write_json
+from daemon.cli.common import (
+    FILE,
+    POSITIVE,
+    ProgressBar,
+    common_columns_option,
+    destination,
+    hours_option,
+    json_option,
+    option,
+    refuse,
+    say,
+    write_json,
+)
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, compact_text, evaluate
 from daemon.cli.thermal.figures import figures
 from daemon.cli.thermal.report import report
 from daemon.cli.thermal.sensors import sensors
+
+if TYPE_CHECKING:
+    from config.recordings.recording_map import RecordingMap
 
 MOST_WARNINGS = 10
 AUTO: Literal["auto"] = "auto"
@@ -54,7 +69,9 @@ thermal.add_command(sensors)
 @option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
 @option("--b0/--no-b0", "intercept", default=False, help="Fit a drift with time.")
 @option("--channels", help="Displacement channels, separated by commas. Without: all.")
+@common_columns_option
 @option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
+@option("--map-out", type=FILE, callback=destination, help="Write the proposed map here, and train with it.")
 @option("-o", "--output", required=True, type=FILE, help="The model's file.")
 @json_option
 def train(
@@ -66,13 +83,16 @@ def train(
     ridge: float | Literal["auto"] | None,
     intercept: bool,
     channels: str | None,
+    common_columns: bool,
     split_at_speed: bool,
+    map_out: Path | None,
     output: Path,
     json_path: str | None,
 ) -> None:
     """Train a thermal model on RECORDINGS, each a run of its own.
 
-    What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one.
+    What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one. Without --map,
+    columns must carry the usual names; where they do not, a map is proposed.
     """
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.training import (
@@ -93,8 +113,8 @@ def train(
         interval_min=interval_min, intercept=intercept, ridge_k2=ridge, split_at_speed_changes=split_at_speed
     )
     try:
-        recording_map = None if map_path is None else load_recording_map(map_path)
-        selection = Selection(hours=hours, channels=_names(channels))
+        recording_map = load_recording_map(map_path) if map_path is not None else _proposed(recordings[0], map_out)
+        selection = Selection(hours=hours, channels=_names(channels), common_columns=common_columns)
         with ProgressBar() as bar:
             recipe = increment_recipe(choices) if family is None else family
             result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
@@ -104,6 +124,33 @@ def train(
     found = increments_summary(result, output) if family is None else summary(result, output)
     _show(found)
     write_json(json_path, found)
+
+
+def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
+    """Return the map that the columns of a recording suggest; None where they carry the usual names.
+
+    Ends with the map to paste, unless it was wished as a file, and nothing is lacking.
+    """
+    from config.files import write_whole
+    from daemon.workbench.thermal.reading import proposal
+
+    found = proposal(recording)
+    if found is None:
+        return None
+    if map_out is None or found.lacking:
+        click.echo(found.yaml(), nl=False)
+        lacks = f"none seems to be its {', '.join(found.lacking)}; " if found.lacking else ""
+        as_it_is = "" if found.lacking else ", or take it as it is with --map-out map.yaml"
+        refuse(
+            f"{recording}: columns without usual names; {lacks}check this map, save it, give it with --map{as_it_is}"
+        )
+    write_whole(map_out, found.yaml())
+    say(f"{map_out}: what the columns of {recording.name} seem to be; check it")
+    for doubt in found.doubts:
+        say(f"warning: {doubt}")
+    if found.left_out:
+        say(f"not used: {', '.join(found.left_out)}")
+    return found.recording_map
 
 
 def _names(channels: str | None) -> tuple[str, ...] | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
-from drivers.files.recording_csv import read_recording
+from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
@@ -21,7 +21,6 @@ from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (
     Inputs,
     build_inputs,
-    require_same_columns,
     temperatures_alone,
     unusable_sensors,
     with_sensors,
@@ -72,15 +71,13 @@ class _Outcome:
 
 
 def read_recordings(
-    paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress
+    paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress, *, common: bool = False
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings that may be used, and the warnings about them; raises RecordingFileError, DatasetError."""
-    recordings: list[Recording] = []
-    for number, path in enumerate(paths, start=1):
-        recordings.append(read_recording(path, recording_map))
-        progress("reading", number, len(paths))
-    require_same_columns(recordings)
-    return usable_recordings(recordings)
+    """Return recordings that may be used, and the warnings about them; raises RecordingFileError, DatasetError.
+
+    `common`: columns that not all of them have are left out, not refused.
+    """
+    return usable_recordings(read_alike(paths, recording_map, progress, common=common))
 
 
 def evaluate(

@@ -8,7 +8,7 @@ from typing import Any
 
 from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
-from drivers.files.recording_csv import read_recording
+from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
 from models.recordings.dataset import Recording
 from models.thermal.family import ThermalModel
@@ -25,6 +25,8 @@ class Selection:
     """First and last hour, counted from each recording's first row [h]; None: all."""
     channels: tuple[str, ...] | None = None
     """Displacement channels; None: all."""
+    common_columns: bool = False
+    """Columns that not all recordings have are left out, not refused."""
 
 
 def train_from_files(
@@ -36,25 +38,12 @@ def train_from_files(
 ) -> FamilyTraining:
     """Read the recordings and train; raises RecordingFileError or DatasetError."""
     return train_family(
-        _read(paths, recording_map, selection, progress),
+        [_selected(r, selection) for r in read_alike(paths, recording_map, progress, common=selection.common_columns)],
         recipe,
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
     )
-
-
-def _read(
-    paths: Sequence[Path],
-    recording_map: RecordingMap | None,
-    selection: Selection,
-    progress: Callable[[str, int, int], None],
-) -> list[Recording]:
-    recordings: list[Recording] = []
-    for number, path in enumerate(paths, start=1):
-        recordings.append(_selected(read_recording(path, recording_map), selection))
-        progress("reading", number, len(paths))
-    return recordings
 
 
 def _selected(recording: Recording, selection: Selection) -> Recording:

@@ -1,0 +1,190 @@
+"""Proposes the map of a recording from the names of its columns and its first rows; a person checks it.
+
+A column is what its name says: a unit in it, else a word, else a letter with a number. What no name tells is left out
+and named, never guessed: a wrong column in a model is worse than a missing one.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
+from typing import Any
+
+import yaml
+
+from config.recordings.recording_map import RecordingMap
+
+_DATE = re.compile(r"\b(date|datum|tag|day)\b")
+_TIME = re.compile(r"\b(time|zeit|uhrzeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|elapsed)\b")
+_SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed")
+_DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
+_UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
+_OTHER_UNIT = re.compile(
+    r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|°\s*f\b|\bdegf\b|\bnm\b|\bl/min\b|\bkelvin\b"
+)
+_TEMPERATURE = re.compile(r"temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
+_DISPLACEMENT = re.compile(
+    r"displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
+)
+_FORMATS = tuple(
+    f"{date} {time}"
+    for date in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%Y%m%d", "%d %b %Y")
+    for time in ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+)
+_OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapProposal:
+    """What the columns of a recording seem to be."""
+
+    keys: dict[str, Any]
+    """Keys of the map that were found."""
+    left_out: tuple[str, ...]
+    """Columns whose names do not tell what they are."""
+    lacking: tuple[str, ...]
+    """What a map needs and no column seems to be."""
+    doubts: tuple[str, ...]
+    """What a person must look at."""
+
+    @property
+    def recording_map(self) -> RecordingMap:
+        """The map; only where nothing is lacking."""
+        return RecordingMap.model_validate(self.keys)
+
+    def yaml(self) -> str:
+        """Return the text of the map's file, with what a person must look at as comments."""
+        lines = ["# Proposed from the names of the columns; check every line."]
+        lines += [f"# {doubt}" for doubt in self.doubts]
+        lines += [f"# No column seems to be the {key}; write it yourself:" for key in self.lacking]
+        lines += [f"# {key}:" for key in self.lacking]
+        if self.left_out:
+            lines.append("# Columns that the map leaves out: " + ", ".join(map(repr, self.left_out)))
+        return "\n".join(lines) + "\n" + yaml.safe_dump(self.keys, sort_keys=False, allow_unicode=True, width=100)
+
+
+def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: str = "utf-8") -> MapProposal:
+    """Return what the columns seem to be; `rows` are the texts of the first rows, in their order."""
+    keys: dict[str, Any] = {}
+    doubts: list[str] = []
+    unit_row = bool(rows) and not any(_number(text) is not None for text in rows[0]) and len(rows) > 1
+    complete = [row for row in rows[int(unit_row) :] if len(row) == len(header)]
+    columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
+    described = _described(header, rows[0] if unit_row else ())
+    numbers = [name for name, texts in columns.items() if _numbers(texts)]
+    keys |= _time_keys(columns, described, doubts)
+    taken = {keys.get("time"), keys.get("date")}
+    kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
+    speeds = [name for name, kind in kinds.items() if kind == "speed"]
+    if speeds:
+        keys["speed"] = speeds[0]
+        doubts += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (
+            len(speeds) > 1
+        )
+    for kind in ("temperatures", "displacements"):
+        if found := [name for name, its in kinds.items() if its == kind]:
+            keys[kind] = found
+    if any("," in text for name in numbers for text in columns[name]):
+        keys["decimal"] = ","
+    keys |= {"encoding": encoding} if encoding != "utf-8" else {}
+    keys |= {"unit_row": True} if unit_row else {}
+    used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ())}
+    return MapProposal(
+        keys=keys,
+        left_out=tuple(name for name in header if name and name not in used),
+        lacking=tuple(key for key in ("time", "temperatures", "displacements") if key not in keys),
+        doubts=tuple(doubts),
+    )
+
+
+def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """Return what is said of each column, in lower case: its name and its unit."""
+    joined = [f"{name} {unit}" for name, unit in zip(header, units, strict=False)] if units else header
+    return {name: text.lower().strip() for name, text in zip(header, joined, strict=False)}
+
+
+def _kind(said: str) -> str | None:
+    if _SPEED.search(said):
+        return "speed"
+    if _UM.search(said):
+        return "displacements"
+    if _DEGC.search(said):
+        return "temperatures"
+    words = re.sub(r"[_\W]+", " ", said).strip()
+    if _OTHER_UNIT.search(said):
+        return None
+    if _TEMPERATURE.search(words):
+        return "temperatures"
+    return "displacements" if _DISPLACEMENT.search(words) else None
+
+
+def _time_keys(columns: dict[str, list[str]], described: dict[str, str], doubts: list[str]) -> dict[str, Any]:
+    words = {name: re.sub(r"[_\W\d]+", " ", said).strip() for name, said in described.items() if name in columns}
+    times = [name for name, text in words.items() if _TIME.search(text)]
+    dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
+    for name in (*times, *dates):
+        if form := _time_form(columns[name]):
+            zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
+            if "%d" in str(form.get("time_format", "")) and form["time_format"].startswith(("%d/", "%m/")):
+                doubts.append(f"{name!r}: is the day or the month first? And it is taken to be {zone}")
+            elif "time_format" in form or form.get("time_unit") == "iso":
+                doubts.append(f"{name!r} is taken to be {zone}")
+            if form.get("time_format") in _OF_DAY and (date := next(iter(dates), None)) is not None and date != name:
+                joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
+                if whole := _time_form(joined):
+                    return {"time": name, "date": date, **whole}
+            return {"time": name, **form}
+    for name in times:
+        if _numbers(columns[name]) and _increases(
+            [number for text in columns[name] if (number := _number(text)) is not None]
+        ):
+            return {"time": name, "time_unit": _unit(described[name], name, doubts)}
+    return {}
+
+
+def _unit(said: str, name: str, doubts: list[str]) -> str:
+    if re.search(r"\bmin(ute)?s?\b|_min\b", said):
+        return "min"
+    if re.search(r"\bh(ours?|rs?)?\b|_h\b|stunden", said):
+        return "h"
+    if not re.search(r"\bs(ec|econds?)?\b|_s\b|sekunden", said):
+        doubts.append(f"{name!r} is taken to be in seconds; its name does not say so")
+    return "s"
+
+
+def _time_form(texts: Sequence[str]) -> dict[str, str] | None:
+    """Return the key that says how times are written; None where they are no dates or times of day."""
+    if not texts or _numbers(texts):
+        return None
+    if _reads(texts, datetime.fromisoformat):
+        return {"time_unit": "iso"}
+    for form in (*_FORMATS, *_OF_DAY):
+        if _reads(texts, lambda text, form=form: datetime.strptime(text, form)):  # type: ignore[misc]
+            return {"time_format": form}
+    return None
+
+
+def _reads(texts: Sequence[str], read: Callable[[str], datetime]) -> bool:
+    try:
+        moments = [read(text) for text in texts]
+        return all(first != second for first, second in pairwise(moments))
+    except (ValueError, TypeError):
+        return False
+
+
+def _increases(numbers: Sequence[float]) -> bool:
+    return all(first < second for first, second in pairwise(numbers))
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return None
+
+
+def _numbers(texts: Sequence[str]) -> bool:
+    """Return whether a column holds numbers: some, and beside them only fields that stand for none."""
+    read = [_number(text) for text in texts if text not in {"", "NA", "nan", "NaN"}]
+    return bool(read) and None not in read

@@ -1,0 +1,137 @@
+"""Reads several recordings alike: one map for all, the same columns in the same order, or which of them differ."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from config.recordings.map_proposal import MapProposal, propose_map
+from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, usual_map
+from drivers.files.recording_csv import EncodingError, read_beginning, read_recording
+from models.recordings.dataset import DatasetError, Recording
+from models.thermal.training.inputs import with_sensors
+
+Progress = Callable[[str, int, int], None]
+LOOKED_AT = 200
+"""So many rows of a recording tell how its fields are written."""
+ENCODINGS = ("utf-8", "utf-16", "cp1252")
+KINDS = ("temperatures", "axis_positions", "displacements")
+MOST_NAMED = 12
+
+
+def read_alike(
+    paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress, *, common: bool = False
+) -> list[Recording]:
+    """Return recordings with the same columns in the same order.
+
+    Raises RecordingFileError, and DatasetError that names the columns which some of them lack; where `common` is
+    wished, those are left out.
+    """
+    if common:
+        recording_map = common_map(paths, recording_map)
+    else:
+        _require_alike(paths, recording_map)
+    recordings: list[Recording] = []
+    for number, path in enumerate(paths, start=1):
+        recordings.append(_in_order(read_recording(path, recording_map), recordings))
+        progress("reading", number, len(paths))
+    return recordings
+
+
+def _in_order(recording: Recording, before: Sequence[Recording]) -> Recording:
+    """Return a recording with its columns in the order of the first one; names tell them, not places."""
+    if not before:
+        return recording
+    first = before[0]
+    if set(first.temperature_names) == set(recording.temperature_names):
+        recording = with_sensors(recording, first.temperature_names)
+    if set(first.displacement_names) == set(recording.displacement_names):
+        recording = recording.with_channels(first.displacement_names)
+    return recording
+
+
+def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> RecordingMap:
+    """Return the map of those columns that all recordings have; raises DatasetError where there are none of a kind."""
+    one, found = _columns(paths, recording_map)
+    keys = one.model_dump(exclude_none=True)
+    for kind in KINDS:
+        if kind not in keys:
+            continue
+        names = _shared([columns[kind] for columns in found])
+        if not names:
+            raise DatasetError(
+                f"{kind}: there is no column that all {len(paths)} recordings have; {_differing(paths, found)}"
+            )
+        keys[kind] = names
+    if one.speed is not None and not all(columns["speed"] for columns in found):
+        del keys["speed"]
+    return RecordingMap.model_validate(keys)
+
+
+def _require_alike(paths: Sequence[Path], recording_map: RecordingMap | None) -> None:
+    if len(paths) < 2:
+        return
+    try:
+        one, found = _columns(paths, recording_map)
+    except ColumnError:
+        return  # the reader says which column of which file
+    if all(
+        {kind: set(names) for kind, names in columns.items()} == {k: set(v) for k, v in found[0].items()}
+        for columns in found
+    ):
+        return
+    offered = [
+        f"{kind}: [{', '.join(map(_quoted, names))}]" for kind in KINDS if (names := _shared([c[kind] for c in found]))
+    ]
+    without = "; take `speed` out of the map" if one.speed and not all(c["speed"] for c in found) else ""
+    raise DatasetError(
+        f"the recordings have different columns: {_differing(paths, found)}. Record all of them alike, or use what all "
+        f"of them have: give --common-columns, or put this into the map{without}:\n  " + "\n  ".join(offered)
+    )
+
+
+def _columns(
+    paths: Sequence[Path], recording_map: RecordingMap | None
+) -> tuple[RecordingMap, list[dict[str, list[str]]]]:
+    """Return the map, and the names of the columns of each kind in each recording."""
+    headers = [
+        read_beginning(path, 0, "utf-8" if recording_map is None else recording_map.encoding)[0] for path in paths
+    ]
+    one = usual_map(headers[0]) if recording_map is None else recording_map
+    return one, [matching_names(one, header) for header in headers]
+
+
+def _shared(lists: Sequence[Sequence[str]]) -> list[str]:
+    return [name for name in lists[0] if all(name in names for names in lists)]
+
+
+def _differing(paths: Sequence[Path], found: Sequence[dict[str, list[str]]]) -> str:
+    every = {name for columns in found for names in columns.values() for name in names}
+    sentences = []
+    for path, columns in zip(paths, found, strict=True):
+        held = {name for names in columns.values() for name in names}
+        if lacking := sorted(every - held):
+            rest = f" and {len(lacking) - MOST_NAMED} more" if len(lacking) > MOST_NAMED else ""
+            sentences.append(f"{path.name} lacks {', '.join(lacking[:MOST_NAMED])}{rest}")
+    return "; ".join(sentences)
+
+
+def _quoted(name: str) -> str:
+    return f"'{name}'" if name.isalnum() else '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def proposal(path: Path) -> MapProposal | None:
+    """Return what the columns of a recording seem to be; None where they carry the usual names.
+
+    Raises RecordingFileError when it cannot be read.
+    """
+    for encoding in ENCODINGS:
+        try:
+            header, rows = read_beginning(path, LOOKED_AT, encoding)
+            break
+        except EncodingError:
+            if encoding == ENCODINGS[-1]:
+                raise
+    try:
+        usual_map(header)
+        return None
+    except ColumnError:
+        return propose_map(header, rows, encoding)

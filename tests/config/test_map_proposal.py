@@ -1,0 +1,64 @@
+"""The map that is proposed for a recording whose columns carry no usual names."""
+
+import pytest
+
+from config.loader import parse_yaml_model
+from config.recordings.map_proposal import MapProposal, propose_map
+from config.recordings.recording_map import RecordingMap, resolve_columns
+
+GERMAN = ["Datum", "Uhrzeit", "Drehzahl [1/min]", "Temp Spindel [°C]", "Temp. Bett (°C)", "Weg Z [µm]", "Leistung [kW]"]
+
+
+def rows(*beginnings: str, fields: int, mark: str = ".") -> list[list[str]]:
+    return [[*text.split("|"), *[f"{i}{mark}5" for i in range(fields - 1 - text.count("|"))]] for text in beginnings]
+
+
+def german() -> MapProposal:
+    return propose_map(GERMAN, rows("01.02.2026|07:00:00", "01.02.2026|07:00:10", fields=7, mark=","))
+
+
+def test_a_foreign_header_becomes_a_map_that_reads_it() -> None:
+    found = german()
+    assert (found.lacking, found.left_out) == ((), ("Leistung [kW]",))
+    proposed = found.recording_map
+    assert (proposed.date, proposed.time, proposed.time_format) == ("Datum", "Uhrzeit", "%d.%m.%Y %H:%M:%S")
+    assert (proposed.speed, proposed.decimal) == ("Drehzahl [1/min]", ",")
+    columns = resolve_columns(proposed, GERMAN)
+    assert (columns.temperatures, columns.displacements) == ([3, 4], [5])
+
+
+def test_what_is_printed_is_the_map_with_what_a_person_must_look_at() -> None:
+    text = german().yaml()
+    assert parse_yaml_model(text, RecordingMap, "map.yaml") == german().recording_map
+    assert "time_zone such as Europe/Zurich" in text and "leaves out: 'Leistung [kW]'" in text
+
+
+@pytest.mark.parametrize(
+    ("times", "form"),
+    [
+        (("2026-01-31 07:00:00", "2026-01-31 07:00:01"), {"time_unit": "iso"}),
+        (("31.01.2026 07:00", "31.01.2026 07:01"), {"time_format": "%d.%m.%Y %H:%M"}),
+        (("01/31/2026 07:00:00 AM", "01/31/2026 07:00:02 AM"), {"time_format": "%m/%d/%Y %I:%M:%S %p"}),
+        (("07:00:00,5", "07:00:01,0"), {"time_format": "%H:%M:%S,%f"}),
+        (("0", "10"), {"time_unit": "s"}),
+    ],
+)
+def test_the_form_of_the_times_is_told_by_the_rows(times: tuple[str, str], form: dict[str, str]) -> None:
+    keys = propose_map(["Timestamp", "T1 (degC)", "X [um]"], rows(*times, fields=3)).keys
+    assert {key: keys[key] for key in keys if key in ("time_unit", "time_format")} == form
+
+
+def test_a_row_of_units_says_what_the_columns_are() -> None:
+    found = propose_map(
+        ["time", "S1", "S2", "E"], [["min", "°C", "°C", "um"], ["0", "1", "2", "3"], ["1", "1", "2", "3"]]
+    )
+    assert found.recording_map == RecordingMap(
+        time="time", time_unit="min", temperatures=["S1", "S2"], displacements=["E"], unit_row=True
+    )
+
+
+def test_what_no_name_tells_is_lacking_and_never_guessed() -> None:
+    found = propose_map(["time", "foo", "power [kW]", "z [mm]"], rows("0", "1", fields=4))
+    assert found.lacking == ("temperatures", "displacements")
+    assert found.left_out == ("foo", "power [kW]", "z [mm]")
+    assert "No column seems to be the temperatures; write it yourself" in found.yaml()

@@ -1,0 +1,127 @@
+"""From a foreign CSV to a model: proposed maps, columns that differ, sensors that contradict the others."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from config.recordings.recording_map import load_recording_map
+from daemon.cli import main
+from models.thermal.family import ThermalModel, model_from_json
+
+NAMES = ("Temp Spindel [°C]", "Temp Bett (°C)", "Temp Raum [°C]", "Temp Motor [°C]")
+
+
+def foreign(path: Path, seed: int, *, without: str = "", stuck: int | None = None, encoding: str = "utf-8") -> Path:
+    """A run of five hours at two speeds, as a German logger writes it."""
+    rng = np.random.default_rng(seed)
+    minutes = np.arange(300)
+    rpm = np.where(minutes // 60 % 2 == 0, rng.choice([3000.0, 5000.0, 8000.0]), 0.0)
+    quick, slow = np.zeros(300), np.zeros(300)
+    for row in range(1, 300):
+        quick[row] = quick[row - 1] + ((rpm[row] / 500.0) - quick[row - 1]) / 12.0
+        slow[row] = slow[row - 1] + ((rpm[row] / 500.0) - slow[row - 1]) / 80.0
+    degc = 21.0 + np.column_stack([quick, slow, 0.1 * slow + rng.normal(0.0, 0.3), 0.5 * quick + 0.5 * slow])
+    degc += rng.normal(0.0, 0.03, degc.shape)
+    if stuck is not None:
+        degc[100:, stuck] = degc[100, stuck]
+    um = 2.0 * slow + 0.5 * quick + rng.normal(0.0, 0.05, 300)
+    columns: dict[str, Any] = {"Drehzahl [1/min]": rpm, **dict(zip(NAMES, degc.T, strict=True)), "Weg Z [µm]": um}
+    columns.pop(without, None)
+    lines = [";".join(["Datum", "Uhrzeit", *columns])]
+    for row, minute in enumerate(minutes):
+        clock = f"{7 + minute // 60:02}:{minute % 60:02}:00"
+        lines.append(";".join(["05.02.2026", clock, *(f"{v[row]:.2f}".replace(".", ",") for v in columns.values())]))
+    path.write_text("\n".join(lines) + "\n", encoding=encoding)
+    return path
+
+
+def thermal(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["thermal", *map(str, arguments)])
+
+
+def model(path: Path) -> ThermalModel:
+    return model_from_json(path.read_bytes(), str(path))
+
+
+def runs(folder: Path, **changes: Any) -> list[Path]:
+    return [foreign(folder / f"tag{number}.csv", number, **(changes if number == 2 else {})) for number in range(4)]
+
+
+def test_without_a_map_one_is_printed_to_paste(tmp_path: Path) -> None:
+    result = thermal("train", *runs(tmp_path), "-o", tmp_path / "model.json")
+    assert result.exit_code == 2 and not (tmp_path / "model.json").exists()
+    assert "or take it as it is with --map-out" in result.stderr
+    (pasted := tmp_path / "map.yaml").write_text(result.stdout, encoding="utf-8")
+    assert load_recording_map(pasted).temperatures == list(NAMES)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_with_map_out_a_foreign_csv_becomes_a_model_in_one_go(tmp_path: Path, encoding: str) -> None:
+    files = [foreign(tmp_path / f"tag{number}.csv", number, encoding=encoding) for number in range(4)]
+    result = thermal(
+        "train", *files, "--model", "ridge", "--map-out", tmp_path / "map.yaml", "-o", tmp_path / "model.json"
+    )
+    assert result.exit_code == 0, result.output
+    assert "check it" in result.stderr
+    made = model(tmp_path / "model.json")
+    assert (made.channels, made.sensor_names) == (("Weg Z [µm]",), NAMES)
+    evaluated = thermal(
+        "evaluate", *files, "--map", tmp_path / "map.yaml", "--leave-out-runs", "--model", "ridge", "--json", "-"
+    )
+    assert json.loads(evaluated.stdout)["mean"]["reduction_rmse"] > 0.8
+
+
+def test_what_no_column_seems_to_be_is_said_whatever_is_wished(tmp_path: Path) -> None:
+    (path := tmp_path / "odd.csv").write_text("time,foo,power\n0,1,2\n1,1,2\n", encoding="utf-8")
+    result = thermal("train", path, "--map-out", tmp_path / "map.yaml", "-o", tmp_path / "model.json")
+    assert result.exit_code == 2 and not (tmp_path / "map.yaml").exists()
+    assert "none seems to be its temperatures, displacements" in result.stderr
+
+
+def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Path) -> None:
+    files = runs(tmp_path, without=NAMES[2])
+    (good := tmp_path / "map.yaml").write_text(
+        "time: Uhrzeit\ndate: Datum\ntime_format: '%d.%m.%Y %H:%M:%S'\nspeed: Drehzahl [1/min]\n"
+        "temperatures: ['Temp*']\ndisplacements: ['Weg*']\n",
+        encoding="utf-8",
+    )
+    for command in (["train", "-o", tmp_path / "model.json"], ["evaluate", "--leave-out-runs"]):
+        refused = thermal(command[0], *files, "--map", good, *command[1:])
+        assert refused.exit_code == 2
+        assert f"tag2.csv lacks {NAMES[2]}. Record all" in refused.stderr
+        assert f'temperatures: ["{NAMES[0]}", "{NAMES[1]}", "{NAMES[3]}"]' in refused.stderr
+    result = thermal(
+        "train", *files, "--map", good, "--model", "ridge", "--common-columns", "-o", tmp_path / "model.json"
+    )
+    assert result.exit_code == 0, result.output
+    assert model(tmp_path / "model.json").sensor_names == (NAMES[0], NAMES[1], NAMES[3])
+
+
+def test_columns_in_another_order_are_the_same_columns(tmp_path: Path) -> None:
+    files = runs(tmp_path)
+    lines = [line.split(";") for line in files[1].read_text("utf-8").splitlines()]
+    turned = [";".join([*line[:2], *reversed(line[2:])]) for line in lines]
+    files[1].write_text("\n".join(turned) + "\n", encoding="utf-8")
+    result = thermal(
+        "train", *files, "--model", "ridge", "--map-out", tmp_path / "map.yaml", "-o", tmp_path / "model.json"
+    )
+    assert result.exit_code == 0, result.output
+
+
+def test_a_stuck_sensor_is_named_at_training(tmp_path: Path) -> None:
+    result = thermal(
+        "train",
+        *runs(tmp_path, stuck=1),
+        "--model",
+        "ridge",
+        "--map-out",
+        tmp_path / "map.yaml",
+        "-o",
+        tmp_path / "m.json",
+    )
+    assert f"warning: tag2.csv: column {NAMES[1]}, row 10" in result.stderr
+    assert "it seems stuck" in result.stderr
