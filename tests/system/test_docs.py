@@ -76,9 +76,9 @@ def test_every_key_of_a_recording_map_is_in_the_reference() -> None:
 
 
 def test_the_map_in_the_guide_is_valid() -> None:
-    block = page("how-to/train-a-model.md").split("## 2. Map", 1)[1].split("## 3.", 1)[0]
+    block = page("how-to/train-a-model.md").split("A map of a German", 1)[1].split("## 3.", 1)[0]
     text = "".join(line.removeprefix("    ") for line in block.splitlines(True) if line.startswith("    "))
-    assert parse_yaml_model(text, RecordingMap, "guide").temperatures == ["t*"]
+    assert parse_yaml_model(text, RecordingMap, "guide").temperatures[0] == "Temp Spindel [°C]"
 
 
 def test_the_fault_script_in_the_tutorial_is_valid() -> None:
