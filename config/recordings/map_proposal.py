@@ -45,7 +45,7 @@ class MapProposal:
     """Columns whose names do not tell what they are."""
     lacking: tuple[str, ...]
     """What a map needs and no column seems to be."""
-    doubts: tuple[str, ...]
+    notes: tuple[str, ...]
     """What a person must look at."""
 
     @property
@@ -56,7 +56,7 @@ class MapProposal:
     def yaml(self) -> str:
         """Return the text of the map's file, with what a person must look at as comments."""
         lines = ["# Proposed from the names of the columns; check every line."]
-        lines += [f"# {doubt}" for doubt in self.doubts]
+        lines += [f"# {note}" for note in self.notes]
         lines += [f"# No column seems to be the {key}; write it yourself:" for key in self.lacking]
         lines += [f"# {key}:" for key in self.lacking]
         if self.left_out:
@@ -67,21 +67,19 @@ class MapProposal:
 def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: str = "utf-8") -> MapProposal:
     """Return what the columns seem to be; `rows` are the texts of the first rows, in their order."""
     keys: dict[str, Any] = {}
-    doubts: list[str] = []
+    notes: list[str] = []
     unit_row = bool(rows) and not any(_number(text) is not None for text in rows[0]) and len(rows) > 1
     complete = [row for row in rows[int(unit_row) :] if len(row) == len(header)]
     columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
     described = _described(header, rows[0] if unit_row else ())
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
-    keys |= _time_keys(columns, described, doubts)
+    keys |= _time_keys(columns, described, notes)
     taken = {keys.get("time"), keys.get("date")}
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
     if speeds:
         keys["speed"] = speeds[0]
-        doubts += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (
-            len(speeds) > 1
-        )
+        notes += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (len(speeds) > 1)
     for kind in ("temperatures", "displacements"):
         if found := [name for name, its in kinds.items() if its == kind]:
             keys[kind] = found
@@ -94,7 +92,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         keys=keys,
         left_out=tuple(name for name in header if name and name not in used),
         lacking=tuple(key for key in ("time", "temperatures", "displacements") if key not in keys),
-        doubts=tuple(doubts),
+        notes=tuple(notes),
     )
 
 
@@ -119,7 +117,7 @@ def _kind(said: str) -> str | None:
     return "displacements" if _DISPLACEMENT.search(words) else None
 
 
-def _time_keys(columns: dict[str, list[str]], described: dict[str, str], doubts: list[str]) -> dict[str, Any]:
+def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: list[str]) -> dict[str, Any]:
     words = {name: re.sub(r"[_\W\d]+", " ", said).strip() for name, said in described.items() if name in columns}
     times = [name for name, text in words.items() if _TIME.search(text)]
     dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
@@ -127,9 +125,9 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], doubts:
         if form := _time_form(columns[name]):
             zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
             if "%d" in str(form.get("time_format", "")) and form["time_format"].startswith(("%d/", "%m/")):
-                doubts.append(f"{name!r}: is the day or the month first? And it is taken to be {zone}")
+                notes.append(f"{name!r}: is the day or the month first? And it is taken to be {zone}")
             elif "time_format" in form or form.get("time_unit") == "iso":
-                doubts.append(f"{name!r} is taken to be {zone}")
+                notes.append(f"{name!r} is taken to be {zone}")
             if form.get("time_format") in _OF_DAY and (date := next(iter(dates), None)) is not None and date != name:
                 joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
                 if whole := _time_form(joined):
@@ -139,17 +137,17 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], doubts:
         if _numbers(columns[name]) and _increases(
             [number for text in columns[name] if (number := _number(text)) is not None]
         ):
-            return {"time": name, "time_unit": _unit(described[name], name, doubts)}
+            return {"time": name, "time_unit": _unit(described[name], name, notes)}
     return {}
 
 
-def _unit(said: str, name: str, doubts: list[str]) -> str:
+def _unit(said: str, name: str, notes: list[str]) -> str:
     if re.search(r"\bmin(ute)?s?\b|_min\b", said):
         return "min"
     if re.search(r"\bh(ours?|rs?)?\b|_h\b|stunden", said):
         return "h"
     if not re.search(r"\bs(ec|econds?)?\b|_s\b|sekunden", said):
-        doubts.append(f"{name!r} is taken to be in seconds; its name does not say so")
+        notes.append(f"{name!r} is taken to be in seconds; its name does not say so")
     return "s"
 
 

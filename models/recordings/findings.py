@@ -85,11 +85,13 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     together = sum(recording.rows for recording in recordings)
     warnings = [f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together)]
     possible = [recording.without_impossible() for recording in recordings]
-    doubted = [f"{possible[found.recording].name}: {_doubt(possible, found)}" for found in disagreements(possible)]
-    return possible, (*doubted, *warnings)
+    disagreeing = [
+        f"{possible[found.recording].name}: {_disagreement(possible, found)}" for found in disagreements(possible)
+    ]
+    return possible, (*disagreeing, *warnings)
 
 
-def _doubt(recordings: Sequence[Recording], found: Disagreement) -> Finding:
+def _disagreement(recordings: Sequence[Recording], found: Disagreement) -> Finding:
     """Return what is said of a sensor that contradicts the others."""
     recording = recordings[found.recording]
     name = recording.temperature_names[found.sensor]

@@ -146,8 +146,8 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
         )
     write_whole(map_out, found.yaml())
     say(f"{map_out}: what the columns of {recording.name} seem to be; check it")
-    for doubt in found.doubts:
-        say(f"warning: {doubt}")
+    for note in found.notes:
+        say(f"warning: {note}")
     if found.left_out:
         say(f"not used: {', '.join(found.left_out)}")
     return found.recording_map
