@@ -14,7 +14,7 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run test test-slow test-all install lint types layers docs bundle simulated-model thermal-zoo clean
+.PHONY: run test test-slow test-all hardships install lint types layers docs bundle simulated-model thermal-zoo clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
@@ -31,6 +31,10 @@ test-slow: $(VENV)/.installed-dev
 	$(PYTEST) -m slow
 
 test-all: test test-slow
+
+# Kills, power cuts, full disks, clocks that are set, lost wires, on real processes and wires; about an hour and a half.
+hardships: $(VENV)/.installed-dev
+	$(BIN)/python -P tests/hardships/run.py $(HARDSHIPS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -60,7 +60,7 @@ class HistoryReader:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
-        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT"):
+        if _shows_damage(error):
             raise HistoryError(
                 f"{self.path}: the store is damaged ({error}); move it aside and restore a back-up "
                 "(`toolpoint restore`), or let the daemon begin a new one"
@@ -287,3 +287,11 @@ class HistoryReader:
             (raw,) = connection.execute(f"SELECT count(*) FROM {TABLES[kind]}").fetchone()
             (packed,) = connection.execute("SELECT sum(row_count) FROM chunks WHERE kind = ?", (kind,)).fetchone()
         return int(raw + (packed or 0))
+
+
+def _shows_damage(error: BaseException | None) -> bool:
+    """Return whether an error comes from a page of the store that is not as it was written."""
+    if isinstance(error, sqlite3.OperationalError) and str(error).startswith("Could not decode to UTF-8"):
+        return True
+    named = getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT")
+    return named or isinstance(error, json.JSONDecodeError)

@@ -103,17 +103,21 @@ class BoundedConnections:
         task = asyncio.get_running_loop().create_task(self._converse(connection, conversation))
         self._open[task] = conversation
         conversation.on_request = lambda: self._heard(task)
-        task.add_done_callback(lambda done: self._open.pop(done, None))
+        task.add_done_callback(lambda done: self._ended(done, connection))
+
+    def _ended(self, task: asyncio.Task[None], connection: socket.socket) -> None:
+        """Close the connection, also of a task that was cancelled before it began."""
+        self._open.pop(task, None)
+        connection.close()
 
     async def _converse(self, connection: socket.socket, conversation: Conversation) -> None:
-        with contextlib.closing(connection):
-            try:
-                await self._serve(connection, conversation)
-            except (OSError, TimeoutError, ValueError) as error:
-                self._report(f"a connection was ended: {error or 'it said nothing for too long'}")
-            except Exception as error:
-                log.exception("connection.defect", socket=self._name)
-                self._report(f"a connection was ended: unexpected {type(error).__name__}")
+        try:
+            await self._serve(connection, conversation)
+        except (OSError, TimeoutError, ValueError) as error:
+            self._report(f"a connection was ended: {error or 'it said nothing for too long'}")
+        except Exception as error:
+            log.exception("connection.defect", socket=self._name)
+            self._report(f"a connection was ended: unexpected {type(error).__name__}")
 
     def _heard(self, task: asyncio.Task[None]) -> None:
         """Put a connection behind those that have been quiet for longer."""

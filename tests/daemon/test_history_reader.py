@@ -344,3 +344,17 @@ def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str
     ):
         reader.writes(0.0, 1e11)
         reader.temperatures(None, 0.0, 1e11)
+
+
+@pytest.mark.parametrize(("before", "after"), [(b'"wanted', b'"wan\xffed'), (b'{"wanted', b'["wanted')])
+def test_flipped_bits_in_a_kept_document_are_a_sentence_too(tmp_path: Path, before: bytes, after: bytes) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
+    writer.start()
+    writer.put_state("wanted", {"wanted": True})
+    writer.close()
+    content = path.read_bytes()
+    assert content.count(before) == 1
+    path.write_bytes(content.replace(before, after))
+    with pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"):
+        HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL).get_state("wanted")

@@ -60,6 +60,11 @@ class TcpRelay:
         for end in self._ends:
             end.resume()
 
+    def abandon(self) -> None:
+        """Leave the present connections open and silent for ever, as of a peer that vanished; new ones are served."""
+        for end in self._ends:
+            end.abandon()
+
     def joined(self, end: "_End") -> None:
         """Take note of a new end of a connection."""
         self._ends.add(end)
@@ -91,6 +96,7 @@ class _End(asyncio.Protocol):
         self._peer = peer
         self._transport: asyncio.Transport | None = None
         self._waiting: list[bytes] = []
+        self._abandoned = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -137,6 +143,11 @@ class _End(asyncio.Protocol):
         if self._transport is not None:
             self._transport.abort()
 
+    def abandon(self) -> None:
+        """Stop reading for ever."""
+        self.pause()
+        self._abandoned = True
+
     def pause(self) -> None:
         """Stop reading."""
         if self._transport is not None and self._transport.is_reading():
@@ -144,5 +155,5 @@ class _End(asyncio.Protocol):
 
     def resume(self) -> None:
         """Read again."""
-        if self._transport is not None and not self._transport.is_closing():
+        if self._transport is not None and not self._abandoned and not self._transport.is_closing():
             self._transport.resume_reading()

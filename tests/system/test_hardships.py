@@ -1,0 +1,47 @@
+"""Each hardship a few times on real wires; `make hardships` plays them at length."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.wires, pytest.mark.slow]
+RUN = Path(__file__).parents[1] / "hardships/run.py"
+OF_PROCESS = ("descriptors", "half-sent", "half-open", "spinners", "two daemons", "swapped", "stopped")
+OF_STORE = ("kills", "power cut", "damaged", "disk")
+OF_CALENDAR = ("calendar", "summer")
+
+
+@pytest.mark.parametrize("parts", [OF_STORE, OF_PROCESS, OF_CALENDAR], ids=["store", "process", "calendar"])
+def test_nothing_acknowledged_is_lost_and_what_must_hold_holds(parts: tuple[str, ...]) -> None:
+    only = [word for part in parts for word in ("--only", part)]
+    done = subprocess.run(
+        [sys.executable, "-P", str(RUN), "--quick", "--json", "-", *only],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout, done.stderr
+    rows: dict[str, dict[str, Any]] = json.loads(done.stdout)["rows"]
+    assert all(any(part in name for name in rows) for part in parts), sorted(rows)
+    assert not {name: row["violations"] for name, row in rows.items() if row["violations"]}, done.stderr
+    assert done.returncode == 0, done.stderr
+    for name, row in rows.items():
+        assert row["skipped"] or (row["runs"] > 0 and sum(row["checks"].values()) > 0), name
+        assert row["lost"] == 0
+
+
+def test_a_violation_ends_with_status_one_and_is_named() -> None:
+    program = (
+        "import runpy, sys; sys.argv = ['run.py', '--quick', '--only', 'two daemons'];"
+        f"sys.path[:0] = [{str(RUN.parent)!r}, {str(RUN.parents[1] / 'support')!r}];"
+        "import process_rows;"
+        "process_rows.second_daemon = lambda rig, row, count: row.check('this holds', False);"
+        f"runpy.run_path({str(RUN)!r}, run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "not so: this holds" in done.stderr
