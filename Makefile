@@ -62,10 +62,11 @@ thermal-zoo: $(VENV)/.installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/zoo/zoo.py $(ZOO)
 
 # Everything that an installation without a network needs, as one tar in dist/.
-bundle: $(VENV)/.installed
+bundle: $(VENV)/.installed-dev
 	rm -rf dist/bundle
 	mkdir -p dist/bundle/wheels
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/wheels .
+	$(BIN)/python -P .ci/bill_of_materials.py dist/bundle/wheels package-lock.json dist/bundle/sbom.cdx.json
 	cp -r systemd constraints.txt README.md LICENSE CHANGELOG.md docs dist/bundle/
 	mv dist/bundle/systemd/install.sh dist/bundle/
 	cd dist/bundle && find . -type f ! -name SHA256SUMS -print0 | sort -z | xargs -0 sha256sum > SHA256SUMS

@@ -19,7 +19,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -30,8 +30,11 @@ import clock_rows  # noqa: E402
 import process_rows  # noqa: E402
 import store_rows  # noqa: E402
 from account import Row, Unavailable, table  # noqa: E402
-from rig import Rig, at_work, machine_and_daemon  # noqa: E402
+from rig import SPEED, Rig, at_work, machine_and_daemon  # noqa: E402
 
+from daemon.simulation import SimulationError  # noqa: E402
+
+STARTS = 5
 OWN_MOUNTS = "TOOLPOINT_HARDSHIPS_OWN_MOUNTS"
 CUTS = {
     "torn": store_rows.torn,
@@ -90,11 +93,23 @@ def play_all(options: argparse.Namespace) -> list[Row]:
     return list(rows.values())
 
 
-def machine(own_clock: bool) -> contextlib.AbstractContextManager[Rig]:
-    """Return a machine with its daemon; on the computer's own clock it is in real time."""
-    if own_clock:
-        return machine_and_daemon(speed=1.0, change=clock_rows.real_time)
-    return machine_and_daemon(change=at_work)
+@contextlib.contextmanager
+def machine(own_clock: bool) -> Iterator[Rig]:
+    """Start a machine with its daemon; on the computer's own clock it is in real time.
+
+    A computer that is busy with other things may need several starts until both are ready together.
+    """
+    speed, change = (1.0, clock_rows.real_time) if own_clock else (SPEED, at_work)
+    with contextlib.ExitStack() as stack:
+        for left in reversed(range(STARTS)):
+            try:
+                rig = stack.enter_context(machine_and_daemon(speed=speed, change=change))
+                break
+            except (SimulationError, AssertionError) as error:
+                _say(str(error))
+                if not left:
+                    raise
+        yield rig
 
 
 def play(rig: Rig, row: Row, what: Play, keep: Path | None) -> bool:
