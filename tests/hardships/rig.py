@@ -159,8 +159,7 @@ class Rig(Wires):
             if time.monotonic() > asked_s + 15.0:
                 asked_s = time.monotonic()
                 with contextlib.suppress(RequestError):
-                    if status["reference"] is None:
-                        self.running.client.ask("reference")
+                    self.running.client.ask("reference")
                     self.running.client.ask("enable")
             time.sleep(0.1)
             status = self.status()
