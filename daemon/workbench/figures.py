@@ -13,10 +13,16 @@ import numpy as np
 from config.html_page import Section, html_page
 from models.records import FloatArray
 
-COLOURS = ("#0b5fa5", "#c8401a", "#2e8b57", "#8a5ca8", "#b8860b", "#444444", "#1f9e9e", "#d16ba5", "#7a8b00")
+COLOURS = ("#0072b2", "#c25400", "#00805c", "#a84b85", "#8a6d00", "#2b86b8", "#54626f", "#6d4bb0", "#16202a")
+"""Those of the monitor's pages (`daemon/monitor/pages/style.css`), told apart with every kind of colour vision."""
+WITH, WITHOUT = COLOURS[0], COLOURS[1]
+"""With and without compensation; also estimated and measured."""
 BODY_COLOURS = {"shaft": "#c9d6e2", "ring": "#9fb4c7", "core": "#e8d9c0", "holder": "#e2d3b4", "tool": "#c2c2c2"}
-CONTOUR_COLOUR = "#1a7f37"
-MARK_COLOUR = "#c8401a"
+CONTOUR_COLOUR = "#00805c"
+MARK_COLOUR = "#9b4a00"
+FILL_OPACITY = 0.14
+INK, GRID = "#16202a", "#e6ebf0"
+FONT = "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 DPI = 110
 WIDTH_INCH = 10.0
 ROW_PIXELS = 370
@@ -41,6 +47,8 @@ class Curve:
     width: float = 1.4
     marker: str = ""
     """o, x, |, or empty: none."""
+    filled: bool = False
+    """The area between it and zero is filled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +62,7 @@ class Heat:
     lowest: float = 0.0
     highest: float
     unit: str = ""
-    colours: str = "turbo"
+    colours: str = "viridis"
     contour: float | None = None
     written: bool = False
     """Each value is written into its place."""
@@ -86,7 +94,7 @@ class Axes:
     x_ticks: Sequence[tuple[float, str]] = ()
     y_ticks: Sequence[tuple[float, str]] = ()
     """Words instead of numbers."""
-    y_top: float | None = None
+    y_range: tuple[float, float] | None = None
     logarithmic: bool = False
 
     def colour(self, index: int) -> str:
@@ -169,22 +177,39 @@ def _png_axes(sheet: Any, place: Any, axes: Axes) -> None:
             curve.x, curve.y, linestyle=curve.style, marker=curve.marker, color=axes.colour(index),
             linewidth=curve.width, label=curve.label or "_",
         )  # fmt: skip
+        if curve.filled:
+            place.fill_between(curve.x, curve.y, color=axes.colour(index), alpha=FILL_OPACITY, linewidth=0.0)
     if axes.boxes:
         _png_boxes(place, axes.boxes)
     place.set(xlabel=axes.x_label, ylabel=axes.y_label, title=axes.title)
     place.set_yscale("log" if axes.logarithmic else "linear")
-    if axes.y_top is not None:
-        place.set_ylim(0.0, axes.y_top)
+    if axes.y_range is not None:
+        place.set_ylim(*axes.y_range)
     for ticks, set_ticks in ((axes.x_ticks, place.set_xticks), (axes.y_ticks, place.set_yticks)):
         if ticks:
             set_ticks([at for at, _ in ticks], [word for _, word in ticks])
-    for at, word in axes.marks:
+    for at, _ in axes.marks:
         place.axvline(at, color=MARK_COLOUR, linewidth=1.0)
-        place.annotate(word, (at, place.get_ylim()[1]), ha="center", va="top", fontsize=8, color=MARK_COLOUR)
+    for row, (at, word) in enumerate(_named_marks(axes.marks)):
+        place.annotate(
+            word, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3 + 10 * (row % 2)),
+            textcoords="offset points", ha="center", va="bottom", fontsize=8, color=MARK_COLOUR,
+        )  # fmt: skip
     if axes.heat is None:
         place.grid(True, alpha=0.3)
     if any(curve.label for curve in axes.curves):
         place.legend(fontsize=7)
+
+
+def _named_marks(marks: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return each word once for marks that follow one another, in the middle of them."""
+    named: list[tuple[list[float], str]] = []
+    for at, word in sorted(marks):
+        if named and named[-1][1] == word:
+            named[-1][0].append(at)
+        else:
+            named.append(([at], word))
+    return [(sum(places) / len(places), word) for places, word in named if word]
 
 
 def _png_heat(sheet: Any, place: Any, heat: Heat) -> None:
@@ -233,6 +258,9 @@ def _plotly(figure: Figure) -> Any:
         _plotly_axes(drawn, axes, place, shown, bar=index == len(figure.axes) - 1)
     title = {} if figure.number else {"title": figure.title}
     drawn.update_layout(height=80 + sum(pixels), template="plotly_white", margin={"t": 50}, **title)
+    drawn.update_layout(font={"family": FONT, "color": INK})
+    drawn.update_xaxes(gridcolor=GRID)
+    drawn.update_yaxes(gridcolor=GRID)
     return drawn
 
 
@@ -246,17 +274,28 @@ def _plotly_axes(drawn: Any, axes: Axes, place: dict[str, int], shown: set[str],
             x=_plain(curve.x), y=_plain(curve.y), mode=mode, name=curve.label, line=line,
             marker={"symbol": MARKERS.get(curve.marker, "circle"), "color": axes.colour(index)},
             showlegend=curve.label not in shown, legendgroup=curve.label or None, **place,
+            **({"fill": "tozeroy", "fillcolor": _transparent(axes.colour(index))} if curve.filled else {}),
         )  # fmt: skip
         shown.add(curve.label)
     if axes.boxes:
         _plotly_boxes(drawn, axes.boxes, place)
-    for at, word in axes.marks:
-        drawn.add_vline(x=at, line={"color": MARK_COLOUR, "width": 1}, annotation_text=word, **place)
+    for at, _ in axes.marks:
+        drawn.add_vline(x=at, line={"color": MARK_COLOUR, "width": 1}, **place)
+    for row, (at, word) in enumerate(_named_marks(axes.marks)):
+        drawn.add_annotation(
+            x=at, y=1.0, yref="y domain", yanchor="bottom", yshift=14 * (row % 2), text=word, showarrow=False,
+            font={"color": MARK_COLOUR, "size": 11}, **place,
+        )  # fmt: skip
     drawn.update_xaxes(title_text=axes.x_label, **_plotly_ticks(axes.x_ticks), **place)
     scale = "log" if axes.logarithmic else "linear"
     drawn.update_yaxes(title_text=axes.y_label, type=scale, **_plotly_ticks(axes.y_ticks), **place)
-    if axes.y_top is not None:
-        drawn.update_yaxes(range=[0.0, axes.y_top], **place)
+    if axes.y_range is not None:
+        drawn.update_yaxes(range=list(axes.y_range), **place)
+
+
+def _transparent(colour: str) -> str:
+    red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{FILL_OPACITY})"
 
 
 def _plotly_ticks(ticks: Sequence[tuple[float, str]]) -> dict[str, Any]:

@@ -225,7 +225,7 @@ def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
     first, second = answer("compare", case, warm, *arguments)["cases"]
     assert second["speed_rpm"] != first["speed_rpm"]
     text = picture.read_text("utf-8")
-    assert "commanded, case" in text
+    assert "commanded, case" in text and "working point, case" in text and "tozeroy" in text
     assert "<script src=" not in text
     assert "belong together" in refusal("compare", case, "--depth-mm", 1.0)
 
@@ -304,6 +304,7 @@ def test_chatter_per_depth_with_a_spectrogram(tmp_path: Path) -> None:
         assert picture.stat().st_size > 10_000
     assert [(part["depth_mm"], part["chatter"]) for part in found["depths"]] == [(4, False), (6, True), (8, True)]
     assert (found["chatter"], found["lowest_chatter_depth_mm"]) == (True, 6)
+    assert f"chatter at {found['frequency_hz']:.1f} Hz" in picture.read_text("utf-8")
     for outside in ("5:9:10", "0:1e308:10", "-1e308:2:10"):
         assert "not inside the recording" in refusal(
             "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", outside

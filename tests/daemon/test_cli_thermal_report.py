@@ -1,6 +1,7 @@
 """`toolpoint thermal report`: ISO 230-3 figures of a recording, with and without a model."""
 
 import json
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from click.testing import CliRunner, Result
 from daemon.cli import main
 from daemon.workbench.thermal.estimates import RecordedEstimates
 from drivers.files.recording_csv import read_recording, write_recording
+from drivers.files.recording_origin import Origin, read_origin
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 
@@ -85,7 +87,16 @@ def test_a_model_takes_most_of_it_away(family: str, recording: Path, tmp_path: P
         channel = found["channels"][name]
         assert channel["worst_with"]["whole_period_um"] < share * channel["worst_without"]["whole_period_um"]
     text = page.read_text("utf-8")
-    assert "with compensation" in text
+    assert "with compensation" in text and "on the same scale" in text.lower()
+    for words in (
+        "of the test",
+        "Z1, measured",
+        "Z1, estimated",
+        "T2",
+        "report made",
+        f"<td>{version('toolpoint')}</td>",
+    ):
+        assert words in text, words
     assert "<script src=" not in text
     assert report(training, "--model", model)["seen_in_training"]
 
@@ -156,3 +167,11 @@ def test_bad_input_is_one_sentence(recording: Path, tmp_path: Path) -> None:
     ):
         result = run("report", *arguments)
         assert (result.exit_code, sentence in result.output) == (2, True), result.output
+
+
+def test_the_origin_of_a_recording_is_read_from_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    path.write_text("# campaign: a\n# machine: mill 7\nutc,T1,Z1\n2026-03-01T08:00:00,20,0\n2026-03-01T08:01:00,20,0\n")
+    assert read_origin(path) == Origin(machine="mill 7", begun_utc_s=1772352000.0)
+    path.write_text("t,T1,Z1\n0,20,0\n60,20,0\n")
+    assert read_origin(path) == Origin(machine="", begun_utc_s=None)

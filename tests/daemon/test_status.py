@@ -63,7 +63,7 @@ async def test_programs_that_read_the_status_find_every_key_that_they_found_befo
     }
     assert set(picture["axes"]["z"]) == {
         *("estimate_from", "wanted", "enabled", "thermal_error_um", "requested_um", "written_um", "applied_um"),
-        *("bound_um", "slew_um_per_min"),
+        *("bound_um", "baseline_um", "slew_um_per_min"),
     }
 
 

@@ -111,6 +111,8 @@ class MonitorBench:
     rig: Rig
     port: int
     tls: ssl.SSLContext | None = None
+    task: "asyncio.Task[None] | None" = None
+    """What serves it; whoever cancels it stops the daemon for its viewers."""
 
     def browser(self) -> Browser:
         return Browser(self.port, self.tls)
@@ -160,7 +162,7 @@ async def monitor(directory: Path, tls: ssl.SSLContext | None = None, **service:
         if task.done():
             task.result()
         try:
-            yield MonitorBench(configuration, rig, port, tls)
+            yield MonitorBench(configuration, rig, port, tls, task)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)

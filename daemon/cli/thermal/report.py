@@ -57,6 +57,7 @@ def report(
     from daemon.workbench.thermal.report import ReportChoices, thermal_report
     from daemon.workbench.thermal.report_page import write_report_page
     from drivers.files.recording_csv import read_recording
+    from drivers.files.recording_origin import read_origin
     from models.recordings.findings import require_usable
 
     try:
@@ -77,7 +78,7 @@ def report(
         )
         found = thermal_report(recording, model, choices)
         if html_path is not None:
-            write_report_page(html_path, found, recording, model)
+            write_report_page(html_path, found, recording, model, read_origin(recording_path, recording_map))
     except OSError as error:
         refuse(f"{html_path}: the page cannot be written ({error.strerror})")
     found["warnings"] = warnings

@@ -34,7 +34,7 @@ export async function who() {
 }
 
 export async function act(path, content = {}, method = "POST") {
-  if (session === null) await who();
+  if (!session?.csrf) await who();
   return answer(await fetch(`/api/v1/${path}`, {
     method,
     headers: { "content-type": "application/json", "x-csrf-token": session?.csrf ?? "" },

@@ -71,11 +71,11 @@ live.addEventListener("age", () => {
   if (old !== document.body.classList.contains("stale")) {
     document.body.classList.toggle("stale", old);
     title();
-    if (!old) who().then(rights).catch(() => {});
+    who().then(rights).catch(() => {});
   }
   $("stale").hidden = !old;
   if (old) {
-    put($("stale"), status === null ? "The daemon does not answer. This page tries again by itself."
+    put($("stale"), locked() ? "Log in to see the machine." : status === null ? "The daemon does not answer. This page tries again by itself."
       : `What you see is ${duration(waited_s)} old: the daemon has not answered since. This page tries again by itself.`);
   }
   $("age").textContent = status === null ? "connecting" : old ? `stale, ${duration(waited_s)} old` : `live, ${Math.max(waited_s, 0).toFixed(1)} s old`;
@@ -97,7 +97,7 @@ function rights(session) {
   const place = $("person");
   if (session.name) {
     put(place, h("span", { class: "dim" }, `${session.name}, ${session.role} `), h("button", { type: "button", class: "quiet", id: "logout" }, "Log out"));
-    $("logout").addEventListener("click", async () => { await act("session", {}, "DELETE"); rights(await who()); });
+    $("logout").addEventListener("click", async () => { await act("session", {}, "DELETE"); location.reload(); });
   } else if (session.accounts === false) {
     put(place, h("span", { class: "dim", title: "Make accounts with `toolpoint users add`." }, "view only"));
   } else {
@@ -105,16 +105,24 @@ function rights(session) {
     $("login").addEventListener("click", login);
   }
   if (shown && live.status) shown.status?.(live.status);
+  if (locked()) login();
 }
 
+// Nobody may look before logging in.
+const locked = () => Boolean(person?.accounts) && !person.role;
+
 function login() {
+  if ($("ask").open) return;
   const said = h("p", { class: "said", role: "alert" });
   const name = h("input", { name: "name", autocomplete: "username", required: true });
   const password = h("input", { name: "password", type: "password", autocomplete: "current-password", required: true });
   dialog("Log in", [h("label", {}, "Name", name), h("label", {}, "Password", password), said], "Log in", async () => {
     try {
-      rights(await act("session", { name: name.value, password: password.value }).then(who));
-      if (!shown) show();
+      await act("session", { name: name.value, password: password.value });
+      $("ask").close();
+      rights(await who());
+      live.connect();
+      await show();
       return true;
     } catch (error) {
       said.textContent = error.message;

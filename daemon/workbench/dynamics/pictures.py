@@ -15,6 +15,8 @@ from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from
 from models.dynamics.measurement import Measurement
 from models.records import FloatArray
 
+PHASE_TICKS = [(float(degrees), f"{degrees}") for degrees in (-180, -90, 0, 90, 180)]
+
 
 def modes_picture(path: Path, spindle: Spindle, found: dict[str, Any]) -> None:
     """Draw mode shapes over the drawn spindle (Figs. 4-10, 5-15)."""
@@ -95,7 +97,7 @@ def _drawn_spindle(spindle: Spindle) -> Axes:
             for segment in body.segments:
                 boxes += _boxes(segment, place, name)
                 place += segment.length_mm
-    marks = [(bearing.position_mm, bearing.group) for bearing in told.bearings or ()]
+    marks = [(bearing.position_mm, f"bearings {bearing.group}") for bearing in told.bearings or ()]
     return Axes(x_label="distance from the nose [mm]", y_label="radius [mm]", boxes=boxes, marks=marks)
 
 
@@ -113,15 +115,22 @@ def _boxes(segment: SegmentDescription, left: float, kind: str) -> list[Box]:
     ]
 
 
+def phase_deg(values: ComplexArray) -> FloatArray:
+    """Return phases [deg] in -180 to 180; NaN where the line would cross from one end to the other."""
+    phase: FloatArray = np.degrees(np.angle(values))
+    phase[1:][np.abs(np.diff(phase)) > 180.0] = np.nan
+    return phase
+
+
 def response_figure(title: str, responses: Sequence[tuple[FloatArray, ComplexArray, str, bool]]) -> Figure:
     """Return magnitude and phase of receptances: frequencies [Hz], values [m/N], label, whether dashed."""
     magnitude, phase = [], []
     for frequency_hz, values, label, dashed in responses:
         style = "dashed" if dashed else "solid"
         magnitude.append(Curve(x=frequency_hz, y=np.abs(values), label=label, style=style))
-        phase.append(Curve(x=frequency_hz, y=np.degrees(np.angle(values)), label=label, style=style))
+        phase.append(Curve(x=frequency_hz, y=phase_deg(values), label=label, style=style))
     axes = [
         Axes(y_label="receptance [m/N]", logarithmic=True, curves=magnitude),
-        Axes(x_label="frequency [Hz]", y_label="phase [deg]", curves=phase),
+        Axes(x_label="frequency [Hz]", y_label="phase [deg]", curves=phase, y_ticks=PHASE_TICKS),
     ]
     return Figure(title=title, axes=axes, heights=(380, 250), shared_x=True)

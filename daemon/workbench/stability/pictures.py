@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from daemon.workbench.dynamics.pictures import response_figure
-from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, Heat, save
+from daemon.workbench.figures import INK, Axes, Curve, Figure, Heat, save
 from models.records import FloatArray
 from models.stability.chatter import SpectrumFrame
 from models.stability.frf_modal_fit import ModalFit
@@ -16,6 +16,8 @@ from models.stability.response import ComplexArray, modal_receptance
 SHOWN_OVER_MINIMUM = 8.0
 """Lobes are drawn up to this multiple of their lowest depth, unless a deeper one is asked for."""
 COLOUR_RANGE_DB = 60.0
+CHATTER_COLOUR = "#ff5a36"
+"""Seen on every colour of the map."""
 
 
 def lobes_picture(
@@ -26,13 +28,14 @@ def lobes_picture(
     depth_mm: float | None = None,
     title: str = "Stability lobes",
 ) -> None:
-    """Draw the lobes of one or more states, the programmed depth, and the speed commanded in each state."""
+    """Draw the lobes of one or more states, filled where a cut is stable, and the working point of each state."""
     lowest = [lobes.minimum.depth_mm for _, lobes in diagrams if lobes.minimum]
     finite = [float(np.min(lobes.limiting_depth_mm)) for _, lobes in diagrams]
     top = SHOWN_OVER_MINIMUM * max(lowest or [depth for depth in finite if np.isfinite(depth)] or [1.0])
     top = max(top, 1.5 * (depth_mm or 0.0))
     curves = [
-        Curve(x=lobes.speed_rpm, y=np.minimum(lobes.limiting_depth_mm, top), label=name) for name, lobes in diagrams
+        Curve(x=lobes.speed_rpm, y=np.minimum(lobes.limiting_depth_mm, top), label=f"{name}: stable below", filled=True)
+        for name, lobes in diagrams
     ]
     speeds = diagrams[0][1].speed_rpm
     if depth_mm is not None:
@@ -42,7 +45,13 @@ def lobes_picture(
         if speed is not None:
             label = f"commanded, {name}: {speed:.0f} 1/min"
             curves.append(Curve(x=np.array([speed, speed]), y=np.array([0.0, top]), label=label, style="dashed"))
-    axes = Axes(x_label="spindle speed [1/min]", y_label="limiting depth of cut [mm]", curves=curves)
+            if depth_mm is not None:
+                label = f"working point, {name}: {speed:.0f} 1/min, {depth_mm:g} mm"
+                point = np.array([speed]), np.array([depth_mm])
+                curves.append(Curve(x=point[0], y=point[1], label=label, style="none", marker="o", colour=INK))
+    axes = Axes(
+        x_label="spindle speed [1/min]", y_label="limiting depth of cut [mm]", curves=curves, y_range=(0.0, 1.02 * top)
+    )
     save(path, Figure(title=title, axes=[axes], heights=(620,)))
 
 
@@ -71,14 +80,22 @@ def spectrogram_picture(
     frequency_hz = frames[0].frequency_hz
     level_db = 10.0 * np.log10(np.array([frame.power_density for frame in frames]).T + 1e-30)
     ceiling = float(level_db.max())
-    marks = [(order * tooth_passing_hz, COLOURS[5]) for order in range(1, int(frequency_hz[-1] / tooth_passing_hz) + 1)]
-    marks += [(chatter_hz, COLOURS[1])] if chatter_hz is not None else []
+    across, orders = times[[0, -1]], range(1, int(frequency_hz[-1] / tooth_passing_hz) + 1)
     curves = [
-        Curve(x=times[[0, -1]], y=np.array([hz, hz]), colour=colour, style="dotted", width=1.0) for hz, colour in marks
-    ]
+        Curve(
+            x=across, y=np.full(2, order * tooth_passing_hz), colour="#7fd4ff", style="dotted", width=0.8,
+            label=f"teeth pass at {tooth_passing_hz:.1f} Hz, and its multiples" if order == 1 else "",
+        )
+        for order in orders
+    ]  # fmt: skip
+    if chatter_hz is not None:
+        label = f"chatter at {chatter_hz:.1f} Hz"
+        curves.append(
+            Curve(x=across, y=np.full(2, chatter_hz), colour=CHATTER_COLOUR, style="dashed", width=2.0, label=label)
+        )
     heat = Heat(
         x=times, y=frequency_hz, values=level_db, lowest=ceiling - COLOUR_RANGE_DB, highest=ceiling,
-        unit="power density [dB re 1 (m/s²)²/Hz]", colours="viridis",
+        unit="power density [dB re 1 (m/s²)²/Hz]",
     )  # fmt: skip
     axes = Axes(x_label="time [s]", y_label="frequency [Hz]", heat=heat, curves=curves)
     save(path, Figure(title=title, axes=[axes], heights=(620,)))

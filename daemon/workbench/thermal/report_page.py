@@ -1,15 +1,24 @@
 """The report on a recording as one HTML page."""
 
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from config.html_page import Section
-from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, report_page
+from daemon.workbench.figures import COLOURS, INK, Axes, Curve, Figure, report_page
 from daemon.workbench.thermal.estimates import RecordedEstimates
+from drivers.files.recording_origin import Origin
 from models.recordings.dataset import Recording
+from models.records import FloatArray
 from models.thermal.family import ThermalModel
 
 TIME = "time [h]"
+DISPLACEMENT = "displacement [um]"
 WORDS = {
     "first_60_min_um": "by the rotating spindle, first 60 min",
     "whole_period_um": "by the rotating spindle, whole period",
@@ -17,8 +26,16 @@ WORDS = {
 }
 
 
-def write_report_page(path: Path, report: dict[str, Any], recording: Recording, model: ThermalModel | None) -> None:
-    """Write the report with curves of all displacements; raises OSError."""
+SHOWN_TEMPERATURES = 8
+"""So many temperatures are drawn; the others are named in a note."""
+MARGIN = 0.05
+"""Above and below the curves, of their range."""
+
+
+def write_report_page(
+    path: Path, report: dict[str, Any], recording: Recording, model: ThermalModel | None, origin: Origin
+) -> None:
+    """Write the report with curves of temperatures and displacements; raises OSError."""
     drift = report["drift"]
     axes = {axis: {f"worst_{kind}": each[kind] for kind in each} for axis, each in report["axes"].items()}
     introduction = (
@@ -32,6 +49,7 @@ def write_report_page(path: Path, report: dict[str, Any], recording: Recording, 
     page = report_page(
         f"Thermal distortion: {recording.name}",
         [
+            Section(rows=_origin(origin, model), kind="facts"),
             Section(text=introduction),
             _worst_table("Largest distortion by axis [um]", axes),
             _worst_table("Largest distortion by channel [um]", report["channels"]),
@@ -40,31 +58,84 @@ def write_report_page(path: Path, report: dict[str, Any], recording: Recording, 
             Section(title="Environment", text=report["environment"]["why_not"] or _environment(report["environment"])),
             _energy_table(report["energy"]),
         ],
-        [_figure(recording, model)],
+        _figures(recording, None if model is None else RecordedEstimates(model, recording)),
     )
     path.write_text(page, encoding="utf-8")
 
 
-def _figure(recording: Recording, model: ThermalModel | None) -> Figure:
-    estimates = None if model is None else RecordedEstimates(model, recording)
+def _origin(origin: Origin, model: ThermalModel | None) -> tuple[tuple[str, str], ...]:
+    """Return of what, when and by which version the report is."""
+    begun = "the times of the recording are no dates" if origin.begun_utc_s is None else _date(origin.begun_utc_s)
+    return (
+        ("machine", origin.machine or "not named: a line `# machine: NAME` at the head of the recording names it"),
+        ("recorded from", begun),
+        ("report made", _date(time.time())),
+        ("Toolpoint", version("toolpoint")),
+        ("model", "none" if model is None else model.model_id),
+    )
+
+
+def _date(utc_s: float) -> str:
+    return datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _figures(recording: Recording, estimates: RecordedEstimates | None) -> list[Figure]:
+    """Return temperatures and speed; measured against estimated; without and with compensation on one scale."""
     hours = recording.time_s / 3600.0
-    without, remaining = [], []
+    figures = [_temperatures(recording, hours)]
+    measured, estimated, remaining = [], [], []
     for place, name in enumerate(recording.displacement_names):
         colour = COLOURS[place % len(COLOURS)]
         error_um = recording.displacements_um[:, place] - recording.displacements_um[0, place]
-        without.append(Curve(x=hours, y=error_um, label=name, colour=colour))
+        measured.append(Curve(x=hours, y=error_um, label=f"{name}, measured", colour=colour))
         if estimates is not None and name in estimates.model.channels:
-            left_um = error_um - estimates.since_um(name, 0, recording.rows)
-            remaining.append(Curve(x=hours, y=left_um, label=name, colour=colour))
-    axes = [Axes(title="without compensation", x_label=TIME, y_label="displacement [um]", curves=without)]
+            found_um = estimates.since_um(name, 0, recording.rows)
+            estimated.append(
+                Curve(x=hours, y=found_um, label=f"{name}, estimated", colour=colour, style="dashed", width=2.0)
+            )
+            remaining.append(Curve(x=hours, y=error_um - found_um, label=f"{name}, with", colour=colour))
+    both = [curve for pair in zip(measured, estimated, strict=False) for curve in pair] if estimated else measured
+    words = "Displacements, measured and estimated" if estimated else "Displacements"
+    axes = [Axes(x_label=TIME, y_label=DISPLACEMENT, curves=both)]
+    note = "Since the first row, where the reference is."
+    figures.append(Figure(number="2", title=words, note=note, axes=axes, heights=(460,)))
     if remaining:
-        axes.append(Axes(title="with compensation", x_label=TIME, y_label="displacement [um]", curves=remaining))
+        names = {curve.label.partition(",")[0] for curve in remaining}
+        without = [curve for curve in measured if curve.label.partition(",")[0] in names]
+        span = _span([*without, *remaining])
+        axes = [
+            Axes(title=f"{kind} compensation", x_label=TIME, y_label=DISPLACEMENT, curves=curves, y_range=span)
+            for kind, curves in (("without", without), ("with", remaining))
+        ]
+        note = "On the same scale; one reference, at the first row."
+        figures.append(Figure(number="3", title="Without and with compensation", note=note, axes=axes))
+    return figures
+
+
+def _temperatures(recording: Recording, hours: FloatArray) -> Figure:
+    """Return the temperatures that changed most, and the spindle speed below them."""
+    degc = recording.temperatures_degc[:, : recording.sensors]
+    known = np.isfinite(degc).any(axis=0)
+    ranges = np.full(degc.shape[1], -1.0)
+    ranges[known] = np.nanmax(degc[:, known], axis=0) - np.nanmin(degc[:, known], axis=0)
+    shown = sorted(np.argsort(ranges)[::-1][:SHOWN_TEMPERATURES].tolist())
+    curves = [Curve(x=hours, y=degc[:, place], label=recording.temperature_names[place]) for place in shown]
+    axes = [Axes(x_label=TIME, y_label="temperature [degC]", curves=curves)]
     if recording.speed_rpm is not None:
-        speed = Curve(x=hours, y=recording.speed_rpm, label="spindle speed", colour="#444444")
+        speed = Curve(x=hours, y=recording.speed_rpm, label="spindle speed", colour=INK)
         axes.append(Axes(x_label=TIME, y_label="speed [1/min]", curves=[speed]))
-    return Figure(
-        number="1", title="Displacements since the first row", note="One reference at the first row.", axes=axes
-    )
+    count = degc.shape[1]
+    note = f"The {len(shown)} of {count} that changed most." if len(shown) < count else ""
+    return Figure(number="1", title="Temperatures", note=note, axes=axes, heights=(370, 200)[: len(axes)])
+
+
+def _span(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return a range that holds all curves."""
+    values = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
+    if not values.size:
+        return -1.0, 1.0
+    margin = max(MARGIN * float(np.ptp(values)), 0.5)
+    return float(values.min()) - margin, float(values.max()) + margin
 
 
 def _worst_table(title: str, parts: dict[str, Any]) -> Section:

@@ -107,7 +107,7 @@ def _by_sets(number: str, group: str, maps: Sequence[dict[Key, ResidualMap]]) ->
         for model in MODELS:
             values = middle(maps, (model, group), name)[:, -1]
             curves.append(Curve(x=np.arange(1.0, 1.0 + len(values)), y=values, label=model))
-        axes.append(Axes(x_label="number of training sets", y_label=label, curves=curves, y_top=HIGHEST_UM))
+        axes.append(Axes(x_label="number of training sets", y_label=label, curves=curves, y_range=(0.0, HIGHEST_UM)))
     return Figure(
         number=number,
         title=f"Residuals by number of training sets ({group})",
@@ -128,7 +128,7 @@ def _by_sensors(number: str, group: str, maps: Sequence[dict[Key, ResidualMap]])
             for each in maps if len(maps) > 1 else ():
                 single = getattr(each[model, group], name)[-1]
                 curves.append(Curve(x=count, y=single, colour=COLOURS[place], style="dotted", width=0.5))
-        axes.append(Axes(x_label="number of sensors", y_label=label, curves=curves, y_top=HIGHEST_UM))
+        axes.append(Axes(x_label="number of sensors", y_label=label, curves=curves, y_range=(0.0, HIGHEST_UM)))
     return Figure(
         number=number,
         title=f"Residuals by number of temperature sensors ({group})",
