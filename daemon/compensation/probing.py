@@ -10,8 +10,9 @@ from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
-from models.control.baseline import probe_inhibit
+from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit
+from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
@@ -58,6 +59,8 @@ class MeasuredByNc:
             return "a tool setting counts from the work's reference, and there is none: position the work first"
         if output.estimate is None or output.estimate.reference_id != reference.reference_id:
             return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
+        if refusal := _tool_setting_inhibit(output, self._limits):
+            return str(refusal)
         self.tool_setting = tuple(name == axis for name in self._limits.axes)
         tool.begin(tool.number, output.estimate)
         self._journal.say("tool", f"T{tool.number} set on axis {axis}")
@@ -121,3 +124,11 @@ def judged_probe(
         reason=refusal,
     )
     return sample, deviations
+
+
+def _tool_setting_inhibit(output: OutputNow, limits: OutputLimits) -> Inhibit | None:
+    """Return why the estimate is not one to count a tool from; who may write to the CNC has no part in that."""
+    assert output.memory is not None
+    own = tuple(inhibit for inhibit in output.inputs.inhibits if inhibit.code is InhibitCode.MODEL)
+    inputs = replace(output.inputs, inhibits=own)
+    return tool_setting_inhibit(output.memory, inputs, limits, first_inhibit(output.memory, inputs, limits))

@@ -89,8 +89,18 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         tools=MappingProxyType({**memory.tools, inputs.tool_number: rest}),
         command_um=memory.command_um if memory.state is OutputState.FAULT else command,
         settling=memory.state in SETTLING_STATES,
+        settling_axes=_also_settling(memory, axes),
         pending_um=inputs.written_um,
     )
+
+
+def _also_settling(memory: OutputMemory, axes: tuple[bool, ...]) -> tuple[bool, ...]:
+    """Return the axes that settle when these are set too; where others go on following, their baseline stays."""
+    if not memory.settling:
+        return axes
+    if not memory.settling_axes:
+        return ()
+    return tuple(before or now for before, now in zip(memory.settling_axes, axes, strict=True))
 
 
 def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray, FloatArray]:
@@ -169,15 +179,53 @@ def probe_inhibit(
         return replace(inhibit, text=f"the estimate cannot be corrected: {inhibit.text}")
     if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
         return Inhibit(code=InhibitCode.NO_ESTIMATE, text="the axis has no estimate")
+    if (missing := _incomplete(inputs, limits)) is not None:
+        return missing
     correction = inputs.applied_um - probe_um - request_um(memory, inputs)
     for axis, change in zip(limits.axes, correction, strict=True):
         if abs(change) > limits.probe_bound_um:
             return Inhibit(
                 code=InhibitCode.PROBE,
-                text=f"axis {axis}: the probe value would correct the estimate by {abs(change):.1f} um, "
+                text=f"axis {axis}: the probe value would correct the estimate by {abs(change):.4g} um, "
                 f"more than the bound of {limits.probe_bound_um:g} um",
             )
     return None
+
+
+def tool_setting_inhibit(
+    memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, inhibit: Inhibit | None
+) -> Inhibit | None:
+    """Return why a tool setting cannot count from the estimate, None when it can.
+
+    Its error would stay when the sensors are back, until the tool is set again.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.control.compensation.step`.
+    inhibit
+        The first reason against following the estimate, None when there is none.
+
+    Returns
+    -------
+    Inhibit or None
+        The first reason.
+
+    """
+    if inhibit is not None:
+        return replace(inhibit, text=f"the tool cannot be set: {inhibit.text}")
+    return _incomplete(inputs, limits)
+
+
+def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
+    """Return why what is measured now cannot be counted from: so many sensors are imputed that the weight falls."""
+    if inputs.confidence >= limits.full_confidence:
+        return None
+    return Inhibit(
+        code=InhibitCode.CONFIDENCE,
+        text=f"sensors are missing: confidence {inputs.confidence:.2f} is below {limits.full_confidence:.2f}",
+        remedy="bring them back and measure again",
+    )
 
 
 def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
@@ -298,6 +346,7 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         offset_um=np.zeros_like(memory.offset_um),
         command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
         settling=memory.state in SETTLING_STATES,
+        settling_axes=(),
         pending_um=inputs.written_um,
         model_shift_um=None,
         error_um=np.zeros_like(memory.command_um),
@@ -340,6 +389,8 @@ def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     if not (inputs.link and np.all(np.isfinite(applied))):
         return memory
     moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied)
+    if memory.settling_axes:
+        moved &= np.array(memory.settling_axes, dtype=bool)
     if moved.any():
         return replace(_rest_at(memory, inputs, moved), command_um=np.where(moved, applied, memory.command_um))
     held = inputs.written_um is None or bool(np.all(np.abs(inputs.written_um - memory.command_um) <= SETTLED_UM))

@@ -131,7 +131,9 @@ class OutputMemory:
     pending_um: FloatArray | None = None
     """What the block held when the reference was set [um]."""
     settling: bool = False
-    """A reference was set, and the CNC does not hold its value yet."""
+    """A reference or a tool was set, and the CNC does not hold its value yet."""
+    settling_axes: tuple[bool, ...] = ()
+    """Axes for which that holds; empty: all of them."""
     model_shift_um: FloatArray | None = None
     """Added to the estimate so that a change of model moves nothing [um]; None before any, NaN until one is there."""
     error_um: FloatArray | None = None

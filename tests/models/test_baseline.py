@@ -70,6 +70,16 @@ def test_a_guard_that_goes_elsewhere_than_the_block_said_moves_no_baseline():
     assert machine.applied == pytest.approx(before, abs=0.02)
 
 
+def test_a_tool_set_on_one_axis_leaves_alone_what_another_counts_from():
+    machine = Machine().following()
+    machine.set(thermal_error_um=np.array([-4.53, -20.0])).step(60)
+    machine.applied = np.round(machine.applied, 1)  # as the control does
+    baseline_um = machine.memory.baseline_um.copy()
+    machine.step(tool_setting=(False, True), guard=False).step(60, guard=False)
+    assert machine.memory.baseline_um[0] == baseline_um[0]
+    assert machine.step(60).applied[0] == pytest.approx(4.53, abs=0.02), "a setting on z moves nothing on y"
+
+
 # --- probes ------------------------------------------------------------------------------
 
 
