@@ -33,6 +33,8 @@ class FaultKind(StrEnum):
     """A sensor repeats what it read when the fault began."""
     DRIFTING_SENSOR = "drifting_sensor"
     """A sensor drifts by `amount` [degC/h]."""
+    FLIPPED_BIT = "flipped_bit"
+    """A bit of a sensor's value is flipped on the way, and the frame keeps its form; amount: which bit."""
     RENUMBERED = "renumbered"
     """The node at chain position `amount` is gone and those behind it have moved up by one ID."""
     RESET_BURST = "reset_burst"
@@ -83,6 +85,7 @@ _RULES = {
     ),
     FaultKind.STUCK_SENSOR: _Rule(target=Target.SENSOR),
     FaultKind.DRIFTING_SENSOR: _Rule(target=Target.SENSOR, amount="drift [degC/h]"),
+    FaultKind.FLIPPED_BIT: _Rule(target=Target.SENSOR, amount="bit", bounds=(0.0, 11.0), whole=True),
     FaultKind.RENUMBERED: _Rule(target=Target.LINE, amount="chain position", default=1.0, bounds=_POSITIVE, whole=True),
     FaultKind.RESET_BURST: _Rule(target=Target.LINE_OR_SENSOR),
     FaultKind.UNPLUGGED: _Rule(target=Target.LINE),

@@ -42,6 +42,7 @@ END_S = 1400.0
 WORK = (
     Happening(kind=Incident.WORK_OFFSET, at_s=300.0, duration_s=20.0),
     Happening(kind=Incident.HAND_REFERENCE, at_s=340.0),
+    Happening(kind=Incident.FOREIGN_REQUEST, at_s=480.0, target=1),
     Happening(kind=Incident.MODEL_RELOAD, at_s=700.0),
     Happening(kind=Incident.WRONG_SENSOR, at_s=720.0, duration_s=2300.0, target=99, amount=20.0),
     Happening(kind=Incident.DAMAGED_MODEL, at_s=2200.0, duration_s=10.0),
@@ -50,6 +51,8 @@ WORK = (
 """A part from its positioning to the next one, on which the program probes and changes tools by itself."""
 WORK_END_S = 3450.0
 IN_WORK = {
+    "within_1_um_of_the_twin",
+    "nonsense_is_refused",
     "zero_first_at_zero",
     "reference_ends",
     "request_answered",

@@ -15,10 +15,10 @@ from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims, Ledger
 from daemon.simulation.faults.models import OF_MODELS, CampaignModels, change_policy
 from daemon.simulation.faults.observer import NAMES, Observer
-from daemon.simulation.faults.operator import ROUND_S, Person
+from daemon.simulation.faults.operator import ROUND_S, Crowd, Person
 from daemon.simulation.faults.process import WARM_UP_S, Acknowledgements, DaemonProcess, KillPlan, MemoryWatch
 from daemon.simulation.faults.result import Result, progress_line
-from daemon.simulation.faults.script import DAY_S, EPOCH_UTC_S, OF_A_PERSON, Happening, Incident
+from daemon.simulation.faults.script import DAY_S, EPOCH_UTC_S, OF_A_PERSON, Happening, Incident, corrupt_from_s
 from daemon.simulation.faults.store_check import StoreCheck
 from drivers.sim.faults import FaultKind
 
@@ -57,6 +57,7 @@ class Campaign:
         self._seen = Observer(configuration, script, models, self.result, begun=self._begun, ended=self._ended)
         self._world = self._seen.world
         self._person = Person(configuration.service.socket, tuple(configuration.compensation.axes))
+        self._crowd = Crowd(configuration.service.socket)
         sensors = {line.name: line.sensor_ids[0] for line in configuration.temperatures.lines}
         self._store = StoreCheck(configuration.history.path, sensors, ledger)
         self._acknowledged = Acknowledgements()
@@ -137,7 +138,8 @@ class Campaign:
         self._open_intents = 1 if settled else self._open_intents + 1
         self._bury()
         self._seen.hear(self._world.time_s, None)
-        until_s = max(killed.end_s, self._world.time_s)
+        starts_s = corrupt_from_s(killed) if killed.kind is Incident.CORRUPT_START else killed.end_s
+        until_s = max(starts_s, self._world.time_s)
         while self._world.time_s < until_s:
             self._world.advance(until_s)
             self._world.arrivals()
@@ -148,6 +150,7 @@ class Campaign:
         process, self._process = self._process, None
         assert process is not None
         self._person.hang_up()
+        self._crowd.go()
         self._seen.operations.died(self._world.time_s)
         self._world.desert()
         process.wait()
@@ -232,8 +235,12 @@ class Campaign:
         process = self._process
         if happening.kind is Incident.FULL_DISK and process is not None:
             process.fill_disk()
-        elif happening.kind is Incident.KILLED_DAEMON and process is not None:
+        elif happening.kind in (Incident.KILLED_DAEMON, Incident.CORRUPT_START) and process is not None:
             self._kills.due = happening
+        elif happening.kind is Incident.STORE_MOVED:
+            self._store.move_away()
+        elif happening.kind is Incident.HALF_OPEN:
+            self._crowd.come()
         elif happening.kind is Incident.KILLED_IN_WRITE and process is not None:
             self._kills.in_write(happening)
         elif happening.kind is Incident.OTHER_POLICY:
@@ -255,6 +262,8 @@ class Campaign:
             self._process.free_disk()
         if happening.kind in OF_A_PERSON:
             self._person.undo(happening)
+        if happening.kind is Incident.HALF_OPEN:
+            self._crowd.go()
         self._models.ended(happening)
 
     def _round(self) -> None:

@@ -8,6 +8,7 @@ from config.schema.cnc import MacroMapConfig
 from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.faults import FaultKind
 from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.program import POSITIONING
 
 Answer = tuple[str, float, Any]
 """Verdict (ok, lost, silent, refused), delay [s], content."""
@@ -17,6 +18,20 @@ FOREIGN_UM = 7.3
 LIE_UM = 2.0
 """By so much a lying CNC's variable differs from what was written [um]."""
 FOREIGN_PROGRAM = 7777
+LAST_REQUEST = 999_999
+NO_REQUESTS: tuple[tuple[float | None, float | None, float | None], ...] = (
+    (2.0, 3.0, None),
+    (3.0, 0.0, None),
+    (2.5, 3.0, 0.001),
+    (2.0, 3.4, 0.001),
+    (1.0, 3.4, 0.0),
+    (3.0, 0.0, 2.5),
+    (3.0, 0.0, 1e300),
+    (2.0, 3.0, 1e300),
+    (None, 0.0, 0.0),
+    (1e9, 0.0, 0.0),
+)
+"""Kind, axis and value of requests that are none."""
 
 
 class CncFace:
@@ -31,6 +46,8 @@ class CncFace:
         self._cut: Happening | None = None
         self._groups = 0
         self._program = machine.nc.program
+        self._passed = 0
+        """The block that the program showed before a positioning that nobody saw."""
         self._tampered: dict[int, tuple[float | None, float | None]] = {}
         self.proof = ""
         """What the daemon has been shown that it must not trust, '' when there is nothing."""
@@ -165,11 +182,21 @@ class CncFace:
                 self._machine.nc.program = FOREIGN_PROGRAM
             case Incident.WORK_OFFSET:
                 self._machine.nc.work_offset += 1
+            case Incident.MISSED_POSITIONING:
+                self._modes[FaultKind.FROZEN_CNC] = happening
+                self._passed = self._machine.nc.sequence_number
+                self._machine.nc.sequence_number = POSITIONING
+            case Incident.FOREIGN_REQUEST:
+                self._ask_nonsense(int(which or 0))
 
     def end(self, happening: Happening) -> None:
         kind = happening.kind
         if self._modes.get(kind) is happening:
             del self._modes[kind]
+        if kind is Incident.MISSED_POSITIONING:
+            self._modes.pop(FaultKind.FROZEN_CNC, None)
+            if self._machine.nc.sequence_number == POSITIONING:
+                self._machine.nc.sequence_number = self._passed
         if kind is Incident.OTHER_PROGRAM:
             self._machine.nc.program = self._program
         if kind is Incident.WORK_OFFSET:
@@ -193,6 +220,19 @@ class CncFace:
         macros = self._machine.nc.macros
         self._tampered[number] = (value, macros.get(number))
         macros.set(number, value)
+
+    def _ask_nonsense(self, which: int) -> None:
+        """Let the NC program ask for what is no request, unless it waits for the answer to another one."""
+        request, macros = self._map.request, self._machine.nc.macros
+        if request is None:
+            return
+        counter = macros.get(request.counter) or 0.0
+        if abs(macros.get(request.acknowledge) or 0.0) != counter:
+            return
+        kind, axis, value_mm = NO_REQUESTS[which % len(NO_REQUESTS)]
+        for number, value in ((request.kind, kind), (request.axis, axis), (request.value_mm, value_mm)):
+            macros.set(number, value)
+        macros.set(request.counter, counter % LAST_REQUEST + 1.0)
 
     def _falsify_echo(self, happening: Happening) -> None:
         axes = list(self._map.echo_applied)

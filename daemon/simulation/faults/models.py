@@ -2,7 +2,9 @@
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -10,7 +12,7 @@ from config.files import write_whole
 from daemon.simulation.faults.script import WATCHED_SENSORS, Happening, Incident
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.recordings.dataset import Recording
-from models.thermal.family import model_from_json
+from models.thermal.family import ThermalModel, model_from_json
 from models.thermal.training.increment_family import IncrementChoices
 from models.thermal.training.recipes import increment_recipe
 from models.thermal.training.train_family import train_family
@@ -20,8 +22,8 @@ TRAINING_DAYS = 6
 HOURS = 10.0
 SAMPLE_S = 60.0
 INTERVAL_MIN = 10.0
-SHIPPED, SMALL, WATCHING = "shipped", "small", "watching"
-IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL)
+SHIPPED, SMALL, WATCHING, RENAMED = "shipped", "small", "watching", "renamed"
+IN_TURN = (SHIPPED, WATCHING, SHIPPED, SMALL, SHIPPED, RENAMED)
 """The watching model needs two thirds of a day of history before it may be followed."""
 OF_MODELS = (Incident.MODEL_RELOAD, Incident.DAMAGED_MODEL)
 
@@ -52,6 +54,10 @@ class CampaignModels:
     def model_id(self) -> str:
         """Identity of the model that was put there last."""
         return self._ids[self.current]
+
+    def loaded(self) -> dict[str, ThermalModel]:
+        """Return every model by its identity."""
+        return {self._ids[name]: model_from_json(text, self.path.name) for name, text in self._texts.items()}
 
     def is_watching(self, model_id: str | None) -> bool:
         """Tell whether this is the model that watches its sensors."""
@@ -87,7 +93,13 @@ class CampaignModels:
         )
         small = train_family(recordings, telescoped, sample_s=SAMPLE_S, created=CREATED).model
         watching = train_family(recordings, "default", sample_s=SAMPLE_S, created=CREATED).model
-        for name, model in ((SMALL, small), (WATCHING, watching)):
+        shipped: Any = model_from_json(self._texts[SHIPPED], self.path.name)
+        renamed = replace(shipped, model_id=f"{shipped.model_id}-again")
+        for name, model in (
+            (SMALL, small),
+            (WATCHING, watching),
+            (RENAMED, renamed),
+        ):
             self._texts[name], self._ids[name] = model.to_json(), model.model_id
 
 

@@ -10,6 +10,8 @@ from daemon.simulation.faults.recovery import GoodInput, RecoveryWatch
 from daemon.simulation.faults.result import Result
 from daemon.simulation.faults.script import EPOCH_UTC_S, Happening, Incident
 from daemon.simulation.faults.truth import TruthKeeper
+from daemon.simulation.faults.truth_watch import TruthWatch
+from daemon.simulation.faults.twin import Twin
 from daemon.simulation.faults.world import CampaignWorld
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
@@ -18,6 +20,7 @@ from drivers.sim.nc.program import campaign_program
 NAMES = (
     *WriteWatch.NAMES,
     *OperationsWatch.NAMES,
+    TruthWatch.NAME,
     "state_after_fault",
     "fault_is_latched",
     "changes_of_state_known",
@@ -31,6 +34,8 @@ NAMES = (
     "memory_growth",
 )
 KEPT_BLOCKS = 100_000
+TWIN_S = 10.0
+"""The twin reads the sensors this often: as often as they convert [s]."""
 
 
 class Observer:
@@ -65,6 +70,9 @@ class Observer:
         self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
         self.operations = OperationsWatch(ledger, self._map.request)
         self._truth = TruthKeeper(configuration, self.world, self.operations, models)
+        twin = Twin(configuration, models.loaded(), machine.body.sensors.ids)
+        self._twins = TruthWatch(configuration, ledger, twin)
+        self.world.every(TWIN_S, self._twin_reads)
         self._heart = HeartbeatWatch(self._map, ledger)
         rules = configuration.temperatures.cleansing
         self._good_input = GoodInput(
@@ -82,7 +90,13 @@ class Observer:
         self.acknowledging = False
         """A person has acknowledged in this life, and no FAULT was left since."""
 
+    def _twin_reads(self) -> None:
+        machine = self.world.machine
+        degc = machine.body.sensors.degc(machine.body.register_codes())
+        self._twins.twin.sample(self.world.time_s, degc, machine.nc.spindle_speed_rpm, machine.nc.tool_number)
+
     def restarted(self, time_s: float) -> None:
+        self._twins.restarted(time_s)
         self.operations.restarted(time_s)
         self._heart.disturbed(time_s)
         self._writes.restarted(time_s)
@@ -94,6 +108,7 @@ class Observer:
         """Bring what was measured into the result."""
         self._result.recovery_s = self._recovery.times_s
         self._result.not_judged = self._recovery.disturbed
+        self._result.twin_um = self._twins.worst_um
 
     # --- what the machine sees --------------------------------------------------------------
 
@@ -107,13 +122,20 @@ class Observer:
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
         self._writes.applied(time_s, applied_um, cutting=cutting)
+        self._twins.applied(time_s, applied_um, self.world.machine.nc.macros.get(self._map.echo_time))
 
-    def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
-        """Take a request of the NC program."""
-        self.operations.asked(Request(time_s=time_s, counter=counter, kind=kind, axis=axis, value_mm=value_mm))
+    def asked(
+        self, time_s: float, counter: int, kind: int, axis: int, value_mm: float, *, nonsense: bool = False
+    ) -> None:
+        """Take a request of the NC program, or what somebody else has put there."""
+        request = Request(time_s=time_s, counter=counter, kind=kind, axis=axis, value_mm=value_mm, nonsense=nonsense)
+        self.operations.asked(request)
 
     def begun(self, time_s: float, happening: Happening) -> None:
         self.operations.begun(time_s, happening)
+        self._twins.busy(happening.end_s)
+        if happening.kind is Incident.POWER_CYCLE:
+            self._twins.twin.forget()
         self._truth.begun(happening)
         self._heart.disturbed(happening.end_s)
         self._result.incidents[happening.kind.value] += 1
@@ -145,6 +167,7 @@ class Observer:
             del self.blocks[:-KEPT_BLOCKS]
         request = self._map.request
         if taken and request is not None and group[0][0] == request.acknowledge:
+            self._twins.answered(self.operations.latest, group[0][1], self.world.machine.guard.applied_um)
             self._writes.mark(time_s, self.operations.answered(time_s, group[0][1]))
 
     # --- what the daemon says ---------------------------------------------------------------
@@ -178,6 +201,7 @@ class Observer:
         self._writes.heard(time_s, claims)
         self._truth.heard(time_s, claims)
         self.operations.heard(time_s, claims, self._truth.applied_um)
+        self._twins.heard(time_s, claims, self.world.machine.guard.applied_um, disturbed=bool(self.world.active))
         self._writes.input_is(time_s, good=self._truth.temperatures(time_s), echo_known=self._truth.echo_known)
         self._note_good_input(time_s)
         if self._recovery.open:

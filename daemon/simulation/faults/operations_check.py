@@ -19,8 +19,10 @@ AT_ZERO_UM = 0.06
 PROBE = 2
 CALM_S = 60.0
 """Requests and models are judged when nothing else has happened for so long [s]."""
+HAND_S = 15.0
+"""A reference by hand is in force so soon after a person has asked for it [s]."""
 ENDS_A_REFERENCE = (Incident.POWER_CYCLE, Incident.OTHER_PROGRAM, Incident.WORK_OFFSET)
-QUIET = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, Incident.WRONG_SENSOR)
+QUIET = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, FaultKind.FLIPPED_BIT, Incident.WRONG_SENSOR)
 """The fault of a single sensor prevents no answer."""
 FOUND_K = 3.0
 """A sensor of the watching model that is so far off must not count [K] ..."""
@@ -37,6 +39,8 @@ class Request:
     kind: int
     axis: int
     value_mm: float
+    nonsense: bool = False
+    """It was made of what is no request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +57,7 @@ class OperationsWatch:
 
     NAMES = (
         "request_answered",
+        "nonsense_is_refused",
         "answer_belongs_to_a_request",
         "reference_ends",
         "zero_first_at_zero",
@@ -64,12 +69,15 @@ class OperationsWatch:
         self._ledger = ledger
         self._request = request
         self._waiting: Request | None = None
-        self._latest: Request | None = None
+        self.latest: Request | None = None
         self._busy_until_s = 0.0
         self._ended: tuple[str, float] | None = None
         self._to_show: Happening | None = None
         self._reference: str | None = None
         self._reference_s = 0.0
+        self._asked_by_hand_s = -1e9
+        self._by_hand = False
+        """No handshake proves that no positioning was missed."""
         self._model_due: tuple[str, float] | None = None
         self.zero_first = False
         """The policy in force."""
@@ -83,14 +91,17 @@ class OperationsWatch:
         """Something happens: nothing is judged until it has long been over."""
         if happening.kind not in QUIET:
             self._busy_until_s = max(self._busy_until_s, happening.end_s + CALM_S, time_s + CALM_S)
-        if happening.kind in ENDS_A_REFERENCE:
+        if happening.kind is Incident.HAND_REFERENCE:
+            self._asked_by_hand_s = time_s
+        missed = happening.kind is Incident.MISSED_POSITIONING and self._by_hand
+        if happening.kind in ENDS_A_REFERENCE or missed:
             self._to_show = happening
         if happening.kind is Incident.OTHER_POLICY:
             self.zero_first = int(happening.target or 0) % POLICIES == 0
 
     def ended(self, happening: Happening) -> None:
         """It is over: a program or a work offset that no poll has shown was never there for the daemon."""
-        if self._to_show is happening and happening.duration_s > 0:
+        if self._to_show is happening and happening.duration_s > 0 and happening.kind in ENDS_A_REFERENCE:
             self._to_show = None
 
     def restarted(self, time_s: float) -> None:
@@ -108,12 +119,15 @@ class OperationsWatch:
         self._model_due = (model_id, time_s + TAKEN_UP_AFTER_S)
 
     def asked(self, request: Request) -> None:
-        self._waiting = self._latest = request
+        self._waiting = self.latest = request
 
     def answered(self, time_s: float, value: float) -> str:
         """Take an answer as it is written; return the mark under which the output must not step, '' for none."""
         request, self._waiting = self._waiting, None
-        latest = self._latest
+        if request is not None and request.nonsense:
+            self._ledger.check("nonsense_is_refused", value < 0, f"{time_s:.1f} s: answer {value:g} to {request}")
+            return ""
+        latest = self.latest
         belongs = latest is not None and abs(round(value)) in (latest.counter, latest.counter - 1)
         what = "" if belongs else f"{time_s:.1f} s: answer {value:g} after {latest}"
         self._ledger.check("answer_belongs_to_a_request", belongs, what)
@@ -142,6 +156,7 @@ class OperationsWatch:
             self._reference = claims.reference
             if claims.reference is not None:
                 self._reference_s = time_s
+                self._by_hand = time_s - self._asked_by_hand_s <= HAND_S
                 if self.zero_first and time_s > self._busy_until_s:
                     zero = applied_um <= AT_ZERO_UM
                     what = "" if zero else f"{time_s:.1f} s: a reference with {applied_um:.2f} um applied"

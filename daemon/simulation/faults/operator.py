@@ -120,3 +120,31 @@ class Person:
             if not content["ok"]:
                 self.refusals.append(f"{command}: {content['error']}")
                 del self.refusals[:-50]
+
+
+CROWD = 40
+"""More connections than the daemon serves at a time."""
+HALF_A_REQUEST = b'{"command": "enab'
+STRANGE_REQUEST = b'{"command": "disable", "axes": ["\\ud800\\u001b[2J"]}\n'
+
+
+class Crowd:
+    """Connects to the local socket and says half of something; one asks for an axis that no terminal can show."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._sockets: list[socket.socket] = []
+
+    def come(self) -> None:
+        for number in range(CROWD):
+            one = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            one.setblocking(False)
+            self._sockets.append(one)
+            with contextlib.suppress(OSError):
+                one.connect(str(self._path))
+                one.send(STRANGE_REQUEST if number == 0 else HALF_A_REQUEST)
+
+    def go(self) -> None:
+        for one in self._sockets:
+            one.close()
+        self._sockets.clear()

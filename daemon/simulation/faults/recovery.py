@@ -102,10 +102,10 @@ class GoodInput:
             return
         if kind in RESTARTS:
             self._any_line = True
-        if kind is Incident.BLIND:  # longer than values are held
+        if kind in (Incident.BLIND, Incident.CORRUPT_RETURN, Incident.CORRUPT_START):  # longer than values are held
             for line in self._lines:
                 self._cycles[line] = max(self._cycles.get(line, 0), self._release_after_samples)
-        self._cnc |= kind is not Incident.BLIND
+        self._cnc |= kind not in (Incident.BLIND, Incident.CORRUPT_RETURN)
 
     def cycle(self, line: str) -> None:
         """A line sent a whole, undisturbed cycle."""

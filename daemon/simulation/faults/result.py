@@ -25,6 +25,8 @@ class Result:
     lives: int = 0
     incidents: Counter[str] = field(default_factory=Counter)
     not_judged: int = 0
+    twin_um: float = 0.0
+    """Farthest from the twin while no violation was found [um]."""
     cycles: int = 0
     blocks: int = 0
     wall_s: float = 0.0

@@ -24,6 +24,11 @@ class Incident(StrEnum):
 
     BLIND = "blind"
     """No line sends anything."""
+    CORRUPT_RETURN = "corrupt_return"
+    """A line is silent, and when it returns one bit of a sensor's value is wrong in the first passes (`amount`: which
+    bit, and in how many passes)."""
+    CORRUPT_START = "corrupt_start"
+    """The daemon is killed, and in the first passes of the next one a bit of a sensor's value is wrong."""
     SLOW_CNC = "slow_cnc"
     """Answers come late by up to `amount` [s]."""
     REFUSING_CNC = "refusing_cnc"
@@ -34,6 +39,10 @@ class Incident(StrEnum):
     """The connection is lost after `amount` groups of a block; the next group arrives all the same, or does not."""
     FOREIGN_WRITE = "foreign_write"
     """Another program writes one of our macros."""
+    FOREIGN_REQUEST = "foreign_request"
+    """A request of the NC program holds what is none: vacant, a fraction, something huge (`target`: which)."""
+    MISSED_POSITIONING = "missed_positioning"
+    """The link is frozen for longer than a program stands at its positioning, and meanwhile the work is positioned."""
     VACANT_MACRO = "vacant_macro"
     """One of our macros becomes vacant."""
     ECHO_VACANT = "echo_vacant"
@@ -48,6 +57,10 @@ class Incident(StrEnum):
     """Another work offset is in force."""
     CLOCK_STEP = "clock_step"
     """The calendar clock of the daemon's computer is set forward by `amount` [s] (negative: back)."""
+    STORE_MOVED = "store_moved"
+    """Somebody moves the store away while the daemon writes it."""
+    HALF_OPEN = "half_open"
+    """Somebody opens connections to the local socket, sends half a request on each, and waits."""
     FULL_DISK = "full_disk"
     """Files of the daemon's computer cannot grow."""
     KILLED_DAEMON = "killed_daemon"
@@ -83,13 +96,17 @@ ON_LINES = (
     FaultKind.RESET_BURST,
     FaultKind.UNPLUGGED,
 )
-ON_SENSORS = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR)
-RESTARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE, Incident.OTHER_POLICY)
+ON_SENSORS = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, FaultKind.FLIPPED_BIT)
+RESTARTS = (Incident.KILLED_DAEMON, Incident.KILLED_IN_WRITE, Incident.CORRUPT_START, Incident.OTHER_POLICY)
 """After these a daemon is started."""
 POLICIES = 3
 """Of so many changes of the policy one leads to zero_first."""
 WATCHED_SENSORS = (26, 64, 72, 87, 93, 99, 102, 110, 125, 138, 180, 200, 230, 260, 290, 301)
 """The sensors of the model that watches its sensors: one or two of every component."""
+CORRUPT_BITS = (3, 4, 5, 6, 7, 8)
+CORRUPT_PASSES = (1, 3, 12)
+CYCLE_S = 10.0
+"""Time between two passes of a line [s]."""
 OF_A_PERSON = (Incident.DISABLED_AXIS, Incident.DISABLED, Incident.ZEROED, Incident.HAND_REFERENCE)
 
 
@@ -128,10 +145,12 @@ HABITS: dict[Kind, _Habit] = {
     FaultKind.DEAD_LINE: _Habit(per_day=3, duration_s=(20, 900), amount=(0, 60), whole=True),
     FaultKind.STUCK_SENSOR: _Habit(per_day=2, duration_s=(600, 7200)),
     FaultKind.DRIFTING_SENSOR: _Habit(per_day=2, duration_s=(600, 7200), amount=(0.5, 20), either_way=True),
+    FaultKind.FLIPPED_BIT: _Habit(per_day=2, duration_s=(5, 200), amount=(2, 9), whole=True),
     FaultKind.RENUMBERED: _Habit(per_day=1, duration_s=(30, 600), amount=(1, 60), whole=True),
     FaultKind.RESET_BURST: _Habit(per_day=2, duration_s=(10, 60)),
     FaultKind.UNPLUGGED: _Habit(per_day=2, duration_s=(10, 300)),
     Incident.BLIND: _Habit(per_day=1, duration_s=(90, 900)),
+    Incident.CORRUPT_RETURN: _Habit(per_day=2, duration_s=(200, 400), amount=(0, 17), whole=True),
     FaultKind.FROZEN_CNC: _Habit(per_day=2, duration_s=(2, 300)),
     FaultKind.KILLED_CNC: _Habit(per_day=2, duration_s=(2, 300)),
     Incident.SLOW_CNC: _Habit(per_day=2, duration_s=(30, 600), amount=(0.05, 0.9)),
@@ -139,16 +158,20 @@ HABITS: dict[Kind, _Habit] = {
     Incident.LYING_CNC: _Habit(per_day=1, duration_s=(15, 60)),
     Incident.CUT_WRITE: _Habit(per_day=2, amount=(0, 2), whole=True),
     Incident.FOREIGN_WRITE: _Habit(per_day=1),
+    Incident.FOREIGN_REQUEST: _Habit(per_day=2),
     Incident.VACANT_MACRO: _Habit(per_day=1),
     Incident.ECHO_VACANT: _Habit(per_day=1, duration_s=(15, 60)),
     Incident.ECHO_NONSENSE: _Habit(per_day=1, duration_s=(15, 60)),
     Incident.POWER_CYCLE: _Habit(per_day=1),
     Incident.OTHER_PROGRAM: _Habit(per_day=0.5, duration_s=(15, 60)),
     Incident.WORK_OFFSET: _Habit(per_day=0.5, duration_s=(15, 60)),
-    Incident.CLOCK_STEP: _Habit(per_day=2, amount=(0.5, 7200), either_way=True),
+    Incident.CLOCK_STEP: _Habit(per_day=2, amount=(0.5, 200_000), either_way=True),
+    Incident.STORE_MOVED: _Habit(per_day=0.25),
+    Incident.HALF_OPEN: _Habit(per_day=0.5, duration_s=(30, 300)),
     Incident.FULL_DISK: _Habit(per_day=1, duration_s=(30, 300)),
     Incident.KILLED_DAEMON: _Habit(per_day=0.25, duration_s=(2, 900)),
     Incident.KILLED_IN_WRITE: _Habit(per_day=0.25, duration_s=(2, 60), amount=(0, 2), whole=True),
+    Incident.CORRUPT_START: _Habit(per_day=0.25, duration_s=(130, 250), amount=(0, 17), whole=True),
     Incident.OTHER_POLICY: _Habit(per_day=0.25, duration_s=(2, 20)),
     Incident.MODEL_RELOAD: _Habit(per_day=1),
     Incident.DAMAGED_MODEL: _Habit(per_day=0.5, duration_s=(5, 60)),
@@ -160,6 +183,7 @@ HABITS: dict[Kind, _Habit] = {
     Incident.DISABLED: _Habit(per_day=1, duration_s=(60, 900)),
     Incident.ZEROED: _Habit(per_day=1, duration_s=(60, 900)),
     Incident.HAND_REFERENCE: _Habit(per_day=1),
+    Incident.MISSED_POSITIONING: _Habit(per_day=0.5, duration_s=(10, 60)),
 }
 """Rates are far above any real machine's, so that many overlaps of two faults happen in a month."""
 
@@ -180,6 +204,8 @@ def wire_faults(happenings: Sequence[Happening], lines: Sequence[LineConfig]) ->
     for happening in happenings:
         if happening.kind is Incident.BLIND:
             faults += [_fault(happening, FaultKind.DEAD_LINE, line.name) for line in lines]
+        elif happening.kind in (Incident.CORRUPT_RETURN, Incident.CORRUPT_START):
+            faults += _corrupt(happening, lines)
         elif happening.kind is Incident.WRONG_SENSOR:
             faults.append(
                 replace(_fault(happening, FaultKind.DRIFTING_SENSOR, happening.target), amount=happening.amount)
@@ -187,6 +213,30 @@ def wire_faults(happenings: Sequence[Happening], lines: Sequence[LineConfig]) ->
         elif isinstance(happening.kind, FaultKind):
             faults.append(_fault(happening, happening.kind, happening.target))
     return tuple(faults)
+
+
+def corrupt_from_s(happening: Happening) -> float:
+    """Return when the silence before a corrupt return or start ends [s]."""
+    return happening.end_s - CYCLE_S * CORRUPT_PASSES[int(happening.amount) // len(CORRUPT_BITS)]
+
+
+def _corrupt(happening: Happening, lines: Sequence[LineConfig]) -> list[Fault]:
+    """Return the silence of a line and the wrong bit in the first passes after it; after a start the bit alone."""
+    from_s = corrupt_from_s(happening)
+    bit = CORRUPT_BITS[int(happening.amount) % len(CORRUPT_BITS)]
+    sensor = int(happening.target or 0)
+    flipped = Fault(
+        kind=FaultKind.FLIPPED_BIT,
+        at_s=from_s,
+        duration_s=happening.end_s - from_s,
+        target=sensor,
+        amount=float(bit),
+    )
+    if happening.kind is Incident.CORRUPT_START:
+        return [flipped]
+    line = next(line.name for line in lines if sensor in line.sensor_ids)
+    silent_s = from_s - happening.at_s
+    return [Fault(kind=FaultKind.DEAD_LINE, at_s=happening.at_s, duration_s=silent_s, target=line), flipped]
 
 
 def _fault(happening: Happening, kind: FaultKind, target: str | int | None) -> Fault:
@@ -236,6 +286,8 @@ def _drawn(rng: random.Random, kind: Kind, at_s: float, lines: Sequence[LineConf
         target = rng.choice([sensor for line in lines for sensor in line.sensor_ids])
     elif kind is Incident.WRONG_SENSOR:
         target = rng.choice(WATCHED_SENSORS)
+    elif kind in (Incident.CORRUPT_RETURN, Incident.CORRUPT_START):
+        target = rng.choice([sensor for line in lines for sensor in line.sensor_ids])
     elif isinstance(kind, FaultKind):
         target = None
     duration_s = _log_uniform(rng, *habit.duration_s)

@@ -3,7 +3,7 @@
 import contextlib
 from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,20 @@ class StoreCheck:
         self._lines = lines
         self._ledger = ledger
         self._checked: dict[str, int] = {}
+        self._moved: list[Path] = []
+        """Where stores stand that somebody has moved away while they were written."""
         self.lost = 0
+
+    def move_away(self) -> None:
+        """Move the store away, as a person might who wants its space."""
+        if self._path.exists():
+            self._moved.append(self._path.rename(self._path.with_name(f"moved-{len(self._moved)}.sqlite")))
+
+    def _readers(self) -> Iterator[HistoryReader]:
+        """Yield a reader of each store there is, the oldest first."""
+        for path in (*self._moved, self._path):
+            with contextlib.suppress(HistoryError), HistoryReader(path) as reader:
+                yield reader
 
     def acknowledged_cycles(self, acknowledgements: Acknowledgements, *, all_of_them: bool = False) -> None:
         """Look for every cycle acknowledged since the last call (or ever)."""
@@ -51,11 +64,7 @@ class StoreCheck:
     def _stored(self, line: str, wanted: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.int64]":
         times_s = (wanted >> NUMBER_BITS) / 1e3
         found: list[int] = []
-        try:
-            reader = HistoryReader(self._path)
-        except HistoryError:
-            return np.empty(0, dtype=np.int64)
-        with reader:
+        for reader in self._readers():
             from_s = float(times_s.min())
             while from_s <= float(times_s.max()):
                 to_s = from_s + AT_ONCE_S
@@ -73,19 +82,20 @@ class StoreCheck:
         received in a life that ended in order. Before anything was `written` there need not be a store: the daemon
         may have been killed while it made one.
         """
+        audited: set[float] = set()
         try:
             with HistoryReader(self._path) as reader:
                 unsettled = reader.unsettled_writes()
-                frame = reader.frame(WRITES, *EVER, ["outcome", "sequence"]) if blocks else None
         except HistoryError as error:
             self._ledger.check("audit_complete", not written, str(error))
             return
         why = f"{len(unsettled)} intents have no outcome, {open_ones} may be open"
         self._ledger.check("audit_complete", len(unsettled) <= open_ones, why)
-        if frame is None or not blocks:
+        if not blocks:
             return
-        outcomes = frame.integers("outcome")
-        audited = set(frame.numbers("sequence")[outcomes != int(WriteOutcome.INTENDED)].tolist())
+        for reader in self._readers():
+            frame = reader.frame(WRITES, *EVER, ["outcome", "sequence"])
+            audited |= set(frame.numbers("sequence")[frame.integers("outcome") != int(WriteOutcome.INTENDED)].tolist())
         for sequence in blocks:
             self._ledger.check(
                 "audit_has_every_block", sequence in audited, f"block {sequence:g} reached the CNC and is not audited"
@@ -94,7 +104,7 @@ class StoreCheck:
     def probes(self, expected: Sequence[Probe], axes: Sequence[str]) -> None:
         """Check that every probe value that the daemon has taken is in the store, once."""
         stored: Counter[tuple[str, float]] = Counter()
-        with contextlib.suppress(HistoryError), HistoryReader(self._path) as reader:
+        for reader in self._readers():
             stored.update((p.axis, round(p.deviation_um, 3)) for p in reader.probes(*EVER) if p.accepted)
         wanted = Counter((axes[probe.axis - 1], round(probe.deviation_um, 3)) for probe in expected)
         for probe, count in wanted.items():

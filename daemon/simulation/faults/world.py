@@ -11,7 +11,7 @@ from typing import Protocol
 
 from config.schema import Configuration
 from config.schema.temperatures import LineConfig
-from daemon.simulation.faults.cnc import CncFace
+from daemon.simulation.faults.cnc import NO_REQUESTS, CncFace
 from daemon.simulation.faults.script import Happening, Incident, wire_faults
 from drivers.sim.faults import Fault, FaultKind
 from drivers.sim.machine.machine import CfrpMachine
@@ -37,7 +37,9 @@ class Watcher(Protocol):
         """What the NC applies, and whether the tool is in the work."""
         ...
 
-    def asked(self, time_s: float, counter: int, kind: int, axis: int, value_mm: float) -> None:
+    def asked(
+        self, time_s: float, counter: int, kind: int, axis: int, value_mm: float, *, nonsense: bool = False
+    ) -> None:
         """The NC program has asked for something."""
         ...
 
@@ -120,6 +122,16 @@ class CampaignWorld:
         """Have something done at a time, noticed by the daemon."""
         self._at(time_s, run, outward=True)
 
+    def every(self, period_s: float, run: Callable[[], None]) -> None:
+        """Have something done again and again that the daemon does not notice, on a machine that is up to date."""
+
+        def do() -> None:
+            self.move_machine()
+            run()
+            self._at(self.time_s + period_s, do)
+
+        self._at(self.time_s, do)
+
     def advance(self, until_s: float) -> None:
         """Move on to `until_s`, or to the first event before it that the daemon may notice."""
         while self._events and self._events[0].time_s <= until_s:
@@ -154,7 +166,9 @@ class CampaignWorld:
             return
         self._request_counter = counter
         kind, axis, value_mm = (macros.get(number) for number in (request.kind, request.axis, request.value_mm))
-        self._watcher.asked(self.machine.time_s, counter, round(kind or 0.0), round(axis or 0.0), value_mm or 0.0)
+        nonsense = (kind, axis, value_mm) in NO_REQUESTS
+        kind, axis, value_mm = kind or 0.0, axis or 0.0, value_mm or 0.0
+        self._watcher.asked(self.machine.time_s, counter, round(kind), round(axis), value_mm, nonsense=nonsense)
 
     def _at(self, time_s: float, run: Callable[[], None], *, outward: bool = False) -> None:
         heapq.heappush(self._events, _Event(time_s, next(self._order), outward, run))
@@ -249,6 +263,7 @@ class CampaignWorld:
             self.utc_step_s += happening.amount
         else:
             self.cnc.begin(happening, self.time_s)
+            self._look_for_request()
         self._at(happening.end_s, lambda: self._end(happening), outward=True)
 
     def _end(self, happening: Happening) -> None:

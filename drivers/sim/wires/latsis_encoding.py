@@ -211,6 +211,8 @@ class LineTransmitter:
                 continue
             if fault.kind is FaultKind.STUCK_SENSOR:
                 code = self._stuck.setdefault(fault, code)
+            elif fault.kind is FaultKind.FLIPPED_BIT:
+                code ^= 1 << int(fault.amount)
             elif fault.kind is FaultKind.DRIFTING_SENSOR:
                 step_degc = MLX90615_DEGC_PER_COUNT if mlx90615 else TMP102_DEGC_PER_COUNT
                 code += round(fault.amount * (now_s - fault.at_s) / 3600 / step_degc)

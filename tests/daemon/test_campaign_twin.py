@@ -1,0 +1,257 @@
+"""The twin of a fault campaign: what the law says is applied, and that a tool which stands elsewhere is found."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaign_claims import claims
+
+from config.machines import shipped_file
+from config.schema import Configuration
+from daemon.cli.simulate.demo import demo_machine
+from daemon.simulation.faults.invariants import Ledger
+from daemon.simulation.faults.operations_check import Request
+from daemon.simulation.faults.truth_watch import DELAY_S, PASSED_S, TruthWatch
+from daemon.simulation.faults.twin import Twin
+from daemon.simulation.processes import write_simulation_configuration
+from models.records import FloatArray
+from models.thermal.family import ThermalModel, model_from_json
+
+FAULTS = Path(__file__).resolve().parents[2] / "daemon" / "simulation" / "faults"
+APPLIED = {"x": 0.0, "y": 4.0, "z": 10.0}
+MODEL = "ridge"
+"""Name under which the shipped model counts here."""
+OTHER = "another"
+
+
+WANTED = (False, True, True)
+
+
+def shipped_model() -> ThermalModel:
+    return model_from_json(shipped_file("simulated_machine_model.json").read_text(), "model")
+
+
+@pytest.fixture(scope="module")
+def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
+    """The machine of the campaign."""
+    return write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)[1]
+
+
+class Bench:
+    """A twin on a machine whose sensors all show one temperature each."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        model = shipped_model()
+        self.configuration = configuration
+        ids = [sensor.id for sensor in configuration.temperatures.sensors]
+        self.twin = Twin(configuration, {MODEL: model, OTHER: model}, ids)
+        self.degc: FloatArray = np.full(len(ids), 25.0)
+        self.time_s = 0.0
+        self.tool = 1
+        self.pass_by(60.0)
+
+    def pass_by(self, duration_s: float) -> None:
+        until_s = self.time_s + duration_s
+        while self.time_s < until_s:
+            self.time_s += 10.0
+            self.twin.sample(self.time_s, self.degc.copy(), 0.0, self.tool)
+
+    def warm(self, by_k: float, *labels: str) -> None:
+        """Warm the sensors with these labels (all of them where none is named), and let the means follow."""
+        for index, sensor in enumerate(self.configuration.temperatures.sensors):
+            if not labels or sensor.label in labels:
+                self.degc[index] += by_k
+        self.pass_by(80.0)
+
+    def reference(self) -> None:
+        self.twin.reference(self.time_s, MODEL, APPLIED)
+
+    def requests(self) -> tuple[float, float]:
+        y, z = self.twin.request_um("y"), self.twin.request_um("z")
+        assert y is not None and z is not None
+        return y, z
+
+
+@pytest.fixture
+def bench(configuration: Configuration) -> Bench:
+    return Bench(configuration)
+
+
+def test_the_oracles_import_nothing_of_the_control() -> None:
+    for name in ("twin.py", "truth_watch.py", "state_oracle.py", "invariants.py"):
+        found = {module for module in _imported(FAULTS / name) if module.startswith(("daemon", "models"))}
+        assert not {m for m in found if m.startswith(("models.control", "daemon.compensation", "daemon.cnc"))}, name
+
+
+def _imported(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+# --- the law -------------------------------------------------------------------------------
+
+
+def test_nothing_is_said_before_a_reference_and_a_reference_moves_nothing(bench: Bench) -> None:
+    assert bench.twin.request_um("y") is None
+    bench.reference()
+    assert bench.requests() == pytest.approx((4.0, 10.0))
+
+
+def test_the_request_takes_the_estimate_from_the_baseline(bench: Bench) -> None:
+    bench.reference()
+    bench.warm(2.0)
+    first = bench.requests()
+    bench.warm(2.0)
+    second = bench.requests()
+    moved = np.array(first) - (4.0, 10.0)
+    assert np.abs(moved).min() > 0.05
+    assert np.array(second) - first == pytest.approx(moved, rel=0.1), "a linear model"
+
+
+def test_the_bound_holds(bench: Bench) -> None:
+    bench.reference()
+    bench.warm(300.0)
+    axes = bench.configuration.compensation.axes
+    assert [abs(um) for um in bench.requests()] <= [axes["y"].absolute_bound_um, axes["z"].absolute_bound_um]
+
+
+def test_another_model_contributes_from_now_on(bench: Bench) -> None:
+    bench.reference()
+    bench.warm(2.0)
+    before = bench.requests()
+    bench.twin.model(bench.time_s, OTHER)
+    assert bench.requests() == pytest.approx(before, abs=1e-6)
+    bench.warm(2.0)
+    assert np.array(bench.requests()) - before == pytest.approx(np.array(before) - (4.0, 10.0), rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def without_tool(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
+    machine = demo_machine()
+    del machine["compensation"]["axes"]["z"]["tool_term"]
+    return write_simulation_configuration(machine, tmp_path_factory.mktemp("bare"), speed=1.0, http=False)[1]
+
+
+def test_a_tool_counts_from_its_own_setting_and_expands_from_when_it_came(
+    bench: Bench, without_tool: Configuration
+) -> None:
+    bare = Bench(without_tool)
+    term = bench.configuration.compensation.axes["z"].tool_term
+    assert term is not None
+    for each in (bare, bench):
+        each.reference()
+        each.warm(1.0, *term.temperatures)
+    grown_um = term.direction * term.length_mm * 1e-3 * term.expansion_um_per_m_k * sum(term.temperatures.values())
+    nose_um = 10.0 - bare.requests()[1]
+    assert bench.requests()[1] == pytest.approx(10.0 - nose_um - grown_um)
+    bench.twin.tool_changed(2)
+    assert bench.requests()[1] == pytest.approx(10.0 - nose_um), "the new tool has not expanded yet"
+    bench.twin.tool_set(bench.time_s, "z", 31.0)
+    assert bench.requests()[1] == pytest.approx(31.0)
+    bench.twin.tool_changed(1)
+    assert bench.requests()[1] == pytest.approx(10.0 - nose_um), "the first tool counts from the work's reference"
+    bench.twin.tool_changed(2)
+    assert bench.requests()[1] == pytest.approx(31.0)
+
+
+def test_a_probe_is_cancelled_and_the_setting_of_a_tool_is_gone_with_the_power(bench: Bench) -> None:
+    bench.reference()
+    bench.warm(2.0)
+    bench.twin.probed("y", 3.0, 7.0)
+    assert bench.requests()[0] == pytest.approx(4.0)
+    bench.twin.forget()
+    assert bench.twin.request_um("y") is None
+
+
+def test_what_the_guard_takes_up_just_after_a_reference_is_the_baseline(bench: Bench) -> None:
+    bench.reference()
+    bench.twin.settled(bench.time_s + 5.0, {**APPLIED, "y": 4.5})
+    assert bench.requests()[0] == pytest.approx(4.5)
+    bench.twin.settled(bench.time_s + 60.0, {**APPLIED, "y": 9.0})
+    assert bench.requests()[0] == pytest.approx(4.5)
+
+
+# --- the judge -----------------------------------------------------------------------------
+
+
+class Judged:
+    """A watch on a bench, with a guard that runs once a second."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.ledger = bench, Ledger([TruthWatch.NAME])
+        self.watch = TruthWatch(bench.configuration, self.ledger, bench.twin)
+        self.claims = claims(state="ACTIVE", reference="r1", estimate_reference="r1", model=MODEL, wanted=WANTED)
+        self.now_s = bench.time_s
+        self.say()
+
+    def say(self, *, disturbed: bool = False) -> None:
+        self.watch.heard(self.now_s, self.claims, APPLIED, disturbed=disturbed)
+
+    def stand(self, duration_s: float, *, guard: bool = True, **applied: float) -> int:
+        """Let the tool stand there; return how often that was wrong."""
+        until_s = self.now_s + duration_s
+        while self.now_s < until_s:
+            self.now_s += 1.0
+            self.say()
+            self.watch.applied(self.now_s, {**APPLIED, **applied}, self.now_s if guard else 0.0)
+        return self.ledger.counts[TruthWatch.NAME].violated
+
+
+@pytest.fixture
+def judged(bench: Bench) -> Judged:
+    judged = Judged(bench)
+    assert judged.stand(PASSED_S + 20.0) == 0
+    return judged
+
+
+def test_a_tool_that_stands_elsewhere_for_good_is_found_once(judged: Judged) -> None:
+    assert judged.stand(200.0, y=5.0) == 0, "within one micrometre"
+    assert judged.stand(600.0, y=6.0) == 1
+    assert "y at 6.000 um, the twin at 4.000 um" in judged.ledger.counts[TruthWatch.NAME].examples[0]
+
+
+def test_an_axis_has_the_time_that_its_slew_rate_takes(judged: Judged) -> None:
+    slew_um_per_min = judged.bench.configuration.compensation.axes["z"].slew_um_per_min
+    assert judged.stand(DELAY_S + 60.0 * 20.0 / slew_um_per_min - 5.0, z=30.0) == 0
+    assert judged.stand(60.0, z=30.0) == 1
+
+
+def test_in_a_cut_where_no_guard_runs_nothing_is_asked_of_the_tool(judged: Judged) -> None:
+    assert judged.stand(3000.0, guard=False, z=30.0) == 0
+
+
+@pytest.mark.parametrize("state", ["HOLD", "ARMED", "RETREAT", "FAULT"])
+def test_an_output_that_says_that_it_does_not_know_is_believed(judged: Judged, state: str) -> None:
+    judged.claims = claims(state=state, reference="r1", estimate_reference="r1", model=MODEL, wanted=WANTED)
+    assert judged.stand(3000.0, z=30.0) == 0
+
+
+def test_while_something_is_wrong_and_for_a_while_after_nothing_is_judged(judged: Judged) -> None:
+    judged.watch.busy(judged.now_s + 1000.0)
+    assert judged.stand(1000.0 + PASSED_S, z=30.0) == 0
+    assert judged.stand(600.0, z=30.0) == 1
+
+
+def test_a_refused_request_changes_nothing_and_one_that_was_taken_does(judged: Judged) -> None:
+    request = Request(time_s=judged.now_s, counter=5, kind=2, axis=2, value_mm=0.003)
+    judged.watch.answered(request, -5.0, APPLIED)
+    assert judged.bench.requests()[0] == pytest.approx(4.0)
+    judged.watch.answered(request, 5.0, APPLIED)
+    assert judged.bench.requests()[0] == pytest.approx(1.0)
+
+
+def test_after_a_restart_a_new_reference_forgets_the_tools_and_the_same_one_does_not(judged: Judged) -> None:
+    judged.bench.twin.tool_set(judged.now_s, "z", 31.0)
+    judged.watch.restarted(judged.now_s)
+    judged.say()
+    assert judged.bench.requests()[1] == pytest.approx(31.0)
+    judged.watch.restarted(judged.now_s)
+    judged.claims = claims(state="ACTIVE", reference="r2", estimate_reference="r2", model=MODEL, wanted=WANTED)
+    judged.say()
+    judged.bench.twin.tool_changed(7)
+    assert judged.bench.requests()[1] == pytest.approx(10.0)
