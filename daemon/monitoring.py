@@ -26,7 +26,7 @@ def monitor_service(
     history: HistoryWriter,
 ) -> Callable[[Callable[[], None]], Awaitable[None]]:
     """Return what serves the monitor."""
-    documents = Documents(configuration, clock, board, telemetry.picture)
+    documents = Documents(configuration, clock, board, telemetry)
     telemetry.registry.register(PresentMetrics(configuration, board, documents))
     parts = MonitorParts(
         configuration=configuration,

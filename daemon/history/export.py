@@ -2,20 +2,33 @@
 
 import csv
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, BinaryIO, Protocol, TextIO
 
 import numpy as np
 
 from daemon.history.database import HistoryError
-from daemon.history.tables import Table, TableColumn, TableType, Values
+from daemon.history.tables import TableColumn, TableType, Values
 
 if TYPE_CHECKING:
     import pyarrow
 
 Advance = Callable[[], None]
+
+
+class Tabular(Protocol):
+    """Columns, and their values piece by piece."""
+
+    @property
+    def columns(self) -> Sequence[TableColumn]:
+        """The columns, in order."""
+        ...
+
+    def windows(self) -> Iterable[list[Values]]:
+        """Yield per column its values."""
+        ...
 
 
 @contextmanager
@@ -31,7 +44,7 @@ def complete_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def write_csv(table: Table, stream: TextIO, advance: Advance = lambda: None) -> int:
+def write_csv(table: Tabular, stream: TextIO, advance: Advance = lambda: None) -> int:
     """Write a table as CSV: a header, then one line per row, empty where there is no value. Returns the rows."""
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.name for column in table.columns])
@@ -58,7 +71,7 @@ def cells_of(column: TableColumn, values: Values) -> list[str]:
     return ["" if math.isnan(number) else repr(number) for number in values.astype(np.float64).tolist()]
 
 
-def write_parquet(table: Table, path: Path, advance: Advance = lambda: None) -> int:
+def write_parquet(table: Tabular, path: Path | BinaryIO, advance: Advance = lambda: None) -> int:
     """Write a table as a Parquet file. Returns the rows. Raises HistoryError when pyarrow is not installed."""
     try:
         import pyarrow  # noqa: PLC0415 - an extra, loaded only when a Parquet file is asked for

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from config.records.commissioning import load_commissioning
 from config.schema import Configuration
+from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
 from models.recordings.dataset import DatasetError, Recording
@@ -28,7 +30,7 @@ LONGEST_GAP_MIN = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Minutes:
+class Minutes:
     """One-minute means of a piece of the history; NaN where nothing was measured."""
 
     minute: FloatArray
@@ -73,7 +75,7 @@ def recordings_from_history(
             "displacements, or train from recordings with `toolpoint thermal train`"
         )
     sensor_ids = configuration.temperatures.sensor_ids
-    pieces = list(_pieces(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
+    pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
     found = [run for run in _runs(pieces, sensor_ids, tuple(channels)) if run.rows >= LEAST_MIN]
     if not found:
         raise DatasetError(
@@ -83,14 +85,25 @@ def recordings_from_history(
     return found
 
 
-def _pieces(
+def commissioned_um_per_unit(configuration: Configuration) -> dict[str, float] | None:
+    """Return what a unit of each axis' echo macro means [um]; None on a machine that was never commissioned."""
+    axes = tuple(configuration.compensation.axes)
+    record_path = configuration.compensation.commissioning_file
+    if record_path is None or not record_path.is_file():
+        return None
+    factors = commissioned_factors(load_commissioning(record_path), axes)
+    return {axis: configuration.cnc.macros.unit_um * factors.get(axis, 1.0) for axis in axes}
+
+
+def minutes_of_history(
     configuration: Configuration,
     reader: HistoryReader,
     channels: Mapping[str, str],
     um_per_unit: Mapping[str, float] | None,
     from_utc_s: float,
     to_utc_s: float,
-) -> Iterator[_Minutes]:
+) -> Iterator[Minutes]:
+    """Yield one-minute means, piece by piece, as far as displacements were measured."""
     extent = reader.extent("displacements")
     if extent is None:
         return
@@ -111,7 +124,7 @@ def _piece(
     um_per_unit: Mapping[str, float] | None,
     start_s: float,
     stop_s: float,
-) -> _Minutes | None:
+) -> Minutes | None:
     displacements = reader.displacements(start_s, stop_s)
     if not len(displacements.time_s):
         return None
@@ -129,7 +142,7 @@ def _piece(
     named = zip(displacements.time_s.tolist(), displacements.source, strict=True)
     files = {int(time_s // MINUTE_S): source.rpartition(":")[0] for time_s, source in named}
     minute = first + np.arange(count)
-    return _Minutes(
+    return Minutes(
         minute=minute.astype(np.float64),
         speed_rpm=_means(cnc.time_s, cnc.spindle_speed_rpm[:, None], first, count)[:, 0],
         degc=degc,
@@ -156,7 +169,7 @@ def _means(time_s: FloatArray, values: FloatArray, first: int, count: int) -> Fl
     return np.where(number > 0, total / np.maximum(number, 1.0), np.nan)
 
 
-def _runs(pieces: list[_Minutes], sensor_ids: tuple[int, ...], channels: tuple[str, ...]) -> Iterator[Recording]:
+def _runs(pieces: list[Minutes], sensor_ids: tuple[int, ...], channels: tuple[str, ...]) -> Iterator[Recording]:
     if not pieces:
         return
     minute = np.concatenate([piece.minute for piece in pieces])

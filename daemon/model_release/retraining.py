@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from config.files import write_whole
-from config.records.commissioning import load_commissioning
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
-from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
-from daemon.model_release.past_recordings import recordings_from_history
+from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
 from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER, proposals_folder
 from models.json_values import finite_or_none
 from models.thermal.family import ThermalModel
@@ -27,12 +25,7 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
     history cannot be trained on, HistoryError or CommissioningError when a file cannot be read, OSError when
     nothing can be written.
     """
-    axes = tuple(configuration.compensation.axes)
-    um_per_unit = None
-    record_path = configuration.compensation.commissioning_file
-    if record_path is not None and record_path.is_file():
-        factors = commissioned_factors(load_commissioning(record_path), axes)
-        um_per_unit = {axis: configuration.cnc.macros.unit_um * factors.get(axis, 1.0) for axis in axes}
+    um_per_unit = commissioned_um_per_unit(configuration)
     now_s = time.time()
     with HistoryReader(configuration.history.path) as reader:
         recordings = recordings_from_history(

@@ -14,7 +14,7 @@ from config.schema import Configuration
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.frames import frame_bytes
 from drivers.latsis.values import ChainDecoder
-from models.records import TemperatureCycle, Trace
+from models.records import FloatArray, TemperatureCycle, Trace
 
 KEPT_DELAYS = 8192
 """As many of the latest delays are kept for percentiles."""
@@ -39,6 +39,10 @@ class DelaySeries:
     def add(self, delay_s: float) -> None:
         self._values[self._count % KEPT_DELAYS] = delay_s
         self._count += 1
+
+    def latest(self) -> FloatArray:
+        """Return the latest delays [s], in no order."""
+        return self._values[: min(self._count, KEPT_DELAYS)].copy()
 
     def summary(self) -> dict[str, float | int | None]:
         """Return mean, percentiles and maximum [s]; None without samples. Worked out anew only after a new delay."""

@@ -1,5 +1,7 @@
 """Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
 
+import json
+import subprocess
 import time
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import yaml
 from click.testing import CliRunner
 from control_rig import SENSOR_IDS
 from installation import Installation
+from pyarrow import parquet
 
 from config.loader import load_configuration
 from config.schema import Configuration
@@ -20,8 +23,10 @@ from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import RetrainingJob
-from daemon.model_release.past_recordings import recordings_from_history
+from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
+from daemon.monitor.web.downloads import EXPORTER
 from drivers.clock import SystemClock
+from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import DatasetError
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
@@ -170,3 +175,35 @@ async def test_the_daemon_that_is_told_to_has_the_job_and_another_has_not(tmp_pa
     (job,) = told._jobs
     job.start()
     job.stop()
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_recording_that_is_downloaded_is_what_training_reads(
+    machine: tuple[Installation, Configuration, float], tmp_path: Path, form: str
+) -> None:
+    _, configuration, begin_s = machine
+    request = {
+        "configuration": configuration.model_dump_json(),
+        **{"what": "recording", "format": form, "from_s": begin_s, "to_s": begin_s + 60.0 * MINUTES},
+    }
+    done = subprocess.run(EXPORTER, input=json.dumps(request).encode(), capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / f"recording.{form}"
+    path.write_bytes(done.stdout)
+    with HistoryReader(configuration.history.path) as reader:
+        um_per_unit = commissioned_um_per_unit(configuration)
+        (expected,) = recordings_from_history(
+            configuration, reader, um_per_unit, from_utc_s=begin_s, to_utc_s=begin_s + 60.0 * MINUTES
+        )
+    if form == "parquet":
+        table = parquet.read_table(path)
+        assert table.num_rows == expected.rows
+        assert table["Z1_um"].to_numpy() == pytest.approx(expected.displacements_um[:, 1])
+        return
+    found = read_recording(path)
+    assert found.rows == expected.rows
+    assert found.displacements_um == pytest.approx(expected.displacements_um)
+    assert found.temperatures_degc == pytest.approx(expected.temperatures_degc)
+    assert found.speed_rpm == pytest.approx(expected.speed_rpm)
+    trained = CliRunner().invoke(main, ["thermal", "train", str(path), "--output", str(tmp_path / "model.json")])
+    assert trained.exit_code in (0, 1) and (tmp_path / "model.json").exists(), trained.output

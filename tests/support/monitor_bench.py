@@ -130,7 +130,7 @@ async def no_models() -> dict[str, Any]:
 
 
 def parts_of(rig: Rig, configuration: Configuration) -> MonitorParts:
-    documents = Documents(configuration, rig.clock, rig.snapshots, rig.telemetry.picture)
+    documents = Documents(configuration, rig.clock, rig.snapshots, rig.telemetry)
     rig.telemetry.registry.register(PresentMetrics(configuration, rig.snapshots, documents))
     return MonitorParts(
         configuration=configuration,

@@ -1,5 +1,7 @@
 """The API of what is recorded: series, estimate with its reference marks, writes, downloads."""
 
+from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -11,7 +13,8 @@ from daemon.monitor.web.access import Viewer
 from daemon.monitor.web.estimate import estimate_document
 from daemon.monitor.web.pages import takes_gzip
 from daemon.monitor.web.problems import Problem, ProblemError
-from daemon.monitor.web.recorded import Recorded, encoded, write_document
+from daemon.monitor.web.recorded import Recorded, encoded
+from daemon.monitor.web.writes import writes_document
 
 router = APIRouter(tags=["recorded"])
 LATEST_UTC_S = 4_102_444_800.0
@@ -127,30 +130,39 @@ async def writes(
     """Return the audit of macro writes, the newest first."""
     start_s, end_s = interval(request, from_s, to_s)
 
-    def ask(reader: HistoryReader, go_on: Any) -> bytes:
-        found: list[dict[str, Any]] = []
-        stop_s = end_s
-        more = False
-        while stop_s > start_s and not more:
-            go_on()
-            begin_s = max(start_s, stop_s - 3600.0)
-            for record in reversed(reader.writes(begin_s, stop_s)):
-                document = write_document(record) | {"old": [], "model_id": None}
-                if reason and not any(
-                    reason.lower() in (document[key] or "").lower() for key in ("reason", "cause", "person")
-                ):
-                    continue
-                if len(found) == limit:
-                    more = True
-                    break
-                found.append(document)
-            stop_s = begin_s
-        return encoded({"writes": found, "more": more}, packed=packed)
+    def ask(reader: HistoryReader, go_on: Callable[[], None]) -> bytes:
+        return encoded(writes_document(reader, start_s, end_s, limit, reason or "", go_on), packed=packed)
 
     packed = takes_gzip(request.headers)
     body = await recorded_of(request).query(ask)
     headers = {"content-encoding": "gzip"} if packed else {}
     return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+
+
+@router.get(
+    "/export",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "the file"},
+        404: {"model": Problem, "description": "there is nothing of that kind in that time"},
+    },
+)
+async def export(
+    request: Request,
+    person: Viewer,
+    what: schemas.ExportWhat = schemas.ExportWhat.RECORDING,
+    form: Annotated[schemas.ExportFormat, Query(alias="format")] = schemas.ExportFormat.CSV,
+    from_s: From = None,
+    to_s: To = None,
+) -> Response:
+    """Download records; a recording is what `toolpoint thermal train` reads: one-minute means of everything."""
+    start_s, end_s = interval(request, from_s, to_s)
+    configuration = request.app.state.parts.configuration.model_dump_json()
+    asked = {"configuration": configuration, "what": what, "format": form, "from_s": start_s, "to_s": end_s}
+    name = f"{what}-{datetime.fromtimestamp(end_s, UTC):%Y%m%dT%H%M%SZ}.{form}"
+    media_type = "text/csv" if form is schemas.ExportFormat.CSV else "application/vnd.apache.parquet"
+    answer: Response = await request.app.state.downloads.begin(asked, name, media_type)
+    return answer
 
 
 @router.get("/estimate", response_model=schemas.Estimate)

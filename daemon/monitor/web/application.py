@@ -20,6 +20,7 @@ from daemon.monitor.commands import CommandDesk
 from daemon.monitor.web import api_actions, api_history, api_now
 from daemon.monitor.web.access import Access, Report
 from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.downloads import Downloads
 from daemon.monitor.web.gate import Gate
 from daemon.monitor.web.live import Live
 from daemon.monitor.web.pages import Pages
@@ -81,7 +82,7 @@ def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASG
     app.state.parts, app.state.documents = parts, parts.documents
     app.state.live = Live(parts.documents, parts.board)
     app.state.recorded = Recorded(parts.configuration)
-    app.state.pages = Pages()
+    app.state.pages, app.state.downloads = Pages(), Downloads()
     for part in (api_now, api_history, api_actions):
         app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
     app.include_router(_outside)

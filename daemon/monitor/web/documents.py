@@ -1,7 +1,6 @@
 """The documents of the API that show the present, made from the snapshots of the daemon's tasks."""
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -11,13 +10,16 @@ import numpy as np
 from config.schema import Configuration
 from config.schema.compensation import ToolTermConfig
 from daemon.snapshots import ControlSnapshot, ModelSnapshot, SnapshotBoard
-from daemon.telemetry.latency import PUBLISHED_DELAY_S, PUBLISHED_NOTE
+from daemon.telemetry.latency import PUBLISHED_DELAY_S, PUBLISHED_NOTE, DelaySeries
+from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.json_values import finite_or_none, plain
 from models.quality import Quality, describe
 from models.records import OutputState
 
 VERSION = version("toolpoint")
+COLUMNS = 40
+"""Columns of a distribution."""
 STATES = {state: number for number, state in enumerate(OutputState)}
 """Each state of the output as a number, for charts and metrics."""
 
@@ -30,10 +32,9 @@ class Documents:
         configuration: Configuration,
         clock: Clock,
         board: SnapshotBoard,
-        latency: Callable[[], dict[str, Any]],
+        telemetry: Telemetry,
     ) -> None:
-        """`latency` returns the percentiles of the delays."""
-        self._configuration, self._clock, self._board, self._latency = configuration, clock, board, latency
+        self._configuration, self._clock, self._board, self._telemetry = configuration, clock, board, telemetry
 
     # --- the state of everything --------------------------------------------------------
 
@@ -221,7 +222,7 @@ class Documents:
 
     def latency_summary(self) -> dict[str, Any]:
         """Return the delay beside the published one."""
-        delays = self._latency()
+        delays = self._telemetry.picture()
         return {
             "measurement": delays["measurement"],
             "feedback": delays["feedback"],
@@ -231,15 +232,13 @@ class Documents:
 
     def latency(self) -> dict[str, Any]:
         """Return every stage's percentiles beside the published means."""
-        delays = self._latency()
-        stages = {
-            name: delays[name] for name in ("sampling_wait", "line_time", "measurement", "feedback", "total", "echo")
-        }
+        delays = self._telemetry.picture()
+        series = self._telemetry.delays | {"echo": self._telemetry.echo}
         document = {
-            "stages": stages,
+            "stages": {name: delays[name] for name in series},
             "published_s": dict(PUBLISHED_DELAY_S),
             "published_note": PUBLISHED_NOTE,
-            "histograms": {},
+            "histograms": {name: histogram(each) for name, each in series.items()},
         }
         cleaned = plain(document)
         assert isinstance(cleaned, dict)
@@ -252,6 +251,16 @@ def _tool_um_per_k(term: ToolTermConfig | None) -> dict[str, float]:
         return {}
     um_per_k = term.direction * term.expansion_um_per_m_k * term.length_mm * 1e-3
     return {label: um_per_k * weight for label, weight in term.temperatures.items()}
+
+
+def histogram(delays: DelaySeries) -> dict[str, list[float] | list[int]]:
+    """Return how many of the latest delays lie between each two edges [s]; the largest thousandth lies in the last."""
+    values = delays.latest()
+    if not values.size:
+        return {"edges": [], "counts": []}
+    low, high = float(values.min()), float(np.percentile(values, 99.9))
+    counts, edges = np.histogram(np.minimum(values, high), COLUMNS, (low, high if high > low else low + 1e-6))
+    return {"edges": np.round(edges, 6).tolist(), "counts": counts.tolist()}
 
 
 def model_document(model: ModelSnapshot | None) -> dict[str, Any] | None:

@@ -14,9 +14,7 @@ import numpy as np
 from config.schema import Configuration
 from daemon.history.database import HistoryError
 from daemon.history.decimation import Decimated, SeriesError, SeriesReader, check_names, decimated
-from daemon.history.series import WriteRecord
 from daemon.monitor.web.problems import ProblemError
-from models.json_values import finite_or_none, plain
 
 Answer = TypeVar("Answer")
 THREADS = 2
@@ -101,29 +99,3 @@ def series_document(series: Decimated) -> dict[str, list[float | None]]:
         "max": np.round(series.greatest, 3).tolist(),
         "mean": np.round(series.mean, 3).tolist(),
     }
-
-
-def write_document(write: WriteRecord) -> dict[str, Any]:
-    """Return one entry of the audit."""
-    document = plain(
-        {
-            "id": write.write_id,
-            "time": write.time_s,
-            "cause": write.cause,
-            "person": write.person,
-            "state": write.state,
-            "reason": write.reason,
-            "requested_um": write.requested_um,
-            "compensation_um": write.compensation_um,
-            "applied_um": write.applied_um,
-            "limits_hit": write.limits_hit,
-            "macros": [[number, finite_or_none(value)] for number, value in write.macros],
-            "read_back": write.read_back,
-            "outcome": write.outcome.name.lower(),
-            "detail": write.detail,
-            "delay_s": write.delay_s,
-            "echoed_after_s": write.echoed_after_s,
-        }
-    )
-    assert isinstance(document, dict)
-    return document

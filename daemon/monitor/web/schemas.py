@@ -307,15 +307,20 @@ class Writes(Document):
     more: bool = Field(description="there are older ones in the interval")
 
 
+class Distribution(Document):
+    """How many values lie between each two edges."""
+
+    edges: list[float] = Field(description="one more than counts [s]")
+    counts: list[int]
+
+
 class Latency(Document):
     """Delays of every stage beside the published means."""
 
     stages: dict[str, Delays]
     published_s: dict[str, float]
     published_note: str
-    histograms: dict[str, Any] = Field(
-        description="per stage: upper edges [s] of the buckets, and how many fell in each"
-    )
+    histograms: dict[str, Distribution] = Field(description="of the latest delays, by stage")
 
 
 class Models(Document):

@@ -1,0 +1,175 @@
+"""The documents of the API on a machine at work: state, series, audit, downloads, and what is refused."""
+
+import csv
+import io
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from control_rig import EPOCH_S
+from monitor_bench import monitor
+
+from daemon.estimation.snapshot import thermal_snapshot
+from daemon.estimation.task import ThermalTask
+from daemon.snapshots import LinkSnapshot
+from models.quality import Quality, Reason
+from models.records import TemperatureCycle, Trace
+
+
+@pytest.fixture
+async def bench(tmp_path):
+    """A monitor of a machine that follows an estimate, with some cycles of temperatures."""
+    async with monitor(tmp_path) as bench:
+        rig = bench.rig
+        await rig.active()
+        await rig.follow(2.0, -3.0, 10)
+        thermal = ThermalTask(rig.configuration, rig.clock, rig.history, rig.telemetry, None, None, rig.control.deliver)
+        for number in range(1, 6):
+            rig.clock.monotonic_s += 10.0
+            now = rig.clock.now()
+            await thermal._take(
+                TemperatureCycle(
+                    line="spindle",
+                    number=number,
+                    degc=np.array([20.0 + number, np.nan, 21.0]),
+                    quality=np.array([Quality.GOOD, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
+                    reason=np.array([Reason.NONE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8),
+                    complete=False,
+                    trace=Trace(first_byte=now, last_byte=now),
+                )
+            )
+        rig.snapshots.thermal = thermal_snapshot(thermal)
+        await rig.history.flushed()
+        yield bench
+
+
+async def test_the_status_says_what_is_estimated_asked_written_and_applied(bench):
+    status = (await bench.browser().get("/api/v1/status")).json
+    assert status["state"] == "ACTIVE" and status["reason"] == "following the estimate"
+    z = status["axes"]["z"]
+    assert z["estimated_um"] == pytest.approx(-3.0) and z["applied_um"] == pytest.approx(3.0, abs=0.11)
+    assert z["remaining_um"] == pytest.approx(0.0, abs=0.11) and z["bound_um"] == 30.0 and z["band_um"] is None
+    assert status["reference"]["source"] == "O1000 N100" and status["age_s"] == pytest.approx(0.0)
+    assert status["latency"]["feedback"]["samples"] > 0
+
+
+async def test_sensors_tell_why_they_are_not_good(bench):
+    sensors = {each["id"]: each for each in (await bench.browser().get("/api/v1/sensors")).json["sensors"]}
+    assert sensors[2]["quality"] == "missing" and sensors[2]["reason"] == "not received"
+    assert sensors[11]["degc"] is None
+    assert set(sensors) == {1, 2, 3, 11, 12}
+
+
+async def test_every_name_that_is_listed_can_be_asked_for(bench):
+    browser = bench.browser()
+    listed = (await browser.get("/api/v1/names")).json
+    names = [each["name"] for each in listed["series"]]
+    assert len(names) == len(set(names))
+    for start in range(0, len(names), 30):
+        query = "&".join(f"name={name}" for name in names[start : start + 30])
+        answer = await browser.get(f"/api/v1/series?{query}&from={EPOCH_S}&to={EPOCH_S + 5000}")
+        assert answer.status == 200 and set(answer.json) == set(names[start : start + 30])
+    assert listed["first"] < listed["last"]
+
+
+async def test_series_hold_what_was_recorded(bench):
+    found = (await bench.browser().get(f"/api/v1/series?name=applied.z&from={EPOCH_S}&to={EPOCH_S + 5000}")).json
+    series = found["applied.z"]
+    assert max(series["max"]) == pytest.approx(3.0, abs=0.11)
+    assert len(series["t"]) == len(series["min"]) == len(series["max"]) == len(series["mean"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "sentence"),
+    [
+        ("series", 422, "query parameter name"),
+        ("series?name=x", 404, "there is no series 'x'"),
+        ("series?name=temperature.1&points=1", 422, "query parameter points"),
+        ("series?name=temperature.1&points=99999", 422, "query parameter points"),
+        ("series?name=temperature.1&from=nan", 422, "query parameter from"),
+        ("series?name=temperature.1&from=-1", 422, "query parameter from"),
+        ("series?name=temperature.1&to=1e300", 422, "query parameter to"),
+        ("series?name=temperature.1&from=20&to=10", 422, "must be before to"),
+        ("series?" + "&".join(f"name=temperature.{i}" for i in range(33)), 422, "query parameter name"),
+        ("writes?limit=0", 422, "query parameter limit"),
+        ("writes?limit=99999", 422, "query parameter limit"),
+        ("export?what=secrets", 422, "query parameter what"),
+        ("export?what=recording", 404, "no axis of this machine follows a channel that is measured"),
+        ("export?what=temperatures&from=10&to=20", 404, "no temperatures were recorded in that time"),
+        ("nothing", 404, "there is nothing at"),
+    ],
+)
+async def test_what_cannot_be_answered_is_refused_with_a_sentence(tmp_path, query, status, sentence):
+    async with monitor(tmp_path) as bench:
+        answer = await bench.browser().get(f"/api/v1/{query}")
+        assert (answer.status, sentence in answer.detail) == (status, True), answer.body
+
+
+async def test_a_body_that_is_no_request_is_refused(tmp_path):
+    async with monitor(tmp_path) as bench:
+        for body in (b"", b"{", b"[]", b'{"name": 1}', b'"x"', b"\xff\xfe"):
+            answer = await bench.browser().ask("POST", "/api/v1/session", body)
+            assert answer.status == 422 and answer.detail, body
+        answer = await bench.browser().ask("POST", "/api/v1/status", {})
+        assert answer.status == 405 and "does not take POST" in answer.detail
+
+
+async def test_years_are_answered_in_as_many_points_as_asked_for(bench):
+    answer = await bench.browser().get("/api/v1/series?name=temperature.1&name=estimated.Y1&from=0&to=4e9&points=200")
+    assert answer.status == 200 and all(len(each["t"]) <= 200 for each in answer.json.values())
+
+
+async def test_the_audit_is_listed_newest_first_with_what_stood_there_before(bench):
+    browser = bench.browser()
+    found = (await browser.get(f"/api/v1/writes?from={EPOCH_S}&to={EPOCH_S + 5000}&limit=3")).json
+    assert found["more"] is True and len(found["writes"]) == 3
+    times = [each["time"] for each in found["writes"]]
+    assert times == sorted(times, reverse=True)
+    asked = f"/api/v1/writes?from={EPOCH_S}&to={EPOCH_S + 5000}"
+    whole = (await browser.get(f"{asked}&limit=1000")).json["writes"]
+    for newer, older in pairwise(whole):
+        held = dict(older["macros"])
+        for (number, _), before in zip(newer["macros"], newer["old"], strict=True):
+            assert number not in held or before == held[number]
+    by_reason = (await browser.get(f"{asked}&reason=FOLLOWING")).json["writes"]
+    assert by_reason and all("following" in each["reason"] for each in by_reason)
+    assert not (await browser.get(f"{asked}&reason=zzz")).json["writes"]
+
+
+@pytest.mark.parametrize("what", ["temperatures", "writes"])
+async def test_records_are_downloaded_as_csv_and_parquet(bench, what):
+    browser = bench.browser()
+    asked = f"/api/v1/export?what={what}&from={EPOCH_S}&to={EPOCH_S + 5000}"
+    answer = await browser.get(asked)
+    assert answer.headers["content-type"].startswith("text/csv")
+    assert f'filename="{what}-' in answer.headers["content-disposition"]
+    rows = list(csv.DictReader(io.StringIO(answer.body.decode())))
+    assert rows and "utc_s" in rows[0]
+    packed = await browser.get(f"{asked}&format=parquet")
+    assert packed.body[:4] == packed.body[-4:] == b"PAR1"
+
+
+async def test_health_is_bad_in_fault_and_without_a_link(bench):
+    browser, board = bench.browser(), bench.rig.snapshots
+    assert (await browser.get("/api/v1/health")).json == {"healthy": True, "state": "ACTIVE", "reason": ""}
+    down = {"attempts": 1, "failures": 1, "losses": 1, "last_problem": "gone", "last_problem_utc_s": 1.0}
+    board.links = (LinkSnapshot(name="cnc", up=False, problem="no answer", **down),)
+    answer = await browser.get("/api/v1/health")
+    assert answer.status == 503 and answer.json["reason"] == "link cnc is down: no answer"
+    assert (await browser.get("/healthz")).status == 200, "the process itself lives"
+    board.links = ()
+    bench.rig.nc.macros.set(502, 0.5)
+    for _ in range(5):
+        await bench.rig.turn()
+    assert bench.rig.state == "FAULT"
+    answer = await browser.get("/api/v1/health")
+    assert answer.status == 503 and answer.json["reason"].startswith("FAULT: ")
+
+
+async def test_the_present_is_in_the_metrics(bench):
+    text = (await bench.browser().get("/metrics")).body.decode()
+    assert "toolpoint_output_state_number 2.0" in text
+    assert 'toolpoint_thermal_error_micrometres{axis="z"} -3.0' in text
+    assert 'toolpoint_temperature_celsius{label="A"}' in text
+    assert 'toolpoint_compensation_bound_micrometres{axis="z"} 30.0' in text
+    assert "NaN" not in text
