@@ -1,6 +1,7 @@
 """The published regressions of bearing properties on temperatures, and the physical bounds, as data."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -10,7 +11,7 @@ from pydantic import Field, model_validator
 from config.loader import load_yaml_model
 from config.machine.spindle import Origin
 from config.schema.base import KeyPath, KeyProblems, Section
-from models.dynamics.bearings import KINDS, PARAMETERS
+from models.dynamics.bearings import GROUPS, KINDS, parameters_of
 from models.dynamics.identification import FIXED
 from models.model_file import ModelError
 from models.thermomechanics.regression import AxisRegression, Bounds, PropertyRegression, ThermomechanicalModel
@@ -39,11 +40,10 @@ class BoundsFile(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        known = (*KINDS, *PARAMETERS)
         problems: list[tuple[KeyPath, str]] = [
-            (("bounds", name), f"is no bearing property; known are {', '.join(known)}")
+            (("bounds", name), f"is no bearing property; write {', '.join(KINDS)}, or one of them, _ and a group")
             for name in self.bounds
-            if name not in known
+            if name.partition("_")[0] not in KINDS or name.endswith("_")
         ]
         problems += [
             (("bounds", name, "highest"), f"must lie above lowest {each.lowest:g}")
@@ -61,10 +61,10 @@ def data_folder() -> Path:
     return Path(__file__).parent / "data"
 
 
-def load_bounds(path: Path | None = None) -> dict[str, Bounds]:
-    """Return the physical range of each of the twelve properties; None: as shipped. Raises ConfigurationError."""
+def load_bounds(path: Path | None = None, groups: Sequence[str] = GROUPS) -> dict[str, Bounds]:
+    """Return the physical range of each property of these groups; None: as shipped. Raises ConfigurationError."""
     told = load_yaml_model(path or data_folder() / "bounds.yaml", BoundsFile).bounds
-    ranges = {name: told.get(name, told[name.partition("_")[0]]) for name in PARAMETERS}
+    ranges = {name: told.get(name, told[name.partition("_")[0]]) for name in parameters_of(groups)}
     return {name: Bounds(lowest=each.lowest, highest=each.highest) for name, each in ranges.items()}
 
 

@@ -169,10 +169,18 @@ class Springs(Section):
     note: str | None = Field(None, description="what a reader should know about them")
 
 
+GROUP_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_]*$"
+
+
 class BearingDescription(Springs):
     """A bearing between the shaft and the housing."""
 
-    group: Literal["12", "34", "5"] = Field(description="bearings of a group share their properties; in quotes")
+    group: str = Field(
+        pattern=GROUP_PATTERN,
+        max_length=20,
+        description="name of the group: its bearings share their properties; numbers in quotes",
+        examples=["front"],
+    )
     position_mm: float = Field(ge=0, description="distance from the nose [mm]")
     position_origin: Origin | None = Field(None, description="where the position comes from")
 

@@ -4,8 +4,9 @@ The same as 4-35 with K used directly (4-32 inverts a singular matrix wherever K
 inverted: the bearings are nodes of a chain, and the chain is closed from its rear end to the nose.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,19 +15,31 @@ from models.dynamics.chain import Chain, Part, SpringDamper, chain_span, divide
 from models.records import FloatArray
 
 GROUPS = ("12", "34", "5")
-"""Front bearings at the nose, front bearings behind them, rear bearing."""
+"""The published spindle's: front bearings at the nose, front bearings behind them, rear bearing."""
 KINDS = ("kt", "ct", "kr", "cr")
 """Translational stiffness [N/m] and damping [N s/m], rotational stiffness [N m/rad] and damping [N m s/rad]."""
-PARAMETERS = tuple(f"{kind}_{group}" for group in GROUPS for kind in KINDS)
-"""Names of the twelve parameters: kt_12, ct_12, ..., cr_5."""
 
 BearingProperties = Mapping[str, SpringDamper]
 """Group -> properties."""
 
 
+def parameters_of(groups: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the parameters of groups of bearings: kt_12, ct_12, kr_12, cr_12, kt_34, ..."""
+    return tuple(f"{kind}_{group}" for group in groups for kind in KINDS)
+
+
+PARAMETERS = parameters_of(GROUPS)
+"""Names of the published spindle's twelve parameters."""
+
+
+def groups_of(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the groups of bearings that parameters belong to, in their order."""
+    return tuple(dict.fromkeys(name.partition("_")[2] for name in names))
+
+
 def properties_from_parameters(values: Mapping[str, float]) -> dict[str, SpringDamper]:
-    """Return the properties of the three groups from the twelve parameters by name."""
-    return {group: SpringDamper(**_of_group(values, group)) for group in GROUPS}
+    """Return the properties of every group from its four parameters by name."""
+    return {group: SpringDamper(**_of_group(values, group)) for group in groups_of(values)}
 
 
 def _of_group(values: Mapping[str, float], group: str) -> dict[str, float]:
@@ -91,6 +104,23 @@ class CondensedShaft:
             rear = rear + tail if node == max(stops) else rear
             self._stations.append(_Station(tuple(groups), front, rear, _products(cross), cross))
             start = node
+
+    def thinned(self, lines: slice) -> "CondensedShaft":
+        """Return the shaft at some of its frequencies."""
+        thin = copy(self)
+        thin.frequency_hz, thin.omega = self.frequency_hz[lines], self.omega[lines]
+        thin._bare_nose = self._bare_nose[:, lines]
+        thin._stations = [
+            replace(
+                station,
+                front=np.ascontiguousarray(station.front[:, lines]),
+                rear=np.ascontiguousarray(station.rear[:, lines]),
+                products=np.ascontiguousarray(station.products[:, :, lines]),
+                cross=np.ascontiguousarray(station.cross[:, lines]),
+            )
+            for station in self._stations
+        ]
+        return thin
 
     def _tail(self, parts: list[Part]) -> ComplexArray:
         """Return the stiffness of the free stretch behind the last bearing."""
@@ -163,9 +193,7 @@ class CondensedShaft:
         rows = inverse_rows(stiffness)
         y, theta = rows[0], rows[1]
         nose = y
-        derivatives = {
-            name: np.zeros_like(y) for name in (f"{kind}_{group}" for group in self.groups for kind in KINDS)
-        }
+        derivatives = {name: np.zeros_like(y) for name in parameters_of(self.groups)}
         for group in self._nose_groups:
             self._add_derivatives(derivatives, group, y, theta)
         for station, inverse in zip(self._stations, reversed(pivots), strict=True):

@@ -8,7 +8,8 @@ import numpy as np
 from models.dynamics.beam import ComplexArray
 from models.dynamics.chain import Chain, chain_span
 from models.dynamics.modes import dense_stiffness
-from models.dynamics.response_fit import Identified, least_squares_fit, nelder_mead, report
+from models.dynamics.response_fit import Identified, Model, nelder_mead, problem, report
+from models.dynamics.response_search import Coarse, least_squares_fit, lines_of_search, one_by_one
 from models.records import FloatArray
 
 CONTACT = ("kt", "ct", "kr", "cr")
@@ -100,12 +101,21 @@ def identify_contact(
     begin = {**INITIAL, **(start or {}), **kept}
     free = [name for name in CONTACT if name not in kept]
 
-    def model(values: Mapping[str, float]) -> tuple[ComplexArray, dict[str, ComplexArray]]:
+    def model_of(side: Interface) -> Model:
         """Return response and slopes with the fitted contact in the place of the first one."""
-        return interface.response({**begin, **values})
+        return lambda values: side.response({**begin, **values})
 
+    model = model_of(interface)
+    task = problem(model, measured, free)
     if method == "nelder-mead":
         found = nelder_mead(lambda values: model(values)[0], measured, free, begin)
     else:
-        found = least_squares_fit(model, measured, free, begin, INITIAL)
-    return report(model, measured, {**begin, **found.values}, free, found.evaluations)
+        lines = lines_of_search(len(measured))
+        thin = model_of(
+            Interface(
+                frequency_hz=interface.frequency_hz[lines], front=interface.front[lines], rear=interface.rear[lines]
+            )
+        )
+        coarse = Coarse(lines=lines, model=thin, many=one_by_one(thin, free))
+        found = least_squares_fit(task, begin, coarse, INITIAL)
+    return report(task, {**begin, **found.values}, found.evaluations, found.rivals)

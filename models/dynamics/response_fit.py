@@ -2,7 +2,7 @@
 
 Least squares of ``log(H / H_meas)`` with exact derivatives in a trust region (SciPy's descendant of Levenberg and
 Marquardt's method), or Nelder and Mead's simplex on the dissertation's cost (4-36). Both vary the logarithms of the
-parameters, so that no property becomes negative.
+parameters, so that no property becomes negative. Lines that noise covers, as at antiresonances, count less.
 A parameter's kind is what its name begins with: kt, ct, kr or cr.
 """
 
@@ -33,14 +33,12 @@ LARGEST_NOISE = 0.15
 """Scatter that is taken for noise at most."""
 RAYLEIGH_MEDIAN = 1.1774
 """Median of the size of a complex number whose parts scatter by 1."""
-MOST_EVALUATIONS = 200
-"""Of the response, from one start."""
-SEARCH_POINTS = 128
-"""Points of parameter space at which the fit is looked at, to find further starts."""
-SEARCH_STARTS = 8
-"""How many of them a descent begins at."""
-SEARCH_RANGE = {"kt": (1e6, 1e9), "ct": (3.0, 1e5), "kr": (3e3, 3e7), "cr": (1e-2, 1e3)}
-"""Where further starts are looked for, by kind of parameter, in SI units."""
+NOISE_WINDOW = 15
+"""Lines over which the noise of a line is taken."""
+QUIET_PERCENTILE = 25.0
+"""Percentile of the relative noise; lines with more of it count less."""
+LEAST_RELATIVE_NOISE = 0.01
+"""Relative noise below which all lines count alike."""
 NELDER_MEAD_EVALUATIONS = 1600
 
 
@@ -55,13 +53,16 @@ class Identified:
     cost_m_per_n: float
     """S_cf of 4-36: the sum of |H_meas - H| over the frequencies [m/N]."""
     log_error: float
-    """Root mean square of |log(H / H_meas)|."""
+    """Root mean square of |log(H / H_meas)|, lines that noise covers counting less (`line_weights`)."""
     evaluations: int
-    """How often the response was computed."""
+    """How often the response was computed at all frequencies."""
     log_deviation: dict[str, float]
     """How far the logarithm of each free parameter may be off, see `ASSUMED_ERROR`; inf: any value fits."""
+    interval: dict[str, tuple[float, float]]
+    """Range of each free parameter that fits about as well: twice its deviation, around this set of values and every
+    other that fits as well; 0 and inf where nothing bounds it, in SI units."""
     identifiable: dict[str, bool]
-    """Whether the data see each free parameter (`IDENTIFIABLE`)."""
+    """Whether the data see each free parameter (`IDENTIFIABLE`), and no other set of values that fits differs in it."""
     implausible: tuple[str, ...]
     """Free parameters with a value that no bearing has, or at the end of the range looked through."""
 
@@ -87,6 +88,61 @@ def good_fit(measured: ComplexArray) -> float:
     return float(max(GOOD_FIT, NOISE_MARGIN * min(np.sqrt(2.0) * scatter, LARGEST_NOISE)))
 
 
+def line_weights(measured: ComplexArray) -> FloatArray:
+    """Return how much each line of a response counts, shape (n,), at most 1.
+
+    The logarithm of a line whose noise is r times its size scatters by r, so its weight is 1 / sqrt(1 + (r / r_0)^2),
+    r_0 being the noise of the quiet lines. The noise of a line is the median, over its neighbours, of what third
+    differences leave. Noise that grows with the response, and none, leave all weights equal.
+
+    `measured`: evenly spaced response, shape (n,).
+    """
+    lines = len(measured)
+    if lines < 4 * NOISE_WINDOW:
+        return np.ones(lines)
+    left = np.abs(np.diff(measured, 3)) / np.sqrt(20.0)
+    left = np.concatenate([left[:1], left, left[-2:]])
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(left, NOISE_WINDOW // 2, mode="edge"), NOISE_WINDOW)
+    noise = np.median(windows, axis=1) * (np.sqrt(2.0) / RAYLEIGH_MEDIAN)
+    relative = noise / np.abs(measured)
+    quiet = max(float(np.percentile(relative, QUIET_PERCENTILE)), LEAST_RELATIVE_NOISE)
+    weight = 1.0 / np.sqrt(1.0 + np.square(relative / quiet))
+    return np.asarray(weight / weight.max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """A measured response and the model that is fitted to it."""
+
+    model: Model
+    measured: ComplexArray
+    """Shape (n,)."""
+    weight: FloatArray
+    """How much each line counts, shape (n,)."""
+    free: tuple[str, ...]
+    """The parameters to vary."""
+
+    def residual(self, log_values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.float64]]:
+        """Return the weighted log(H / H_meas), real and imaginary parts in a row, and its derivative."""
+        values = dict(zip(self.free, np.exp(log_values).tolist(), strict=True))
+        computed, slopes = self.model(values)
+        ratio = self.weight * np.log(computed / self.measured)
+        columns = np.stack([slopes[name] * (values[name] * self.weight / computed) for name in self.free], axis=1)
+        return np.concatenate([ratio.real, ratio.imag]), np.concatenate([columns.real, columns.imag])
+
+    def log_error(self, squares: float) -> float:
+        """Return the weighted root mean square of |log(H / H_meas)| from the sum of the residual's squares."""
+        return float(np.sqrt(squares / np.square(self.weight).sum()))
+
+
+def problem(model: Model, measured: ComplexArray, free: Sequence[str]) -> Problem:
+    """Return the problem of fitting a model to a measured response.
+
+    `measured`: shape (n,). `free`: names of the parameters to vary.
+    """
+    return Problem(model=model, measured=measured, weight=line_weights(measured), free=tuple(free))
+
+
 def cost_of_source(measured: ComplexArray, computed: ComplexArray) -> float:
     """Return S_cf of 4-36 [m/N]; the dissertation calls it least squares, but it sums |dH|."""
     return float(np.sum(np.abs(measured - computed)))
@@ -99,73 +155,8 @@ class Descent:
     values: dict[str, float]
     log_error: float
     evaluations: int
-
-
-def least_squares_fit(
-    model: Model,
-    measured: ComplexArray,
-    free: Sequence[str],
-    begin: Mapping[str, float],
-    table: Mapping[str, float] | None = None,
-) -> Descent:
-    """Return the parameters that minimise the squares of log(H / H_meas), varied by their logarithms.
-
-    When the told start ends in a poor fit, another one (`table`) and the best of `SEARCH_POINTS`
-    evenly spread points are tried; the best descent counts.
-
-    Parameters
-    ----------
-    model
-        Response and derivatives.
-    measured
-        Measured response, shape (n,).
-    free
-        Names of the parameters to vary.
-    begin
-        Where to begin, by name.
-    table
-        Another start to try, by name.
-
-    """
-    best, good = descend(model, measured, free, begin, MOST_EVALUATIONS), good_fit(measured)
-    if best.log_error < good:
-        return best
-    evaluations, starts = _starts(model, measured, free, {**begin, **(table or {})})
-    evaluations += best.evaluations
-    for start in starts:
-        found = descend(model, measured, free, start, MOST_EVALUATIONS)
-        evaluations += found.evaluations
-        best = found if found.log_error < best.log_error else best
-        if best.log_error < good:
-            break
-    return Descent(best.values, best.log_error, evaluations)
-
-
-def _starts(
-    model: Model, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float]
-) -> tuple[int, list[dict[str, float]]]:
-    """Return further starts, the most promising first, and how often the response was computed for them."""
-    ends = np.log([SEARCH_RANGE.get(name.partition("_")[0], BOUNDS["kt"]) for name in free])
-    points = ends[:, 0] + evenly_spread(SEARCH_POINTS, len(free)) * (ends[:, 1] - ends[:, 0])
-    fits = []
-    for point in points:
-        residual, _ = _residual(model, measured, free, point)
-        fits.append(float(np.mean(np.abs(residual))))
-    order = np.argsort(fits, kind="stable")[:SEARCH_STARTS]
-    told = {name: begin[name] for name in free}
-    return len(points), [told, *(dict(zip(free, np.exp(points[k]).tolist(), strict=True)) for k in order)]
-
-
-def evenly_spread(points: int, dimensions: int) -> FloatArray:
-    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio).
-
-    Shape (points, dimensions), from 0 to 1.
-    """
-    ratio = 2.0
-    for _ in range(40):
-        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
-    steps = ratio ** -np.arange(1, dimensions + 1)
-    return np.asarray((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+    rivals: tuple[dict[str, float], ...] = ()
+    """Other sets of values that fit as well."""
 
 
 def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -173,19 +164,18 @@ def _limits(free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     return ends[:, 0], ends[:, 1]
 
 
-def descend(
-    model: Model, measured: ComplexArray, free: Sequence[str], start: Mapping[str, float], most: int
-) -> Descent:
-    """Return where the method of `least_squares_fit` ends from one start, with `most` evaluations at most."""
+def descend(task: Problem, start: Mapping[str, float], most: int) -> Descent:
+    """Return where least squares of the log ratio end from one start, with `most` evaluations at most."""
     from scipy.optimize import least_squares
 
+    free = task.free
     low, high = _limits(free)
     at = np.clip(np.log([max(start[name], 1e-300) for name in free]), low + 1e-9, high - 1e-9)
     seen: list[tuple[FloatArray, npt.NDArray[np.float64]]] = []
 
     def residual(log_values: FloatArray) -> FloatArray:
         """Return the residual, and keep the derivative, which costs nothing beside it."""
-        seen[:] = [_residual(model, measured, free, log_values)]
+        seen[:] = [task.residual(log_values)]
         return seen[0][0]
 
     try:
@@ -196,18 +186,7 @@ def descend(
     except ValueError:  # no finite response, or no finite derivative
         return Descent(dict(zip(free, np.exp(at).tolist(), strict=True)), np.inf, 1)
     values = dict(zip(free, np.exp(done.x).tolist(), strict=True))
-    return Descent(values, float(np.sqrt(2.0 * done.cost / len(measured))), int(done.nfev))
-
-
-def _residual(
-    model: Model, measured: ComplexArray, free: Sequence[str], log_values: FloatArray
-) -> tuple[FloatArray, npt.NDArray[np.float64]]:
-    """Return log(H / H_meas), real and imaginary parts in a row, and its derivative by the logarithms."""
-    values = dict(zip(free, np.exp(log_values).tolist(), strict=True))
-    computed, slopes = model(values)
-    ratio = np.log(computed / measured)
-    columns = np.stack([slopes[name] * values[name] / computed for name in free], axis=1)
-    return np.concatenate([ratio.real, ratio.imag]), np.concatenate([columns.real, columns.imag])
+    return Descent(values, task.log_error(2.0 * done.cost), int(done.nfev))
 
 
 def nelder_mead(
@@ -241,20 +220,39 @@ def nelder_mead(
 
 
 def report(
-    model: Model, measured: ComplexArray, values: Mapping[str, float], free: Sequence[str], evaluations: int
+    task: Problem, values: Mapping[str, float], evaluations: int, rivals: Sequence[Mapping[str, float]] = ()
 ) -> Identified:
     """Return what was found with its cost and with what the data say about each parameter.
 
     Raises IdentificationError when a value or the response it gives is not finite.
+
+    Parameters
+    ----------
+    task
+        The problem that was solved.
+    values
+        All parameters by name, the kept ones among them.
+    evaluations
+        How often the response was computed.
+    rivals
+        Other sets of values that fit as well.
+
     """
-    computed, _ = model(values)
+    free = task.free
+    computed, _ = task.model({name: values[name] for name in free})
     if not np.isfinite(computed).all():
         raise IdentificationError("the identified properties give no finite response; start from other values")
     at = np.log([max(values[name], 1e-300) for name in free])
-    residual, jacobian = _residual(lambda some: model({**values, **some}), measured, free, at)
-    log_error = float(np.sqrt(residual @ residual / len(measured)))
-    deviation = _log_deviation(jacobian, len(measured), max(log_error, ASSUMED_ERROR))
+    residual, jacobian = task.residual(at)
+    log_error = task.log_error(float(residual @ residual))
+    lines = float(np.square(task.weight).sum())
+    deviation = _log_deviation(jacobian, lines, max(log_error, ASSUMED_ERROR))
+    others = np.log([[max(other[name], 1e-300) for name in free] for other in rivals]).reshape(-1, len(free))
+    apart = np.abs(others - at).max(axis=0, initial=0.0)
+    sets = np.vstack([at, others])
     low, high = _limits(free)
+    with np.errstate(over="ignore", under="ignore"):
+        ends = np.exp(sets.min(axis=0) - 2.0 * deviation), np.exp(sets.max(axis=0) + 2.0 * deviation)
     implausible = tuple(
         name
         for name, place, bottom, top in zip(free, at, low, high, strict=True)
@@ -262,17 +260,29 @@ def report(
     )
     return Identified(
         values={name: float(value) for name, value in values.items()},
-        free=tuple(free),
-        cost_m_per_n=cost_of_source(measured, computed),
+        free=free,
+        cost_m_per_n=cost_of_source(task.measured, computed),
         log_error=log_error,
         evaluations=evaluations,
         log_deviation=dict(zip(free, deviation.tolist(), strict=True)),
-        identifiable={name: bool(size < IDENTIFIABLE) for name, size in zip(free, deviation, strict=True)},
+        interval={
+            name: _bounded(name, *pair) for name, pair in zip(free, np.stack(ends, axis=1).tolist(), strict=True)
+        },
+        identifiable={
+            name: bool(size < IDENTIFIABLE and other < IDENTIFIABLE)
+            for name, size, other in zip(free, deviation, apart, strict=True)
+        },
         implausible=implausible,
     )
 
 
-def _log_deviation(jacobian: npt.NDArray[np.float64], lines: int, error: float) -> FloatArray:
+def _bounded(name: str, low: float, high: float) -> tuple[float, float]:
+    """Return an interval with 0 and inf for ends that no bearing has."""
+    kind = name.partition("_")[0]
+    return (low if low > BOUNDS[kind][0] else 0.0), (high if high < PLAUSIBLE[kind] else np.inf)
+
+
+def _log_deviation(jacobian: npt.NDArray[np.float64], lines: float, error: float) -> FloatArray:
     """Return how far each logarithm moves when the response is off by `error`, parameters compensating."""
     _, singular, right = np.linalg.svd(jacobian / np.sqrt(lines), full_matrices=False)
     with np.errstate(divide="ignore"):

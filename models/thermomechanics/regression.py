@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.dynamics.bearings import PARAMETERS
+from models.dynamics.bearings import KINDS, groups_of, parameters_of
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
 
@@ -55,7 +55,7 @@ class PropertyRegression:
     """
 
     name: str
-    """One of the twelve parameters, such as kt_34."""
+    """One of the parameters of a group of bearings, such as kt_34."""
     interval_min: float
     """Interval of the difference terms [min]; 0: no such terms."""
     coefficients: Numbers
@@ -66,8 +66,9 @@ class PropertyRegression:
 
     def __post_init__(self) -> None:
         """Check what can be checked without the signals; raises ModelError."""
-        if self.name not in PARAMETERS:
-            raise ModelError("properties", f"{self.name!r} is no bearing property; they are {', '.join(PARAMETERS)}")
+        kind, _, group = self.name.partition("_")
+        if kind not in KINDS or not group:
+            raise ModelError("properties", f"{self.name!r} is no bearing property: {', '.join(KINDS)}, _ and its group")
         if not (np.isfinite(self.interval_min) and self.interval_min >= 0.0):
             raise ModelError(f"properties.{self.name}.interval_min", "must be 0 or above")
         if self.coefficients.ndim != 1 or not np.isfinite(self.coefficients).all():
@@ -116,12 +117,13 @@ class AxisRegression:
     """None where it is not known."""
 
     def __post_init__(self) -> None:
-        """Check that all twelve parameters are there once; raises ModelError."""
+        """Check that all parameters of every group are there once; raises ModelError."""
         names = [each.name for each in self.properties] + list(self.fixed)
-        if sorted(names) != sorted(PARAMETERS):
-            wrong = sorted(set(PARAMETERS) ^ set(names)) or sorted({name for name in names if names.count(name) > 1})
+        needed = parameters_of(sorted(groups_of(names)))
+        if sorted(names) != sorted(needed):
+            wrong = sorted(set(needed) ^ set(names)) or sorted({name for name in names if names.count(name) > 1})
             raise ModelError(
-                f"axes.{self.axis}", f"each of {', '.join(PARAMETERS)} must stand once, regressed or fixed: see {wrong}"
+                f"axes.{self.axis}", f"each of {', '.join(needed)} must stand once, regressed or fixed: see {wrong}"
             )
         count = len(self.signals)
         if self.fitted_range is not None and self.fitted_range.lowest_degc.shape != (count,):

@@ -1,4 +1,4 @@
-"""Bearing properties of a whole series of responses at the nose: 12, 7 and 5 parameters (section 5.2.3).
+"""Bearing properties of a whole series of responses at the nose, with few and with many varied (section 5.2.3).
 
 The first response is identified from scratch. Every later one begins where the one before ended, which is faster and
 keeps the series on one branch where several sets of properties fit about as well. A larger set of parameters begins at
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.dynamics.beam import ComplexArray
-from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
-from models.dynamics.identification import FIXED, INITIAL, identify_bearings
-from models.dynamics.response_fit import Identified, descend, report
+from models.dynamics.bearings import CondensedShaft, parameters_of, properties_from_parameters
+from models.dynamics.identification import identify_bearings, initial
+from models.dynamics.response_fit import Identified, descend, problem, report
 from models.records import FloatArray
 
 POOR = 0.5
@@ -28,10 +28,10 @@ ADDED = {"kt": 1e6, "ct": 30.0, "kr": 1e4, "cr": 1.0}
 class PropertySeries:
     """Identified bearing properties over time."""
 
-    parameters: int
-    """12, 7 or 5 of them were varied."""
     names: tuple[str, ...]
     """The varied ones."""
+    kept: Mapping[str, float]
+    """The others, with their values."""
     time_min: FloatArray
     """Times of the responses [min], shape (n,)."""
     values: FloatArray
@@ -46,7 +46,7 @@ def identify_series(
     shaft: CondensedShaft,
     responses: Sequence[ComplexArray],
     time_min: FloatArray,
-    parameters: int,
+    kept: Mapping[str, float],
     smaller: PropertySeries | None = None,
 ) -> PropertySeries:
     """Identify all responses of one axis.
@@ -61,13 +61,13 @@ def identify_series(
         Receptances at the nose [m/N], each of shape (n,), in the order of their times.
     time_min
         Times [min], shape (len(responses),), ascending.
-    parameters
-        12, 7 or 5.
+    kept
+        The parameters that are not varied, with their values.
     smaller
         The same responses identified with fewer parameters, where each of them begins.
 
     """
-    names = tuple(name for name in PARAMETERS if name not in FIXED[parameters])
+    names = tuple(name for name in parameters_of(shaft.groups) if name not in kept)
     found: list[Identified] = []
     for index, response in enumerate(responses):
         begin: dict[str, float] | None = None
@@ -76,10 +76,10 @@ def identify_series(
             begin |= dict(zip(smaller.names, smaller.values[index].tolist(), strict=True))
         elif found:
             begin = found[-1].values
-        found.append(_identified(shaft, response, parameters, names, begin))
+        found.append(_identified(shaft, response, kept, names, begin))
     return PropertySeries(
-        parameters=parameters,
         names=names,
+        kept=kept,
         time_min=time_min,
         values=np.array([[each.values[name] for name in names] for each in found]),
         log_error=np.array([each.log_error for each in found]),
@@ -90,21 +90,22 @@ def identify_series(
 def _identified(
     shaft: CondensedShaft,
     response: ComplexArray,
-    parameters: int,
+    kept: Mapping[str, float],
     names: tuple[str, ...],
     begin: Mapping[str, float] | None,
 ) -> Identified:
     if begin is None:
-        return identify_bearings(shaft, response, parameters=parameters)
-    fixed = {**INITIAL, **FIXED[parameters]}
+        return identify_bearings(shaft, response, fixed=kept)
+    fixed = {**initial(parameters_of(shaft.groups)), **kept}
 
     def model(values: Mapping[str, float]) -> tuple[ComplexArray, Mapping[str, ComplexArray]]:
         """Return the nose's response and its slopes [m/N] for fitted parameters beside the fixed ones."""
         return shaft.nose_receptance_and_derivatives(properties_from_parameters({**fixed, **values}))
 
-    reached = descend(model, response, names, begin, ITERATIONS)
-    found = report(model, response, {**fixed, **reached.values}, names, reached.evaluations)
-    if found.log_error < POOR or parameters == len(PARAMETERS):
+    task = problem(model, response, names)
+    reached = descend(task, begin, ITERATIONS)
+    found = report(task, {**fixed, **reached.values}, reached.evaluations)
+    if found.log_error < POOR or not kept:
         return found
-    anew = identify_bearings(shaft, response, parameters=parameters, start=begin)
+    anew = identify_bearings(shaft, response, fixed=kept, start=begin)
     return anew if anew.log_error < found.log_error else found

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import ComplexArray
-from models.dynamics.bearings import PARAMETERS, properties_from_parameters
+from models.dynamics.bearings import properties_from_parameters
 from models.records import FloatArray, MachineTemperatures
 from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, EstimatedProperty, ThermomechanicalModel
@@ -145,9 +145,8 @@ class AxisTracker:
         return self.regression.estimate(degc, dict.fromkeys(self.regression.intervals_min, np.zeros(count)))
 
     def parameters(self, properties: Sequence[EstimatedProperty]) -> dict[str, float]:
-        """Return the twelve parameters: those regressed, within their bounds, and those fixed."""
-        regressed = {each.name: each.value for each in properties}
-        return {name: regressed[name] if name in regressed else self.regression.fixed[name] for name in PARAMETERS}
+        """Return all bearing parameters: those regressed, within their bounds, and those fixed."""
+        return {**self.regression.fixed, **{each.name: each.value for each in properties}}
 
     def receptance(self, parameters: Mapping[str, float]) -> ComplexArray:
         """Return the receptance at the tool point [m/N], shape (n,)."""

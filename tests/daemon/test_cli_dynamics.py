@@ -129,6 +129,25 @@ def test_a_spindle_with_two_bearing_pairs_is_identified_without_a_choice(tmp_pat
     assert "all parameters of the groups there are (12 and 34) are varied; --parameters 5 or 7 varies fewer" in told
 
 
+def test_groups_have_any_names_and_a_person_says_what_varies(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.yaml"
+    named = DIRECT.replace("'12'", "front").replace("'34'", "middle").replace("'5'", "rear")
+    truth.write_text(named)
+    measured = write_csv(tmp_path / "measured.csv", *nose(truth))
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(named.replace("5.11e7", "8e7").replace("1.7e8", "1e8"))
+    found = answer("identify", guess, measured, "--vary", "kt")
+    assert found["values"] == pytest.approx({"kt_front": 5.11e7, "kt_middle": 1.7e8, "kt_rear": 9.11e7}, rel=1e-4)
+    assert found["fixed_from"] == "file" and found["parameters"] == 3
+    for name, value in found["values"].items():
+        low, high = found["interval"][name]
+        assert low <= value <= high
+    assert answer("identify", guess, measured)["parameters"] == 12
+    said = refusal("identify", guess, measured, "--vary", "kt_12")
+    assert "'kt_12' is no bearing parameter of this spindle" in said and "kt_front" in said
+    assert "name what is varied" in refusal("identify", guess, measured, "--parameters", "5")
+
+
 def test_kept_parameters_come_from_the_file_where_only_that_fits(spindle: Path, tmp_path: Path) -> None:
     measured = write_csv(tmp_path / "m.csv", *nose(spindle, "--points", 600))
     found = answer("identify", spindle, measured)

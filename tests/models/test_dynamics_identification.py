@@ -8,10 +8,11 @@ from models.dynamics.beam import Segment
 from models.dynamics.bearings import CondensedShaft, inverse_rows, properties_from_parameters
 from models.dynamics.chain import Chain, SpringDamper, Support
 from models.dynamics.contact import Interface, chain_receptance, identify_contact
-from models.dynamics.identification import FIXED, identify_bearings
+from models.dynamics.identification import FIXED, identify_bearings, kept_beside, kept_parameters
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification, receptance
-from models.dynamics.response_fit import good_fit
+from models.dynamics.response_fit import good_fit, line_weights
 from models.dynamics.section import Elasticity, Tube, beam_segment
+from models.errors import IdentificationError
 
 STEEL = Elasticity(young_pa=200e9, shear_pa=76.9e9, poisson=0.3, density_kg_per_m3=7850.0)
 PLACES = (("12", 0.0991), ("12", 0.1271), ("34", 0.1841), ("34", 0.2111), ("5", 0.4371))
@@ -105,6 +106,67 @@ def test_a_shaft_with_one_group_has_only_its_parameters(chain: Chain) -> None:
     found = identify_bearings(shaft, measured, parameters=12, start=TRUE)
     assert not any(name.endswith("_34") for name in found.free)
     assert found.log_error < 1e-6
+
+
+def test_groups_may_have_any_names_and_any_number(chain: Chain) -> None:
+    names = ("front", "second", "middle", "rear_a")
+    places = zip(names, (0.0991, 0.1841, 0.27, 0.4371), strict=True)
+    supports = tuple(Support(position_m=place, group=group, properties=SpringDamper()) for group, place in places)
+    shaft = CondensedShaft(Chain(parts=chain.parts, supports=supports), FREQUENCY_HZ)
+    true = {f"{kind}_{group}": value for group in names for kind, value in
+            (("kt", 9e7), ("ct", 1.5e3), ("kr", 4e5), ("cr", 8.0))} | {"kt_rear_a": 5e7, "kr_front": 2e6}  # fmt: skip
+    measured = shaft.nose_receptance(properties_from_parameters(true))
+    kept = kept_parameters(names, 12, ["kt", "kr_front"], true)
+    found = identify_bearings(shaft, measured, fixed=kept)
+    assert set(found.free) == {"kt_front", "kt_second", "kt_middle", "kt_rear_a", "kr_front"}
+    for name in found.free:
+        assert found.values[name] == pytest.approx(true[name], rel=1e-4), name
+        low, high = found.interval[name]
+        assert low <= true[name] <= high
+
+
+def test_what_is_varied_may_be_said_by_parameter_kind_or_group() -> None:
+    assert kept_beside(["front", "kt"], ("front", "rear")) == ("ct_rear", "kr_rear", "cr_rear")
+    assert len(kept_beside(["cr_rear"], ("front", "rear"))) == 7
+    with pytest.raises(IdentificationError, match=r"'kt_12' is no bearing parameter .*; there are kt_front"):
+        kept_beside(["kt_12"], ("front", "rear"))
+    with pytest.raises(IdentificationError, match=r"name what is varied [(]--vary kt,ct_front"):
+        kept_parameters(("front", "rear"), 5, (), {})
+
+
+@pytest.mark.parametrize("parameters", [5, 7])
+def test_no_start_ends_in_a_wrong_set_of_values_that_counts_as_identifiable(
+    shaft: CondensedShaft, parameters: int
+) -> None:
+    random = np.random.default_rng(parameters)
+    for noise in (0.0, 0.05):
+        for _ in range(4):
+            true = {name: value * np.exp(random.uniform(-0.7, 0.7)) for name, value in TRUE.items()}
+            true |= FIXED[parameters]
+            scatter = noise * (random.standard_normal(500) + 1j * random.standard_normal(500)) / np.sqrt(2.0)
+            measured = shaft.nose_receptance(properties_from_parameters(true)) * (1.0 + scatter)
+            start = {name: true[name] * np.exp(random.uniform(-3.5, 3.5)) for name in true}
+            found = identify_bearings(shaft, measured, parameters=parameters, start=start)
+            for name in found.free:
+                if found.identifiable[name]:
+                    low, high = found.interval[name]
+                    assert low <= true[name] <= high, (noise, name)
+
+
+def test_lines_that_noise_covers_count_less_and_do_not_spoil_the_fit(shaft: CondensedShaft) -> None:
+    true = {**TRUE, **FIXED[5]}
+    clean = shaft.nose_receptance(properties_from_parameters(true))
+    random = np.random.default_rng(5)
+    scatter = random.standard_normal(500) + 1j * random.standard_normal(500)
+    assert line_weights(clean) == pytest.approx(np.ones(500), abs=0.05)
+    assert np.ptp(line_weights(clean * (1.0 + 0.05 * scatter))) < 0.8
+    measured = clean + 0.03 * np.sqrt(np.mean(np.abs(clean) ** 2)) * scatter
+    weight = line_weights(measured)
+    quiet = np.abs(clean) > np.percentile(np.abs(clean), 80)
+    assert weight[quiet].mean() > 3.0 * weight[np.abs(clean) < np.percentile(np.abs(clean), 20)].mean()
+    found = identify_bearings(shaft, measured)
+    for name in found.free:
+        assert found.values[name] == pytest.approx(true[name], rel=0.15), name
 
 
 @pytest.mark.parametrize("method", ["lm", "nelder-mead"])

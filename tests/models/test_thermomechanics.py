@@ -213,9 +213,9 @@ def test_a_series_is_exact_on_responses_of_known_bearings() -> None:
     factors = (1.0, 1.2, 1.5)
     true = [{name: value * factor for name, value in TYPICAL.items()} for factor in factors]
     responses = [shaft.nose_receptance(properties_from_parameters({**FIXED[5], **each})) for each in true]
-    five = identify_series(shaft, responses, np.arange(3.0), 5)
+    five = identify_series(shaft, responses, np.arange(3.0), FIXED[5])
     assert five.values == pytest.approx(np.array([[each[name] for name in five.names] for each in true]), rel=1e-3)
-    seven = identify_series(shaft, responses, np.arange(3.0), 7, five)
+    seven = identify_series(shaft, responses, np.arange(3.0), FIXED[7], five)
     assert seven.log_error.max() < 0.05
 
 

@@ -19,6 +19,7 @@ from daemon.cli.common import (
     trust_option,
     write_json,
 )
+from daemon.cli.dynamics.identify import vary_option
 
 if TYPE_CHECKING:
     from config.machine.spindle import Rotary
@@ -71,7 +72,12 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
 @option(
     "--least-squares", is_flag=True, help="Plain least squares on all thirteen variables, as published; no penalty."
 )
-@option("--only-five", is_flag=True, help="Leave out the series of 7 and 12 parameters, which take longer.")
+@option(
+    "--only-five",
+    is_flag=True,
+    help="Leave out the series of 7 and 12 parameters (with --vary: of all), which take longer.",
+)
+@vary_option
 @option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
 @option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")
 @json_option
@@ -88,6 +94,7 @@ def campaign(
     bounds_path: Path | None,
     least_squares: bool,
     only_five: bool,
+    vary: tuple[str, ...],
     model_path: Path | None,
     report_path: Path | None,
     json_path: str | None,
@@ -110,7 +117,8 @@ def campaign(
         refuse(f"{len(folders)} folders need as many recordings, there are {len(recordings)}: repeat --temperatures")
     told = spindle_path or folders[0] / "spindle.yaml"
     configuration = None if config_path is None else load_configuration(config_path)
-    spindle, bounds = read_spindle(told, rotary), load_bounds(bounds_path)
+    spindle = read_spindle(told, rotary)
+    bounds = load_bounds(bounds_path, tuple(dict.fromkeys(support.group for support in spindle.shaft.supports)))
     band = Band(from_hz=from_hz, to_hz=to_hz, trust_units=trust_units)
     runs = [read_run(*pair, configuration, band) for pair in zip(folders, recordings, strict=True)]
     with ProgressBar() as progress:
@@ -120,7 +128,8 @@ def campaign(
             found_file(told),
             bounds,
             signals=[each.strip() for each in signals.split(",")] if signals else None,
-            parameter_sets=(5,) if only_five else (5, 7, 12),
+            parameter_sets=(5,) if only_five else (5, 12) if vary else (5, 7, 12),
+            vary=vary,
             least_squares=least_squares,
             progress=progress.show,
             trust_units=trust_units,

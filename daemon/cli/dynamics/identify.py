@@ -39,6 +39,15 @@ coherence_option = option(
 )
 
 
+vary_option = option(
+    "--vary",
+    metavar="NAME,...",
+    callback=lambda _context, _option, told: tuple(each.strip() for each in told.split(",")) if told else (),
+    help="What is varied instead: parameters (kt_front), kinds (kt: of every group) or groups (front); the others are "
+    "kept at SPINDLE's values.",
+)
+
+
 @click.command()
 @spindle_argument
 @measured_argument
@@ -49,6 +58,7 @@ coherence_option = option(
     default="auto",
     help="How many bearing parameters are varied; the others are kept. auto: 5 for the groups 12, 34 and 5, else all.",
 )
+@vary_option
 @method_option
 @option(
     "--fixed",
@@ -67,6 +77,7 @@ def identify(
     measured: tuple[Path, ...],
     rotary: "Rotary | None",
     parameters: str,
+    vary: tuple[str, ...],
     method: "Method",
     fixed: Literal["auto", "source", "file"],
     from_hz: float | None,
@@ -81,19 +92,20 @@ def identify(
     Several responses are averaged. Which parameters the data see is said for each.
     """
     from config.machine.spindle_chain import read_spindle
-    from daemon.workbench.dynamics.identifying import Band, bearings_summary, measured_response, parameters_for
+    from daemon.workbench.dynamics.identifying import Band, bearings_summary, kept_for, measured_response
     from daemon.workbench.dynamics.responses import ResponseError
     from models.dynamics.measurement import MeasurementError
     from models.errors import IdentificationError
 
     try:
         spindle = read_spindle(spindle_path, rotary)
-        count, why = parameters_for(spindle, parameters)
+        kept, why = kept_for(spindle, parameters, vary)
         if why:
             click.echo(why, err=True)
         band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
+        count = 4 * len({support.group for support in spindle.shaft.supports}) - len(kept)
         response = measured_response(measured, band, count)
-        found = bearings_summary(spindle, response, count, method, fixed, trust_units=trust_units)
+        found = bearings_summary(spindle, response, kept, method, fixed, trust_units=trust_units)
     except MeasurementError as error:
         refuse(f"{', '.join(map(str, measured))}: {error}")
     except (ResponseError, IdentificationError) as error:
@@ -160,8 +172,10 @@ def show_identified(found: dict[str, Any]) -> None:
     """Write what was identified on standard error."""
     show_warnings(found)
     for name, value in found["values"].items():
+        low, high = found["interval"][name]
+        between = f"{'0' if low is None else f'{low:.3g}'} to {'any value' if high is None else f'{high:.3g}'}"
         seen = "" if found["identifiable"][name] else "   not determined by the data"
-        say(f"{name:6} {value:12.4e}{seen}")
+        say(f"{name:6} {value:12.4e}   {between}{seen}")
     say(
         f"cost {found['cost']:.3e} m/N, mean |log(H/H_meas)| {found['log_error']:.2e}, "
         f"{found['evaluations']} evaluations"

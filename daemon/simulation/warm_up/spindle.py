@@ -107,7 +107,5 @@ def _identified(day: Day, machine_seed: int) -> ThermomechanicalModel:
             file,
             load_bounds(),
             signals=None,
-            parameter_sets=(5,),
-            least_squares=False,
             progress=lambda *_: None,
         ).model

@@ -1,6 +1,6 @@
 """An impact campaign: responses over time and temperatures -> regressions of the bearings on temperatures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,12 +14,13 @@ from config.recordings.recording_map import RecordingMap, usual_map
 from config.schema import Configuration
 from daemon.workbench.dynamics.identifying import Band
 from daemon.workbench.dynamics.other_units import refuse_levels
+from daemon.workbench.dynamics.responses import properties
 from drivers.files.frf_measurement import read_measurements
 from drivers.files.impact_index import ImpactIndexError, first_time, read_index
 from drivers.files.recording_csv import SECONDS, read_header, read_recording
 from models.dynamics.beam import ComplexArray
-from models.dynamics.bearings import CondensedShaft
-from models.dynamics.identification import FIXED
+from models.dynamics.bearings import CondensedShaft, parameters_from_properties, parameters_of
+from models.dynamics.identification import kept_parameters
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
 from models.dynamics.plausibility import check_frequencies
 from models.errors import IdentificationError
@@ -78,7 +79,7 @@ class CampaignResult:
     runs: tuple[Run, ...]
     frequency_hz: FloatArray
     series: dict[str, dict[int, list[PropertySeries]]]
-    """Axis -> number of parameters -> one series per run."""
+    """Axis -> number of varied parameters -> one series per run; the regressions stand on the smallest."""
     minutes: dict[str, list[MinuteSeries]]
     """Axis -> per run, with the chosen signals."""
     selection: SignalSelection
@@ -194,8 +195,9 @@ def run_campaign(
     bounds: dict[str, Bounds],
     *,
     signals: Sequence[str] | None,
-    parameter_sets: Sequence[int],
-    least_squares: bool,
+    parameter_sets: Sequence[int] = (5,),
+    vary: Sequence[str] = (),
+    least_squares: bool = False,
     progress: Progress,
     trust_units: bool = False,
 ) -> CampaignResult:
@@ -212,17 +214,19 @@ def run_campaign(
     if not trust_units:
         told = [each for run in runs for each in run.responses.values()]
         refuse_levels(shaft, [pair for each in told for pair in zip(each.files, each.measured, strict=True)])
-    series = {axis: _series(shaft, frequency_hz, runs, axis, parameter_sets, progress) for axis in axes}
-    everything = {axis: _minutes(runs, series[axis][5], axis, candidates) for axis in axes}
+    kept = _kept_sets(spindle, shaft, parameter_sets, vary)
+    few = min(kept)
+    series = {axis: _series(shaft, frequency_hz, runs, axis, kept, progress) for axis in axes}
+    everything = {axis: _minutes(runs, series[axis][few], axis, candidates) for axis in axes}
     selection = _selected(candidates, everything, series)
     chosen = tuple(signals or selection.chosen)
     if unknown := sorted(set(chosen) - set(candidates)):
         raise ImpactIndexError(f"no recording has the signal {', '.join(unknown)}; there are {', '.join(candidates)}")
     places = [candidates.index(name) for name in chosen]
     minutes = {axis: [_only(each, places) for each in found] for axis, found in everything.items()}
-    names = series[axes[0]][5][0].names
+    names = series[axes[0]][few][0].names
     fits = {
-        axis: fit_axis(axis, chosen, names, minutes[axis], bounds, FIXED[5], least_squares=least_squares)
+        axis: fit_axis(axis, chosen, names, minutes[axis], bounds, kept[few], least_squares=least_squares)
         for axis in axes
     }
     model = ThermomechanicalModel(
@@ -262,20 +266,38 @@ def _series(
     frequency_hz: FloatArray,
     runs: Sequence[Run],
     axis: str,
-    parameter_sets: Sequence[int],
+    kept: Mapping[int, Mapping[str, float]],
     progress: Progress,
 ) -> dict[int, list[PropertySeries]]:
     found: dict[int, list[PropertySeries]] = {}
-    steps = len(runs) * len(parameter_sets)
-    for parameters in sorted(parameter_sets):
+    steps = len(runs) * len(kept)
+    for parameters in sorted(kept):
         smaller = max((each for each in found), default=None)
         found[parameters] = []
         for index, run in enumerate(runs):
             told = run.responses[axis]
             responses = [_at(frequency_hz, each, run.folder) for each in told.measured]
             begin = None if smaller is None else found[smaller][index]
-            found[parameters].append(identify_series(shaft, responses, told.time_min, parameters, begin))
+            found[parameters].append(identify_series(shaft, responses, told.time_min, kept[parameters], begin))
             progress(f"axis {axis}", sum(map(len, found.values())), steps)
+    return found
+
+
+def few(series: Mapping[int, list[PropertySeries]]) -> list[PropertySeries]:
+    """Return the series with the fewest parameters varied, on which the regressions stand."""
+    return series[min(series)]
+
+
+def _kept_sets(
+    spindle: Spindle, shaft: CondensedShaft, parameter_sets: Sequence[int], vary: Sequence[str]
+) -> dict[int, Mapping[str, float]]:
+    """Return number of varied parameters -> the kept ones with their values; raises IdentificationError."""
+    stated = parameters_from_properties(properties(spindle))
+    count = len(parameters_of(shaft.groups))
+    found: dict[int, Mapping[str, float]] = {}
+    for parameters in sorted(parameter_sets):
+        kept = kept_parameters(shaft.groups, parameters, () if parameters == 12 else vary, stated)
+        found[count - len(kept)] = kept
     return found
 
 
@@ -306,7 +328,7 @@ def _selected(
     for axis, found in minutes.items():
         degc = np.concatenate([each.degc for each in found])
         values = np.concatenate([each.values for each in found])
-        parts.append(select_signals(candidates, degc, [f"{n} {axis}" for n in series[axis][5][0].names], values))
+        parts.append(select_signals(candidates, degc, [f"{n} {axis}" for n in few(series[axis])[0].names], values))
     degc = np.concatenate([each.degc for found in minutes.values() for each in found])
     cross = np.concatenate([part.crosscorrelation for part in parts], axis=1)
     return select_signals(
@@ -327,14 +349,14 @@ def _training(run: Run) -> str:
 def _warnings(spindle: Spindle, series: dict[str, dict[int, list[PropertySeries]]]) -> tuple[str, ...]:
     found = list(spindle.warnings)
     for axis, sets in series.items():
-        worst = max(float(each.log_error.max()) for each in sets[5])
+        worst = max(float(each.log_error.max()) for each in few(sets))
         if worst > 0.5:
             found.append(
                 f"axis {axis}: a response is not explained (mean |log(H/H_meas)| {worst:.2g}); check units and "
                 "direction, or narrow the band to where the beam model holds"
             )
-        shares = np.mean([each.identifiable for each in sets[5]], axis=0)
-        unseen = [name for name, share in zip(sets[5][0].names, shares, strict=True) if share < 0.5]
+        shares = np.mean([each.identifiable for each in few(sets)], axis=0)
+        unseen = [name for name, share in zip(few(sets)[0].names, shares, strict=True) if share < 0.5]
         if unseen:
             found.append(f"axis {axis}: most responses do not determine {', '.join(unseen)} on their own")
     return tuple(found)
@@ -357,7 +379,7 @@ def campaign_summary(result: CampaignResult) -> dict[str, Any]:
 
 def _axis_summary(result: CampaignResult, axis: str) -> dict[str, Any]:
     return {
-        "responses": sum(len(each.time_min) for each in result.series[axis][5]),
+        "responses": sum(len(each.time_min) for each in few(result.series[axis])),
         "minutes": sum(len(each.time_min) for each in result.minutes[axis]),
         "series": {
             str(count): [

@@ -8,10 +8,9 @@ import numpy as np
 
 from config.html_page import Section
 from config.machine.spindle_chain import Spindle
-from daemon.workbench.dynamics.campaign import CampaignResult
+from daemon.workbench.dynamics.campaign import CampaignResult, few
 from daemon.workbench.figures import COLOURS, Axes, Curve, Figure, Heat, report_page
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
-from models.dynamics.identification import FIXED
 from models.records import FloatArray
 from models.thermomechanics.fitting import INTERVALS_MIN, variables
 
@@ -61,10 +60,10 @@ def _temperatures(result: CampaignResult) -> Figure:
 
 def _responses(result: CampaignResult, spindle: Spindle, axis: str) -> Figure:
     shaft = CondensedShaft(spindle.shaft, result.frequency_hz)
-    series, responses = result.series[axis][5][0], result.runs[0].responses[axis]
+    series, responses = few(result.series[axis])[0], result.runs[0].responses[axis]
     curves = []
     for number, k in enumerate(np.linspace(0, len(series.time_min) - 1, SHOWN_RESPONSES).astype(int).tolist()):
-        values = {**FIXED[5], **dict(zip(series.names, series.values[k].tolist(), strict=True))}
+        values = {**series.kept, **dict(zip(series.names, series.values[k].tolist(), strict=True))}
         model = np.abs(shaft.nose_receptance(properties_from_parameters(values)))
         measured = np.abs(responses.measured[k].receptance_m_per_n)
         label, colour = f"{series.time_min[k]:.0f} min", COLOURS[number % len(COLOURS)]
@@ -79,7 +78,7 @@ def _properties(result: CampaignResult, axis: str) -> Figure:
     for name, each in result.fitted[axis].items():
         curves = []
         for number, run in enumerate(result.runs):
-            series, minutes = result.series[axis][5][number], result.minutes[axis][number]
+            series, minutes = few(result.series[axis])[number], result.minutes[axis][number]
             values, colour = series.values[:, series.names.index(name)], COLOURS[number % len(COLOURS)]
             regressed = variables([minutes], each.regression.interval_min) @ each.regression.coefficients
             label = f"identified, {run.folder.name}"

@@ -1,6 +1,6 @@
 """Identification from measured responses, as plain data."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,10 +12,10 @@ from daemon.workbench.dynamics.other_units import refuse_other_units
 from daemon.workbench.dynamics.responses import ResponseError, properties
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
-from models.dynamics.bearings import GROUPS, CondensedShaft, parameters_from_properties
+from models.dynamics.bearings import GROUPS, PARAMETERS, CondensedShaft, parameters_from_properties, parameters_of
 from models.dynamics.chain import Chain, Part, SpringDamper
 from models.dynamics.contact import Interface, chain_receptance, identify_contact
-from models.dynamics.identification import FIXED, Method, identify_bearings, level_range_m_per_n
+from models.dynamics.identification import FIXED, Method, identify_bearings, kept_parameters, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
 from models.dynamics.plausibility import check_frequencies, check_level
 from models.dynamics.response_fit import Identified, good_fit
@@ -37,19 +37,25 @@ class Band:
     """Whether the units are taken as stated, whatever the numbers look like."""
 
 
-def parameters_for(spindle: Spindle, asked: str) -> tuple[int, str]:
-    """Return how many bearing parameters are varied, and why where that was left open ('auto').
+def kept_for(spindle: Spindle, asked: str, vary: Sequence[str] = ()) -> tuple[dict[str, float], str]:
+    """Return the bearing parameters that are kept, and what is varied where that was left open ('auto').
 
     Five, the others kept at published values, are those of the published spindle with its three groups of bearings;
     for any other arrangement these values say nothing, so all of its groups are varied.
+
+    Raises ResponseError when the spindle has no bearings; IdentificationError when `vary` names no parameter of it.
     """
-    if asked != "auto":
-        return int(asked), ""
     groups = tuple(dict.fromkeys(support.group for support in spindle.shaft.supports))
-    if not groups or set(groups) == set(GROUPS):
-        return 5, ""
+    if not groups:
+        raise ResponseError("the file describes no bearings; give their positions and groups under `bearings`")
+    stated = parameters_from_properties(properties(spindle))
+    if asked != "auto" or vary:
+        return kept_parameters(groups, 12 if asked == "auto" else int(asked), vary, stated), ""
+    if set(groups) == set(GROUPS):
+        return kept_parameters(groups, 5, (), stated), ""
     named = " and ".join(groups)
-    return 12, f"all parameters of the groups there are ({named}) are varied; --parameters 5 or 7 varies fewer"
+    fewer = "--parameters 5 or 7" if set(groups) <= set(GROUPS) else "--vary"
+    return {}, f"all parameters of the groups there are ({named}) are varied; {fewer} varies fewer"
 
 
 def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
@@ -75,7 +81,7 @@ def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Mea
 def bearings_summary(
     spindle: Spindle,
     measurement: Measurement,
-    parameters: int,
+    kept: Mapping[str, float],
     method: Method = "lm",
     fixed: Fixed = "auto",
     *,
@@ -83,25 +89,24 @@ def bearings_summary(
 ) -> dict[str, Any]:
     """Return what `toolpoint dynamics identify` prints.
 
-    `auto` keeps what is not varied at the values of section 5.2.3 and, when that fits badly, at the file's.
+    `kept`: what is not varied, by `kept_for`. `fixed`: `auto` keeps it at these values and, when that fits badly, at
+    the file's.
 
-    Raises ResponseError when the spindle has no bearings; MeasurementError when the response is of another unit,
-    unless `trust_units`.
+    Raises MeasurementError when the response is of another unit, unless `trust_units`.
     """
-    if not spindle.shaft.supports:
-        raise ResponseError("the file describes no bearings; give their positions and groups under `bearings`")
     shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
     if not trust_units:
         check_level(measurement, *level_range_m_per_n(shaft))
-    found, source = _identified(spindle, shaft, measurement, parameters, method, fixed)
+    found, source = _identified(spindle, shaft, measurement, kept, method, fixed)
     if not trust_units:
-        few = min(parameters, 7)
+        present = parameters_of(shaft.groups)
+        few = kept or {name: value for name, value in FIXED[7].items() if name in present}
         refuse_other_units(
             measurement, found.log_error, lambda other: _identified(spindle, None, other, few, "lm", fixed)[0].log_error
         )
     summary = _summary(spindle, measurement, found, method)
-    summary["parameters"] = parameters
-    summary["fixed_from"] = source if parameters < 12 else None
+    summary["parameters"] = len(found.free) if kept else len(PARAMETERS)
+    summary["fixed_from"] = source if kept else None
     return summary
 
 
@@ -109,7 +114,7 @@ def _identified(
     spindle: Spindle,
     shaft: CondensedShaft | None,
     measurement: Measurement,
-    parameters: int,
+    kept: Mapping[str, float],
     method: Method,
     fixed: Fixed,
 ) -> tuple[Identified, str]:
@@ -117,17 +122,12 @@ def _identified(
     shaft = shaft or CondensedShaft(spindle.shaft, measurement.frequency_hz)
     stated = parameters_from_properties(properties(spindle))
     response = measurement.receptance_m_per_n
-    kept_by_file = {name: stated.get(name, value) for name, value in FIXED[parameters].items()}
-    if fixed == "file":
-        found = identify_bearings(
-            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
-        )
-        return found, "file"
-    found, source = identify_bearings(shaft, response, parameters=parameters, start=stated, method=method), "source"
-    if fixed == "auto" and parameters < 12 and found.log_error >= good_fit(response):
-        other = identify_bearings(
-            shaft, response, parameters=parameters, start=stated, fixed=kept_by_file, method=method
-        )
+    kept_by_file = {name: stated.get(name, value) for name, value in kept.items()}
+    if fixed == "file" or kept_by_file == kept:
+        return identify_bearings(shaft, response, start=stated, fixed=kept_by_file, method=method), "file"
+    found, source = identify_bearings(shaft, response, start=stated, fixed=kept, method=method), "source"
+    if fixed == "auto" and found.log_error >= good_fit(response):
+        other = identify_bearings(shaft, response, start=stated, fixed=kept_by_file, method=method)
         evaluations = found.evaluations + other.evaluations
         if other.log_error < 0.5 * found.log_error:
             found, source = other, "file"
@@ -150,7 +150,8 @@ def _summary(spindle: Spindle, measurement: Measurement, found: Identified, meth
     if unseen:
         warnings.append(
             f"the response from {measurement.frequency_hz[0]:g} to {measurement.frequency_hz[-1]:g} Hz does not "
-            f"determine {', '.join(unseen)}; other values fit as well. A wider band may, or fewer parameters"
+            f"determine {', '.join(unseen)}; other values fit as well (see the intervals). A wider band may, or fewer "
+            "parameters"
         )
     return {
         "name": spindle.description.name,
@@ -165,6 +166,10 @@ def _summary(spindle: Spindle, measurement: Measurement, found: Identified, meth
         "identifiable": found.identifiable,
         "relative_uncertainty": {
             name: None if not np.isfinite(size) else size for name, size in found.log_deviation.items()
+        },
+        "interval": {
+            name: [low if low > 0.0 else None, high if np.isfinite(high) else None]
+            for name, (low, high) in found.interval.items()
         },
         "implausible": list(found.implausible),
     }

@@ -11,7 +11,7 @@ from config.machine.spindle_chain import Spindle
 from daemon.workbench.dynamics.responses import response
 from daemon.workbench.figures import Axes, Box, Curve, Figure, save
 from models.dynamics.beam import ComplexArray
-from models.dynamics.bearings import PARAMETERS, CondensedShaft, properties_from_parameters
+from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.measurement import Measurement
 from models.records import FloatArray
 
@@ -42,10 +42,8 @@ def response_picture(path: Path, found: dict[str, Any]) -> None:
 
 def identified_picture(path: Path, spindle: Spindle, measurement: Measurement, found: dict[str, Any]) -> None:
     """Draw a measurement and the response of the identified model."""
-    values = {**found["values"], **found["fixed"]}
-    everything = {name: values.get(name, 0.0) for name in PARAMETERS}
     shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
-    model = shaft.nose_receptance(properties_from_parameters(everything))
+    model = shaft.nose_receptance(properties_from_parameters({**found["values"], **found["fixed"]}))
     curves = [
         (measurement.frequency_hz, measurement.receptance_m_per_n, "measured", False),
         (measurement.frequency_hz, model, f"model, {len(found['values'])} parameters identified", True),
