@@ -7,33 +7,50 @@ cycle (the dissertation's is 10 s) to gather more samples, and with it the mean 
 costs what it costs at 10 s; --busy loads every core besides. Prints start-up time, percentiles of the
 feedback delay and of each stage on the way (from the audit), and memory and CPU of the daemon.
 
+Every other quarter of a minute a third process makes the same calls bare, as often as the daemon does: it reads the
+block, writes as many macros that nobody uses in three requests, and reads back. What falls into these times does not
+count for the daemon, and a bare call that met one of the daemon's does not count either; the ratio of the two is
+printed. --bare none leaves it out.
+
 A short period has a short silence, a quarter of it, after which a pass counts as over. On a computer that
 stalls the simulated wires for as long, passes are cut in two; those incomplete cycles are counted apart.
 """
 
 import argparse
+import asyncio
 import contextlib
+import gc
 import json
 import os
+import random
 import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import psutil
 
+from config.loader import load_configuration
 from daemon.cli.simulate.demo import demo_machine
 from daemon.history.reader import HistoryReader
 from daemon.simulation.demonstration import switch_on, watch
 from daemon.simulation.processes import start_simulation, write_simulation_configuration
+from drivers.clock import SystemClock
+from drivers.opcua.cnc import OpcUaCnc
 
 STAGES = ("cleansed", "estimated", "written", "read_back")
 SETTLING_S = 30.0
 """The reference is set by hand after this long, so that estimates begin [s]."""
+TURN_S = 15.0
+"""The bare calls and the daemon alone take turns of this length [s]."""
+UNUSED = range(531, 540)
+"""Macros of the shipped machine that nobody uses."""
+LINES = 3
 
 
 def _ready_s(log: Path) -> float:
@@ -45,7 +62,62 @@ def _ready_s(log: Path) -> float:
     raise ValueError(f"{log}: the daemon was never ready")
 
 
-def _stages(store: Path) -> None:
+async def _call_bare(path: Path, period_s: float, begin_s: float) -> None:
+    """Make the daemon's calls for every other turn, and print when each pass began and ended [monotonic s]."""
+    config = load_configuration(path).cnc
+    macros, cnc = config.macros, OpcUaCnc(config, SystemClock())
+    ours = (macros.sequence_a, *macros.values.values(), macros.valid_until, macros.enable, macros.sequence_b)
+    ours += () if macros.check is None else (macros.check,)
+    back = (*ours, *macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version)
+    await cnc.connect()
+    gc.freeze()
+    number = 0.0
+    while True:
+        into_s = (time.monotonic() - begin_s) % (2 * TURN_S)
+        await asyncio.sleep(max(0.0, TURN_S - into_s) + period_s / LINES * random.uniform(0.5, 1.5))
+        if (time.monotonic() - begin_s) % (2 * TURN_S) < TURN_S:
+            continue
+        number += 1.0
+        first, *content, last = ((macro, number) for macro in UNUSED[: len(ours)])
+        began_s = time.monotonic()
+        await cnc.read_macros(ours)
+        await cnc.write_macros(((first,), tuple(content), (last,)))
+        await cnc.read_macros(back)
+        print(began_s, time.monotonic(), flush=True)
+
+
+@contextlib.contextmanager
+def _bare_calls(path: Path, period_s: float, found: list[tuple[float, float]], *, wanted: bool) -> Iterator[None]:
+    """Let a process of its own make the bare calls meanwhile; `found` gets when each began and ended."""
+    if not wanted:
+        yield
+        return
+    command = [sys.executable, __file__, "--bare", f"{path}:{period_s}:{time.monotonic()}"]
+    with tempfile.TemporaryFile("w+") as output, subprocess.Popen(command, stdout=output) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+            process.wait()
+        output.seek(0)
+        found += [(float(began), float(ended)) for began, ended in map(str.split, output)]
+
+
+def _ratio(feedback: list[tuple[float, float]], bare: list[tuple[float, float]]) -> None:
+    """Print the daemon's delays and those of the bare calls [begin and end in s], and their ratio."""
+    busy = np.array(feedback)
+    apart = [b for b in bare if not ((busy[:, 0] < b[1]) & (busy[:, 1] > b[0])).any()]
+    alone = [f for f in feedback if not any(f[0] < e + TURN_S / 10 and f[1] > b - TURN_S / 10 for b, e in bare)]
+    ms = [np.diff(np.array(times), axis=1)[:, 0] * 1e3 for times in (alone, apart)]
+    quantiles = [np.percentile(each, [50, 99, 99.9]) for each in ms]
+    for name, values, each in zip(
+        ("feedback, last byte to read back", "the same calls bare"), quantiles, ms, strict=True
+    ):
+        print("{:>33}: p50 {:6.2f}, p99 {:6.2f}, p99.9 {:6.2f} ms, {} times".format(name, *values, len(each)))
+    print("{:>33}: p50 {:6.2f}, p99 {:6.2f}, p99.9 {:6.2f}".format("ratio", *(quantiles[0] / quantiles[1])))
+
+
+def _stages(store: Path, to_monotonic_s: float, bare: list[tuple[float, float]]) -> None:
     """Print where the time goes from the last byte of a complete cycle on [ms], for writes that an estimate caused."""
     with contextlib.closing(sqlite3.connect(f"file:{store}?mode=ro", uri=True)) as connection:
         incomplete = {ms for (ms,) in connection.execute("SELECT utc_ms FROM temperature_cycles WHERE NOT complete")}
@@ -66,6 +138,13 @@ def _stages(store: Path) -> None:
         print(f"{name:>22}: p50 {p50:6.2f}, p99 {p99:6.2f}, p99.9 {p999:6.2f}, max {column.max():6.2f} ms")
     order = np.argsort(stages[:, -1])[::-1][:5]
     print("slowest (write, ms to each stage):", [(int(i), stages[i].round(1).tolist()) for i in order])
+    if bare:
+        ends = [
+            (record.outcome_time_s + to_monotonic_s, record.delay_s["read_back"])
+            for record in whole
+            if record.outcome_time_s is not None and "cleansed" in record.delay_s and "read_back" in record.delay_s
+        ]
+        _ratio([(end_s - delay_s, end_s) for end_s, delay_s in ends], bare)
 
 
 def main() -> None:
@@ -74,7 +153,11 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=1.0)
     parser.add_argument("--secure", action="store_true")
     parser.add_argument("--busy", action="store_true")
+    parser.add_argument("--bare", default="paired", help="none, or (for this program itself) file:period:begin")
     options = parser.parse_args()
+    if ":" in options.bare:
+        path, period_s, begin_s = options.bare.rsplit(":", 2)
+        asyncio.run(_call_bare(Path(path), float(period_s), float(begin_s)))
     base = demo_machine()
     base["compensation"]["reference"]["mean_s"] = 60.0 * options.period / 10.0
     for line in base["temperatures"]["lines"]:
@@ -84,18 +167,20 @@ def main() -> None:
         subprocess.Popen([sys.executable, "-c", "while True: sum(range(1000))"])
         for _ in range((os.cpu_count() or 1) if options.busy else 0)
     ]
+    bare: list[tuple[float, float]] = []
     try:
         with tempfile.TemporaryDirectory() as name:
-            directory = Path(name)
+            directory, epoch_utc_s = Path(name), time.time()
             path, _ = write_simulation_configuration(base, directory, speed=1.0, http_port=0, secure=options.secure)
-            with start_simulation([], path, speed=1.0, epoch_utc_s=time.time(), directory=directory) as running:
+            with start_simulation([], path, speed=1.0, epoch_utc_s=epoch_utc_s, directory=directory) as running:
                 switch_on(running)
                 daemon = psutil.Process(running.daemon.pid)
                 print(f"daemon ready {_ready_s(directory / 'daemon.log') - daemon.create_time():.2f} s after its start")
                 watch(running, SETTLING_S, lambda _: None, 1.0)
                 running.client.ask("reference")
                 before, wall_s = daemon.cpu_times(), time.monotonic()
-                watch(running, SETTLING_S + options.minutes * 60.0, lambda _: None, 10.0)
+                with _bare_calls(path, options.period, bare, wanted=options.bare == "paired"):
+                    watch(running, SETTLING_S + options.minutes * 60.0, lambda _: None, 10.0)
                 after, wall_s = daemon.cpu_times(), time.monotonic() - wall_s
                 status = running.client.ask("status")
                 cpu_s = after.user + after.system - before.user - before.system
@@ -107,7 +192,7 @@ def main() -> None:
                     f"daemon: RSS {daemon.memory_info().rss / 2**20:.1f} MiB, "
                     f"CPU {100 * cpu_s / wall_s:.2f} % of a core"
                 )
-            _stages(directory / "history.sqlite")
+            _stages(directory / "history.sqlite", running.epoch_real_s - epoch_utc_s, bare)
     finally:
         for burner in burners:
             burner.kill()
