@@ -1,6 +1,7 @@
 """Decides whether an axis may be switched on, and whether anything may be written to the CNC at all."""
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 from config.records.commissioning import CommissioningRecord, commissioning_inhibit
 from config.schema import Configuration
@@ -26,6 +27,7 @@ class Interlocks:
         self._clock = clock
         self._commissioning = commissioning
         self._model_problem = model_problem
+        self._not_proved = lru_cache(maxsize=16)(self._judged)  # record and macros stay as they are: asked every time
         axes = configuration.compensation.axes
         self._axes = tuple(axes)
         self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
@@ -59,19 +61,21 @@ class Interlocks:
                 "no commissioning record: `toolpoint commission --check` says why",
                 remedy="start the daemon again afterwards",
             )
-        not_proved = commissioning_inhibit(
-            self._commissioning,
-            cnc_identity=cnc.identity,
-            macros=self._configuration.cnc.macros,
-            axes=sorted(axes),
-            guard_version=guard_version,
-        )
-        if not_proved:
+        if not_proved := self._not_proved(cnc.identity, axes, guard_version):
             yield Inhibit(code=InhibitCode.COMMISSIONING, text=not_proved)
         config = self._configuration.cnc
         if cnc.security == "insecure" and not config.allow_insecure_writes:
             text = "the connection is not secure"
             yield Inhibit(code=InhibitCode.SECURITY, text=text, remedy=config.insecure_advice)
+
+    def _judged(self, identity: str, axes: frozenset[str], guard_version: float | None) -> str:
+        return commissioning_inhibit(
+            self._commissioning,
+            cnc_identity=identity,
+            macros=self._configuration.cnc.macros,
+            axes=sorted(axes),
+            guard_version=guard_version,
+        )
 
     def request_inhibit(
         self, request: OperatorRequest, session: CncSession | None, *, not_begun: str
