@@ -15,7 +15,7 @@ KeyPath = tuple[str | int, ...]
 class Section(BaseModel):
     """A configuration section: unknown keys are refused, types are strict, values are frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
     shipped: ClassVar[Mapping[str, str]] = {}
     """Keys whose paths may be bare names of YAML files that ship -> the folder of this package where they lie."""
 
