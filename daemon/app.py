@@ -5,7 +5,7 @@ import gc
 import signal
 from collections.abc import Coroutine, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
@@ -38,9 +38,7 @@ from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.registry import PARTS, Parts
 from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
-from daemon.spindle_speed.messages import OpenedModel
-from daemon.spindle_speed.planner_process import PlannerProcess
-from daemon.spindle_speed.task import SpindleSpeedOutput
+from daemon.spindle_speed.output import SpindleSpeedOutput, open_planner
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
 from daemon.telemetry.latency import line_timings
@@ -52,11 +50,14 @@ from models.control.state import OutputLimits
 from models.records import DisplacementSample
 from models.thermal.family import ThermalModel
 
+if TYPE_CHECKING:
+    from daemon.spindle_speed.messages import OpenedModel
+
 log = structlog.get_logger(__name__)
 STOP_CALLS = 4
 """The control task may end this many calls to the CNC before it is cancelled."""
 GARBAGE_OBJECTS = 20_000
-"""So many new objects are looked through for cycles of references at once: Python's own 700 are a part of a feedback."""
+"""So many new objects are looked through for cycles of references at once: Python's own 700 come in every feedback."""
 ALIVE_PERIOD_S = 10.0
 """How often the store records that the daemon runs [s of the wall clock]; a restart measures its outage by it."""
 
@@ -122,9 +123,7 @@ class Daemon:
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
-        self._planner: PlannerProcess | None = None
-        if configuration.spindle_speed is not None:
-            self._planner = PlannerProcess(parts.speed_planner, configuration, self._on_bearings)
+        self._planner = open_planner(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox = self._inbox = ThermalInbox()
         limits = output_limits(configuration, factors)
@@ -310,7 +309,7 @@ class Daemon:
     def _report(self, kind: str, text: str) -> None:
         self._history.event(kind, text, "daemon")
 
-    def _on_bearings(self, opened: OpenedModel) -> None:
+    def _on_bearings(self, opened: "OpenedModel") -> None:
         """Note which model speeds are planned with; it is logged once, however often the planner is started."""
         if opened.inhibit:
             self._links.planner_health.went_down(opened.inhibit, self._clock.now().utc_s)

@@ -5,7 +5,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import difflib
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from types import ModuleType
 from typing import Any
@@ -55,12 +57,25 @@ RENAMED_OPTIONS: Mapping[str, str] = {
 """Old name of an option -> the new one; an entry stays for one version."""
 
 
+@contextmanager
+def _without(package: str) -> Iterator[None]:
+    """Let imports go on as if this package, which is used where it is installed, were not."""
+    loaded = sys.modules.get(package)
+    sys.modules[package] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[package]
+        if loaded is not None:
+            sys.modules[package] = loaded
+
+
 def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each module)
     """Import the module whose function has the command's name."""
     match command:
         case "run":
-            from daemon.cli.operate import run
-
+            with _without("rich"):  # structlog would load it for coloured tracebacks: 4.5 MiB
+                from daemon.cli.operate import run
             return run
         case "demo":
             from daemon.cli.simulate import demo

@@ -8,7 +8,7 @@ import numpy as np
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.guard import GuardConfig
-from drivers.guard.text import PER_SECOND, block_check
+from drivers.guard.check import PER_SECOND, block_check
 from models.control.state import OutputLimits
 from models.records import CompensationCommand, FloatArray
 

@@ -9,7 +9,7 @@ from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.station import Station
 from daemon.compensation.alarms import GUARD_CONTENT
-from drivers.guard import GuardStatus
+from drivers.guard.text import GuardStatus
 from models.records import FloatArray
 
 CALL_THE_GUARD = "Call the guard now: in MDI, or run the program to its safe point."

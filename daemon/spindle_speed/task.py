@@ -18,13 +18,12 @@ from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
 from daemon.spindle_speed.decision import OperationState, SpeedDecision
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
-from daemon.spindle_speed.messages import Planner
 from daemon.spindle_speed.planner_process import SpeedWorker
 from daemon.spindle_speed.snapshot import speed_snapshot
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
-from models.records import CncSample, MachineTemperatures, Phase
+from models.records import CncSample, Phase
 from models.spindle_speed.tuning import (
     SpeedState,
 )
@@ -36,65 +35,7 @@ NO_OPERATION = "no operation has begun"
 ANEW = "decided anew at the next safe block"
 
 
-class SpindleSpeedOutput:
-    """Follows one CNC's operations; does nothing without the section `spindle_speed`."""
-
-    def __init__(
-        self,
-        configuration: Configuration,
-        clock: Clock,
-        journal: Journal,
-        interlocks: Interlocks,
-        planner: Planner | None,
-    ) -> None:
-        self.worker = SpeedWorker(planner)
-        tuning = configuration.spindle_speed
-        self._follower: _Follower | None = None
-        if tuning is not None:
-            self._follower = _Follower(configuration, tuning, clock, journal, interlocks, self.worker)
-
-    @property
-    def due(self) -> bool:
-        """A value waits to be written; never before it is time to read again."""
-        return False
-
-    def on_temperatures(self, temperatures: MachineTemperatures) -> None:
-        """Take a cycle of the sensors."""
-        time = temperatures.trace.cleansed or temperatures.trace.last_byte
-        self.worker.take(time.monotonic_s, temperatures.degc)
-
-    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
-        """Read the operation when it is time, decide, and write what is due.
-
-        `sample` is the latest poll, with the part program's block while a program of the guard runs.
-        """
-        if self._follower is not None:
-            await self._follower.follow(session, phase, sample)
-
-    def turn(self, *, on: bool, person: str) -> str:
-        """Switch the tuning on or off, as a person asks; return why that is refused, '' when it is taken."""
-        if self._follower is None:
-            return "there is no section spindle_speed in the configuration, so there is nothing to switch"
-        self._follower.switch.turn(on=on, person=person)
-        return ""
-
-    @property
-    def stands_off(self) -> bool:
-        """It is switched off, and the block in the CNC says so or has run out."""
-        follower = self._follower
-        return follower is None or (bool(follower.switch.inhibit) and not follower.followed)
-
-    def close(self) -> None:
-        """Release what is open."""
-        if self._follower is not None:
-            self._follower.writer.close()
-
-    def snapshot(self) -> SpindleSpeedSnapshot | None:
-        """Return what status shows; None where the tuning is off."""
-        return None if self._follower is None else self._follower.snapshot(stands_off=self.stands_off)
-
-
-class _Follower:
+class Follower:
     """The work of `SpindleSpeedOutput` where the tuning is on."""
 
     def __init__(
@@ -107,7 +48,7 @@ class _Follower:
         worker: SpeedWorker,
     ) -> None:
         self._tuning, self._clock, self._journal, self._interlocks = tuning, clock, journal, interlocks
-        self._worker = worker
+        self.worker = worker
         self._block = SpeedBlock(tuning.macros)
         self._calls = SpeedCalls(configuration, tuning, self._block)
         self._memories = OperationMemories(journal, clock)
@@ -146,9 +87,9 @@ class _Follower:
         self._take_call(found, now_s, sample)
         operation = self._calls.under_way
         if operation is not None:
-            self._worker.update(operation.called, operation.place if operation.wanted else None)
+            self.worker.update(operation.called, operation.place if operation.wanted else None)
         else:
-            self._worker.update(None, None)
+            self.worker.update(None, None)
         if not self._inhibited:
             await self._serve(session, operation, phase, clock_s, now_s)
 
@@ -313,12 +254,12 @@ class _Follower:
         return speed_snapshot(
             state=state.value,
             reason=reason,
-            alarm=self._inhibited or alarm or self._worker.inhibit,
+            alarm=self._inhibited or alarm or self.worker.inhibit,
             switched_on=not self.switch.inhibit,
             stands_off=stands_off,
             applied_rpm=self._block.applied_rpm(self._found),
             nc_status=self._block.status(self._found),
             operation=self._calls.under_way,
-            planned=self._worker.latest,
+            planned=self.worker.latest,
             followed=self.writer.pair if followed else None,
         )

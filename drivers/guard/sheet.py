@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 from config.html_page import Section, html_page
 from config.schema import Configuration
 from config.schema.guard import SHARED_MEMORY
+from drivers.guard.check import PER_SECOND
 from drivers.guard.text import (
     GUARD_VERSION,
-    PER_SECOND,
     GuardPrograms,
     GuardStatus,
     decimal,

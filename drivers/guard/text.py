@@ -1,8 +1,8 @@
-"""Fills the templates of the NC programs in for one machine, and makes the check of a block as they do."""
+"""Fills the templates of the NC programs in for one machine."""
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
@@ -13,6 +13,7 @@ from config.schema import Configuration
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
+from drivers.guard.check import PER_SECOND
 from models.errors import RefusedInputError
 
 GUARD_VERSION = CHECKING_GUARD
@@ -24,8 +25,6 @@ POLL_MS = 50
 """The request program looks for its answer once in this time [ms]."""
 RETRIES, RETRY_MS = 3, 200
 """A block that is being written is read again so often, after so long [ms]."""
-PER_SECOND = 10
-"""valid_until counts to this part of a second."""
 NM_PER_MM = 1_000_000
 """A value counts to a nanometre."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
@@ -292,27 +291,3 @@ def _check(text: str) -> None:
         for comment in _COMMENT.findall(line):
             if not _ALLOWED.fullmatch(comment):
                 raise GuardTextError(f"the comment ({comment}) holds characters that a control does not take")
-
-
-def block_check(macros: MacroMapConfig, axes: Iterable[str], held: Mapping[int, float | None]) -> float:
-    """Return the check that fits what these macros hold; what is vacant counts as 0, as in a custom macro.
-
-    Every part is a whole number, and so is the sum: the sequence number, the enable bits, valid_until in tenths of a
-    second, and each value in nanometres times the place of its axis, counted from 1. With the bounds that the
-    configuration allows the sum stays below 1e8, so that a custom macro which computes with eight digits makes it
-    exactly. One foreign value changes the sum by its own change, and two values that are exchanged change it too.
-    """
-
-    def value(number: int) -> float:
-        return held.get(number) or 0.0
-
-    nm_per_unit = macros.unit_um * 1000.0
-    total = value(macros.sequence_b) + value(macros.enable) + _whole(value(macros.valid_until) * PER_SECOND)
-    for place, axis in enumerate(axes, start=1):
-        total += place * _whole(value(macros.values[axis]) * nm_per_unit)
-    return total
-
-
-def _whole(value: float) -> float:
-    """Return the nearest whole number, halves away from 0, as ROUND does."""
-    return math.copysign(math.floor(abs(value) + 0.5), value)

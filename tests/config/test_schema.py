@@ -12,7 +12,7 @@ from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.base import FORMS
 from config.schema.temperatures import expand_ranges
-from drivers.guard import GuardTextError, guard_program
+from drivers.guard.text import GuardTextError, guard_program
 
 
 def changed(path: str, value: Any) -> str:

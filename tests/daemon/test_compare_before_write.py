@@ -167,7 +167,7 @@ async def test_a_value_put_into_the_speed_block_after_it_was_read_is_refused(tmp
     async with running(bench.rig):
         await bench.rig.turn()
         await bench.operation()
-        session, follower = bench.rig.link.session, bench.speed._follower
+        session, follower = bench.rig.link.session, bench.speed.follower
         found = await session.cnc.read_macros(MACROS.numbers)
         bench.nc.macros.set(number, 4711.5)
         bench.nc.written.clear()

@@ -12,7 +12,7 @@ from speed_rig import CUT, SAFE, SpeedRig
 from config.schema.spindle_speed import SpeedOperationConfig
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import RequestError
-from daemon.spindle_speed.task import SpindleSpeedOutput
+from daemon.spindle_speed.output import SpindleSpeedOutput
 from drivers.guard.speed_text import SpeedStatus
 from models.records import CncRun
 

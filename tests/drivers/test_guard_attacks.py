@@ -6,7 +6,7 @@ from collections import Counter
 import pytest
 from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
-from drivers.guard import block_check
+from drivers.guard.check import block_check
 from drivers.sim.nc.safe_point import GuardStatus
 
 MEMORY = range(590, 597)

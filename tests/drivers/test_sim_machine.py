@@ -6,7 +6,7 @@ import pytest
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.temperatures import SensorConfig
-from drivers.guard import block_check
+from drivers.guard.check import block_check
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine

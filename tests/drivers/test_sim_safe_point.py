@@ -6,7 +6,7 @@ import pytest
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
-from drivers.guard import block_check
+from drivers.guard.check import block_check
 from drivers.sim.nc.nc import MacroTable, NumericalControl, RunCode
 from drivers.sim.nc.safe_point import GUARD_VERSION, GuardStatus, SafePointApplication
 

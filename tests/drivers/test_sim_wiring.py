@@ -4,7 +4,7 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from drivers.guard import block_check
+from drivers.guard.check import block_check
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import standing_program

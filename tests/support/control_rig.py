@@ -35,7 +35,7 @@ from daemon.monitor.commands import CommandDesk
 from daemon.monitor.status import StatusBoard
 from daemon.snapshots import SnapshotBoard, ThermalSnapshot
 from daemon.spindle_speed.messages import Planner
-from daemon.spindle_speed.task import SpindleSpeedOutput
+from daemon.spindle_speed.output import SpindleSpeedOutput
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
 from daemon.supervisor import Backoff, run_with_reconnect

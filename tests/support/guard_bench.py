@@ -6,7 +6,7 @@ from typing import Any
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import GuardConfig
-from drivers.guard import block_check
+from drivers.guard.check import block_check
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 

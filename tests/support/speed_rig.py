@@ -14,8 +14,8 @@ from config.schema import Configuration
 from daemon.model_release.bearings import open_planning
 from daemon.model_release.file_access import own_account
 from daemon.spindle_speed.messages import PlannedSpeed, Planner, PlanRequest
+from daemon.spindle_speed.output import SpindleSpeedOutput
 from daemon.spindle_speed.planning import SpeedPlanning
-from daemon.spindle_speed.task import SpindleSpeedOutput
 from drivers.guard.speed_text import SpeedStatus, speed_program
 from drivers.sim.nc.custom_macro import Interpreter, compile_programs
 from models.records import MachineTemperatures, Trace
@@ -73,7 +73,7 @@ class SpeedRig:
                 self.rig.control.deliver(self.cycle())
             await self.rig.turn(after_s=1.0, safe=False)
             await self.rig.serve()
-            await self.speed.worker.settled()
+            await self.speed.follower.worker.settled()
             if self.nc.reachable:
                 await self.rig.connected()
 

@@ -6,7 +6,7 @@ import sys
 
 from config.machines import shipped_file
 
-MODULES, LINES = 186, 25_526
+MODULES, LINES = 175, 23_520
 """A little above what it is; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
@@ -30,3 +30,26 @@ def test_the_resident_daemon_stays_small() -> None:
     print(f"resident: {modules} modules, {lines} lines")
     assert modules <= MODULES
     assert lines <= LINES
+
+
+FOREIGN = """
+import json, pathlib, sys
+from daemon.cli import main
+command = main.get_command(None, "run")
+from config.loader import load_configuration
+from drivers.registry import import_drivers
+import_drivers(load_configuration(pathlib.Path(sys.argv[1])))
+print(json.dumps([name for name in sys.argv[2:] if sys.modules.get(name)]))
+"""
+
+
+def test_the_command_loads_no_library_that_the_daemon_does_not_use() -> None:
+    machine = str(shipped_file("cfrpmt.yaml"))
+    unused = ("rich", "scipy", "sklearn", "matplotlib", "plotly", "pyarrow", "daemon.spindle_speed.task")
+    command = [sys.executable, "-P", "-c", FOREIGN, machine, *unused]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []
+    with_rich = FOREIGN.replace('"run"', '"monitor"').replace("print(", "import rich.console\nprint(")
+    done = subprocess.run([*command[:3], with_rich, machine, "rich"], capture_output=True, text=True, check=False)
+    assert json.loads(done.stdout) == ["rich"], "other commands still find it"

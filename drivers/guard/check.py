@@ -1,0 +1,33 @@
+"""The check of the block: the number that the guard makes of what it has read, and the daemon of what it writes."""
+
+import math
+from collections.abc import Iterable, Mapping
+
+from config.schema.cnc import MacroMapConfig
+
+PER_SECOND = 10
+"""valid_until counts to this part of a second."""
+
+
+def block_check(macros: MacroMapConfig, axes: Iterable[str], held: Mapping[int, float | None]) -> float:
+    """Return the check that fits what these macros hold; what is vacant counts as 0, as in a custom macro.
+
+    Every part is a whole number, and so is the sum: the sequence number, the enable bits, valid_until in tenths of a
+    second, and each value in nanometres times the place of its axis, counted from 1. With the bounds that the
+    configuration allows the sum stays below 1e8, so that a custom macro which computes with eight digits makes it
+    exactly. One foreign value changes the sum by its own change, and two values that are exchanged change it too.
+    """
+
+    def value(number: int) -> float:
+        return held.get(number) or 0.0
+
+    nm_per_unit = macros.unit_um * 1000.0
+    total = value(macros.sequence_b) + value(macros.enable) + _whole(value(macros.valid_until) * PER_SECOND)
+    for place, axis in enumerate(axes, start=1):
+        total += place * _whole(value(macros.values[axis]) * nm_per_unit)
+    return total
+
+
+def _whole(value: float) -> float:
+    """Return the nearest whole number, halves away from 0, as ROUND does."""
+    return math.copysign(math.floor(abs(value) + 0.5), value)
