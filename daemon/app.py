@@ -62,16 +62,16 @@ ALIVE_PERIOD_S = 10.0
 """How often the store records that the daemon runs [s of the wall clock]; a restart measures its outage by it."""
 
 
-def load_record(configuration: Configuration) -> CommissioningRecord | None:
-    """Return the commissioning record, or None with the reason in the log."""
+def load_record(configuration: Configuration) -> tuple[CommissioningRecord | None, str]:
+    """Return the commissioning record, or None and why it is refused, '' where none is named."""
     path = configuration.compensation.commissioning_file
     if path is None:
-        return None
+        return None, ""
     try:
-        return load_commissioning(path, configuration.signatures.public_keys)
+        return load_commissioning(path, configuration.signatures.public_keys), ""
     except CommissioningError as error:
         log.error("commissioning.unreadable", problem=str(error))
-        return None
+        return None, str(error)
 
 
 def load_model(configuration: Configuration) -> LoadedModel[ThermalModel]:
@@ -108,7 +108,7 @@ class Daemon:
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
         model, inhibit = self._loaded.model, self._loaded.inhibit
-        record = load_record(configuration)
+        record, refused = load_record(configuration)
         axes = tuple(configuration.compensation.axes)
         factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
         self._block = MacroBlock(
@@ -127,7 +127,7 @@ class Daemon:
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox = self._inbox = ThermalInbox()
         limits = output_limits(configuration, factors)
-        interlocks = Interlocks(configuration, clock, record, lambda: inhibit or self.thermal.inhibit())
+        interlocks = Interlocks(configuration, clock, record, lambda: inhibit or self.thermal.inhibit(), refused)
         self.control = self._control_task(interlocks, limits, None if model is None else model.model_id, inbox)
         self.thermal = ThermalTask(
             configuration,

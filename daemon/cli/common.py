@@ -13,6 +13,7 @@ import click
 from config.loader import load_with_warnings
 from config.schema import Configuration
 from config.schema.base import Problem
+from models.json_values import printable
 
 if TYPE_CHECKING:
     from daemon.checkup.machine import Finding
@@ -116,7 +117,7 @@ def read_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
 def show_finding(finding: "Finding") -> None:
     """Print one line of what was tried."""
     mark, colour = ("ok", "green") if finding.passed else ("not yet", "yellow") if finding.pending else ("FAIL", "red")
-    click.echo(f"{click.style(f'{mark:7}', fg=colour)}  {finding.subject}: {finding.detail}")
+    click.echo(f"{click.style(f'{mark:7}', fg=colour)}  {finding.subject}: {printable(finding.detail)}")
 
 
 def write_json(destination: str | None, content: Any) -> None:

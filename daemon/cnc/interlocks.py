@@ -21,13 +21,15 @@ class Interlocks:
         clock: Clock,
         commissioning: CommissioningRecord | None,
         model_problem: Callable[[], str],
+        record_refused: str = "",
     ) -> None:
-        """`model_problem` says why no model can be followed, '' when one can."""
+        """`model_problem` says why no model can be followed, `record_refused` why a record counts for nothing."""
         self._configuration = configuration
         self._clock = clock
         self._commissioning = commissioning
         self._model_problem = model_problem
         self._not_proved = lru_cache(maxsize=16)(self._judged)  # record and macros stay as they are: asked every time
+        self._record_refused = record_refused
         axes = configuration.compensation.axes
         self._axes = tuple(axes)
         self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
@@ -57,9 +59,9 @@ class Interlocks:
         if self._commissioning is None and record_file is not None:
             yield Inhibit(
                 code=InhibitCode.COMMISSIONING,
-                text=f"the commissioning record {record_file} could not be read when the daemon started, so there is "
-                "no commissioning record: `toolpoint commission --check` says why",
-                remedy="start the daemon again afterwards",
+                text=f"the commissioning record {record_file} was refused when the daemon started, so there is no "
+                f"commissioning record: {self._record_refused}",
+                remedy="mend it or run `toolpoint commission`, then start the daemon again",
             )
         if not_proved := self._not_proved(cnc.identity, axes, guard_version):
             yield Inhibit(code=InhibitCode.COMMISSIONING, text=not_proved)

@@ -107,7 +107,7 @@ class CncSession:
 
     def _narrow(self, found: Mapping[int, float | None]) -> None:
         ours = {number: found.get(number) for number in self._block.ours}
-        self._acceptable = {number: (value,) for number, value in ours.items() if value is not None}
+        self._acceptable = {number: () if value is None else (value,) for number, value in ours.items()}
 
     def _adopt(self, sample: CncSample) -> list[str]:
         """Take over a block that this daemon has not written: only a whole, disabled one."""

@@ -76,7 +76,10 @@ class Requests:
         if person:
             self._journal.event("request", in_words(request), person)
         session = self._link.session
-        if request.acknowledge and self._journal.fault is not None and session is not None:
+        if request.acknowledge and session is None:
+            lost = self._interlocks.request_inhibit(request, None, not_begun="")
+            self._journal.event("refused", f"{in_words(request)}: {lost}", person)
+        elif request.acknowledge and session is not None and self._journal.fault is not None:
             self._journal.acknowledge(*session.acknowledge())
         return self._startup.heed(request)
 

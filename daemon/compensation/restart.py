@@ -127,12 +127,13 @@ class StartupRecovery:
         except ValueError as error:
             self.not_begun = self._journal.alarm = f"{error}: run the guard's initialising program, then acknowledge"
             return None
-        self.not_begun = ""
         if not (self._resume.resumable and in_time):
             self._waiting = frozenset(compress(self._axes, wanted))
         self._journal.say("start", f"{memory.state.value}: {memory.reason}")
         resumable = self._resume.resumable
-        return self._references.restart(memory, self._axes, self._model_id, resumable=resumable)
+        begun = self._references.restart(memory, self._axes, self._model_id, resumable=resumable)
+        self.not_begun = ""
+        return begun
 
     def heed(self, request: OperatorRequest) -> OperatorRequest:
         """Take a person's decision on axes that wait; a decision on one leaves the others waiting.

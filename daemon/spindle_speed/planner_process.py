@@ -86,6 +86,10 @@ class PlannerProcess:
         try:
             self.process_id = process.pid
             await self._serve(process)
+        except Exception as error:
+            if not isinstance(error, LinkError):
+                self._gone(f"cannot be served any longer (unexpected {type(error).__name__}: {error})")
+            raise
         finally:
             self.process_id = None
             if process.returncode is None:

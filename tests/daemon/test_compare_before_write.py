@@ -79,6 +79,17 @@ async def test_valid_until_may_be_vacant_because_power_off_clears_it(rig, bench)
     assert rig.control.journal.fault is None and bench.nc.macros.get(VALID_UNTIL) is not None
 
 
+async def test_a_value_put_into_a_vacant_valid_until_is_foreign(rig, bench):
+    await rig.active()
+    bench.nc.macros.set(VALID_UNTIL, None)
+    await poll(rig)
+    assert rig.control.journal.fault is None
+    bench.nc.macros.set(VALID_UNTIL, bench.nc.clock_s + 100.0)
+    bench.nc.written.clear()
+    await act(rig, rig.estimate(0.0, -5.0))
+    assert bench.nc.written == [] and f"macro #{VALID_UNTIL} holds" in rig.control.journal.fault
+
+
 async def test_after_the_fault_is_acknowledged_what_the_control_holds_is_ours(rig, bench):
     await rig.active()
     await poll(rig)

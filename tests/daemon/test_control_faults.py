@@ -19,6 +19,7 @@ from control_rig import (
 from daemon.history import HistoryReader
 from daemon.state_store.documents import OutputFault
 from daemon.state_store.store import StateStore
+from drivers.contract import LinkError
 from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
@@ -430,3 +431,30 @@ async def test_an_acknowledgement_leaves_what_is_still_wrong(rig, bench):
     assert rig.state == "FAULT" and len(rig.control.journal.faults) == 1
     assert "#500 is vacant" in rig.control.journal.faults[0] and "#500 is vacant" in rig.control.journal.alarm
     assert StateStore(rig.history, bench.clock).get(OutputFault).reasons == rig.control.journal.faults
+
+
+async def test_an_acknowledgement_that_meets_a_lost_link_is_refused_in_words(rig, bench):
+    """It was taken while the link stood, and the link was lost before it was carried out."""
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    await rig.turn()
+    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    rig.link.lost(LinkError("cable"))
+    await rig.control._guarded(rig.control._act(None))
+    assert rig.state == "FAULT" and rig.control.journal.fault is not None
+    assert "acknowledge the fault: there is no link to the CNC" in rig.control.journal.notices[-1]
+    await rig.connected()
+    await rig.turn(safe=False)
+    assert rig.state == "FAULT", "nobody has acknowledged what the control holds now"
+
+
+async def test_nothing_has_begun_while_the_beginning_meets_a_defect(bench, monkeypatch):
+    async with running(bench.rig()) as rig:
+        restart = rig.control._references.restart
+        monkeypatch.setattr(rig.control._references, "restart", lambda *_, **__: 1 / 0)
+        await rig.turn()
+        assert rig.control.memory is None
+        assert "not been reached yet" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        monkeypatch.setattr(rig.control._references, "restart", restart)
+        await rig.turn()
+        assert rig.control.memory is not None

@@ -4,8 +4,12 @@ import importlib.metadata
 import subprocess
 import sys
 
+import pytest
+
 from config.sample import sample_configuration
 from daemon.checkup.computer import OUR_PACKAGES, examine
+from daemon.checkup.machine import Finding
+from daemon.cli.common import show_finding
 
 
 def test_this_environment_is_healthy():
@@ -51,3 +55,10 @@ def test_the_command_prints_what_it_finds():
     )
     assert finished.returncode in (0, 1), finished.stderr
     assert "package names" in finished.stdout and "Traceback" not in finished.stderr
+
+
+def test_what_a_control_says_of_itself_does_not_act_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    show_finding(Finding(subject="cnc", passed=True, detail="ACME\x1b]0;owned\x07\x1b[2J 30i, NOT secure"))
+    said = capsys.readouterr().out
+    assert "ACME\\x1b]0;owned\\x07\\x1b[2J 30i" in said
+    assert "\x07" not in said and "\x1b[2J" not in said

@@ -3,6 +3,8 @@
 import pytest
 from control_rig import Bench, record_for, running
 
+from config.records.commissioning import save_commissioning
+from config.signing import SigningKey
 from models.control.state import OperatorRequest
 
 
@@ -46,4 +48,19 @@ async def test_a_record_that_cannot_be_read_is_named(bench, tmp_path):
     async with running(bench.rig(record=None)) as rig:
         await rig.turn()
         said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-        assert "broken.json could not be read" in said and "no commissioning record" in said
+        assert "broken.json was refused when the daemon started" in said and "no commissioning record" in said
+        assert "broken.json: cannot be read (No such file or directory)" in said
+
+
+async def test_a_record_that_is_not_signed_by_a_known_key_says_so(bench, tmp_path):
+    content = bench.configuration.model_dump()
+    path = content["compensation"]["commissioning_file"] = tmp_path / "commissioning.json"
+    content["signatures"]["public_keys"] = tmp_path / "keys"
+    bench.configuration = type(bench.configuration).model_validate(content)
+    save_commissioning(record_for(bench.configuration), path)
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys/anna.pub").write_bytes(SigningKey.make(tmp_path / "own/key.pem").public)
+    async with running(bench.rig(record=None)) as rig:
+        await rig.turn()
+        said = rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
+        assert "commissioning.json was refused" in said and "is not signed" in said

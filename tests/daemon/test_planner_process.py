@@ -129,6 +129,23 @@ async def test_one_that_hangs_is_killed_and_so_is_its_answer(tmp_path: Path) -> 
         assert ends(process_id)
 
 
+async def test_a_defect_in_the_daemon_says_why_no_speed_is_planned(tmp_path: Path) -> None:
+    def defect(_: OpenedModel) -> None:
+        raise OverflowError("too much")
+
+    async with supervised(tmp_path) as child:
+        await child.opened()
+        child.attempt.cancel()
+        await asyncio.gather(child.attempt, return_exceptions=True)
+        child.planner._on_opened = defect
+        child.begin()
+        with pytest.raises(OverflowError):
+            await child.attempt
+        assert "unexpected OverflowError: too much" in child.planner.inhibit
+        with pytest.raises(LinkError, match="the speed is frozen"):
+            await child.planner.plan(asked())
+
+
 async def test_one_that_is_killed_while_it_plans_leaves_nobody_waiting(tmp_path: Path) -> None:
     async with supervised(tmp_path) as child:
         process_id = await child.opened()

@@ -68,7 +68,7 @@ def signing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Signing:
 def test_without_keys_nothing_is_asked_for_and_it_says_so(signing: Signing) -> None:
     signing.installation.release("ridge-1")
     assert signing.loaded.model is not None and "its signature not asked for" in signing.loaded.in_words()
-    assert load_record(signing.installation.configuration) is not None
+    assert load_record(signing.installation.configuration)[0] is not None
     assert "no key counts" in signing.run("keys", "list").output
 
 
@@ -76,14 +76,14 @@ def test_what_version_0_1_0_left_is_taken_over_by_signing_it(signing: Signing) -
     signing.installation.release("ridge-1")
     signing.key("anna")
     assert signing.loaded.model is None and "is not signed" in signing.loaded.inhibit
-    assert load_record(signing.installation.configuration) is None
+    assert load_record(signing.installation.configuration)[0] is None
     declined = CliRunner().invoke(
         main, ["keys", "sign", "--config", str(signing.installation.config_path)], input="n\nn\n"
     )
     assert declined.exit_code == 0 and signing.loaded.model is None
     assert signing.run("keys", "sign", "--yes").exit_code == 0
     assert signing.loaded.signed_by == "anna" and "signed by anna" in signing.loaded.in_words()
-    assert load_record(signing.installation.configuration) is not None
+    assert load_record(signing.installation.configuration)[0] is not None
     assert "nothing waits" in signing.run("keys", "sign", "--yes").output
 
 
@@ -148,27 +148,27 @@ def test_a_key_that_is_limited_counts_for_nothing_else(signing: Signing) -> None
     signing.key("night", "night.release")
     signing.installation.release("ridge-1")
     assert signing.loaded.signed_by == "night"
-    assert load_record(signing.installation.configuration) is not None, "no key counts for commissioning yet"
+    assert load_record(signing.installation.configuration)[0] is not None, "no key counts for commissioning yet"
     signing.key("anna", "anna.commissioning")
     record = load_commissioning(signing.record_path)
     save_commissioning(record, signing.record_path, SigningKey.load(Path(os.environ["TOOLPOINT_SIGNING_KEY"])))
-    assert load_record(signing.installation.configuration) is not None
+    assert load_record(signing.installation.configuration)[0] is not None
     signing.be("night")
     save_commissioning(record, signing.record_path, SigningKey.load(Path(os.environ["TOOLPOINT_SIGNING_KEY"])))
     with pytest.raises(CommissioningError, match="does not hold for a commissioning record"):
         load_commissioning(signing.record_path, signing.installation.configuration.signatures.public_keys)
     save_commissioning(record, signing.record_path)
     assert not signature_beside(signing.record_path).exists()
-    assert load_record(signing.installation.configuration) is None
+    assert load_record(signing.installation.configuration)[0] is None
 
 
 def test_a_changed_commissioning_record_is_none(signing: Signing) -> None:
     signing.key("anna")
     assert signing.run("keys", "sign", "--yes").exit_code == 0
-    assert load_record(signing.installation.configuration) is not None
+    assert load_record(signing.installation.configuration)[0] is not None
     text = signing.record_path.read_text(encoding="utf-8")
     signing.record_path.write_text(text.replace('"sign": 1', '"sign": -1') + "\n", encoding="utf-8")
-    assert load_record(signing.installation.configuration) is None
+    assert load_record(signing.installation.configuration)[0] is None
 
 
 # --- back-ups --------------------------------------------------------------------------------
@@ -238,4 +238,4 @@ def test_what_is_no_key_among_those_that_count_refuses_everything(signing: Signi
     folder.mkdir()
     (folder / "broken.pub").write_text("no key", encoding="utf-8")
     assert signing.loaded.model is None and "no public key" in signing.loaded.inhibit
-    assert load_record(signing.installation.configuration) is None
+    assert load_record(signing.installation.configuration)[0] is None

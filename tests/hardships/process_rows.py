@@ -1,19 +1,24 @@
 """What happens to the process: killed, stopped, without descriptors or a peer, beside others."""
 
 import contextlib
+import os
+import pty
 import random
 import resource
 import signal
 import socket
 import subprocess
+import threading
 import time
+import tty
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import yaml
 from account import Row
-from rig import PATIENCE_S, PYTHON, STATES, Rig
+from rig import PATIENCE_S, PERIOD_S, PYTHON, SPEED, STATES, Rig, link
 
 from daemon.simulation.processes import free_port
 
@@ -27,6 +32,8 @@ DESCRIPTORS = 1024
 MOST_LOG_BYTES = 100_000
 REBUILT_WITHIN_S = 30.0
 SWAPPED_S = 20.0
+DROPPED = "bytes dropped"
+FLOOD_KB_PER_S = 300.0
 
 
 def kills(rig: Rig, row: Row, count: int, moments: random.Random) -> None:
@@ -251,6 +258,108 @@ def second_daemon(rig: Rig, row: Row, count: int) -> None:
     rig.check_store(row, rig.acknowledged)
 
 
+def flooded(rig: Rig, row: Row, seconds: float) -> None:
+    """Let one line bring its frames as fast as they are taken, a hundred times its baud rate; then pull it out."""
+    rig.ensure_following()
+    port = rig.directory / "fixed.tty"
+    device = port.readlink()
+    offset, after = rig.log_path.stat().st_size, rig.last_write()
+    row.runs += 1
+    rig.kill()
+    frames = _listen(device)
+    with contextlib.ExitStack() as stack:
+        master, near = pty.openpty()
+        stack.callback(os.close, near)
+        tty.setraw(near)
+        _lead_to(port, Path(os.ttyname(near)))
+        stack.callback(_lead_to, port, device)
+        hose = stack.enter_context(Hose(master, frames))
+        rig.start()
+        rig.ensure_link_up()
+        rss_mib, answers_s, said, sent = [_rss_mib(rig)], [0.0], "", hose.sent
+        began_s = time.monotonic()
+        while time.monotonic() < began_s + seconds:
+            asked_s = time.monotonic()
+            status = rig.status()
+            answers_s.append(time.monotonic() - asked_s)
+            rss_mib.append(_rss_mib(rig))
+            said = said or next(
+                (one for one in status["temperatures"]["line_faults"].get("fixed", ()) if DROPPED in one), ""
+            )
+            row.check("the link to the CNC stands", link(status, "cnc")["up"], link(status, "cnc"))
+            output = status["output"]
+            row.check("no OFF, no FAULT", output["since_s"] is None or output["state"] in STATES, output)
+            time.sleep(0.1)
+        rate = (hose.sent - sent) / (time.monotonic() - began_s) / 1e3
+        row.notes |= {
+            "kB/s": round(rate),
+            "RSS at its begin MiB": round(rss_mib[0], 1),
+            "RSS at most MiB": round(max(rss_mib), 1),
+            "slowest answer s": round(max(answers_s), 2),
+        }
+        row.check("memory stays within 24 MiB of what it was", max(rss_mib) - rss_mib[0] <= 24.0, max(rss_mib))
+        row.check("it says that bytes are dropped", bool(said) or rate < FLOOD_KB_PER_S, rate)
+    pulled_s = time.monotonic()
+    rig.wait("the loss", lambda status: link(status, "latsis fixed")["losses"] > 0, PATIENCE_S)
+    rig.wait("the line", lambda status: link(status, "latsis fixed")["up"], PATIENCE_S)
+    rig.back(row, pulled_s)
+    events = [entry["event"] for entry in rig.entries(offset) if entry.get("link") == "latsis fixed"]
+    row.check("loss and return of the line are logged", events[-2:] == ["link.lost", "link.up"], events[-4:])
+    size = rig.check_log(row, offset)
+    row.check("the log stays below 100 kB", size < MOST_LOG_BYTES, size)
+    rig.check_writes(row, after, unverified=2)
+    rig.check_store(row, rig.acknowledged)
+
+
+class Hose:
+    """Writes the same bytes into a port again and again, in a thread."""
+
+    def __init__(self, master: int, data: bytes) -> None:
+        self._master, self._data, self._end = master, data, threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self.sent = 0
+
+    def __enter__(self) -> "Hose":
+        os.set_blocking(self._master, False)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join()
+        os.close(self._master)
+
+    def _run(self) -> None:
+        while not self._end.is_set():
+            try:
+                self.sent += os.write(self._master, self._data)
+            except BlockingIOError:
+                self._end.wait(0.001)
+
+
+def _listen(device: Path) -> bytes:
+    """Return what a line brings within two passes."""
+    heard, end_s = b"", time.monotonic() + 2 * PERIOD_S / SPEED
+    port = os.open(device, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        while time.monotonic() < end_s or not heard:
+            with contextlib.suppress(BlockingIOError):
+                heard += os.read(port, 65536)
+            time.sleep(0.01)
+    finally:
+        os.close(port)
+    return heard
+
+
+def _lead_to(name: Path, device: Path) -> None:
+    name.unlink()
+    name.symlink_to(device)
+
+
+def _rss_mib(rig: Rig) -> float:
+    return psutil.Process(rig.running.daemon.pid).memory_info().rss / 2**20
+
+
 def ports_swapped(rig: Rig, row: Row, count: int) -> None:
     """Give two lines each other's port while the daemon is down, as a new numbering of adapters does; then back."""
     first, second = (rig.directory / f"{name}.tty" for name in ("saddle", "fixed"))
@@ -289,6 +398,5 @@ def ports_swapped(rig: Rig, row: Row, count: int) -> None:
 
 def _swap(first: Path, second: Path) -> None:
     there, here = first.readlink(), second.readlink()
-    for path, target in ((first, here), (second, there)):
-        path.unlink()
-        path.symlink_to(target)
+    _lead_to(first, here)
+    _lead_to(second, there)

@@ -164,6 +164,10 @@ class Rig(Wires):
             time.sleep(0.1)
             status = self.status()
 
+    def ensure_link_up(self) -> None:
+        """Wait for the link to the CNC and for temperatures."""
+        self.wait("the link", lambda status: link(status, "cnc")["up"] and status["temperatures"] is not None)
+
     def back(self, row: Row, since_s: float) -> dict[str, Any]:
         """Wait until the output follows, or holds with a reason and a link; note the time since `since_s`."""
 

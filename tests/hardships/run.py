@@ -65,6 +65,7 @@ def plays(options: argparse.Namespace, moments: random.Random) -> dict[str, tupl
     found["four spinners"] = (partial(process_rows.spinners, seconds=5.0 if quick else 60.0), False)
     found["two daemons on one CNC, on one store"] = (partial(process_rows.second_daemon, count=few), False)
     found["ports of two lines swapped"] = (partial(process_rows.ports_swapped, count=few), False)
+    found["a line that brings too much"] = (partial(process_rows.flooded, seconds=10.0 if quick else 60.0), False)
     found["stopped for 10 s"] = (partial(process_rows.stopped, seconds=10.0), False)
     found["stopped for 10 min"] = (partial(process_rows.stopped, seconds=600.0), False)
     found["calendar set by hours and days"] = (

@@ -16,6 +16,7 @@ from config.schema.cnc_drivers import OpcUaConfig
 from config.schema.compensation import AxisConfig, CompensationConfig, OutputConfig, ReferenceConfig
 from config.schema.service import HistoryConfig, ServiceConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
+from daemon.app import load_record
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
@@ -171,7 +172,7 @@ class Rig:
         self.resume = resume if resume is not None else loaded
         self.link = CncLink(nc.open, self._open_session)
         journal = Journal(self.history, StateStore(self.history, clock), self.resume.faults)
-        self.interlocks = Interlocks(configuration, clock, record, lambda: model_problem)
+        self.interlocks = Interlocks(configuration, clock, record, lambda: model_problem, load_record(configuration)[1])
         self.speed = SpindleSpeedOutput(configuration, clock, journal, self.interlocks, planner)
         self.temperature = TemperatureMacro(configuration, self.telemetry, journal, self.interlocks)
         self.control = ControlTask(

@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]
 RUN = Path(__file__).parents[1] / "hardships/run.py"
-OF_PROCESS = ("descriptors", "half-sent", "half-open", "spinners", "two daemons", "swapped", "stopped")
+OF_PROCESS = ("descriptors", "half-sent", "half-open", "spinners", "two daemons", "swapped", "too much", "stopped")
 OF_STORE = ("kills", "power cut", "damaged", "disk")
 OF_CALENDAR = ("calendar", "summer")
 
