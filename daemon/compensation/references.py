@@ -129,11 +129,12 @@ class References:
 
     def on_sensors(self, sensors: SensorsSinceReference) -> None:
         """Take what the thermal task knows of the sensors since the reference."""
-        self.memory = reference.with_sensors(self.memory, sensors)
+        self.memory = reference.with_sensors(self.memory, sensors, self._clock.now().monotonic_s)
 
     def tool_begins(self, tool: ToolOrigin, estimate_reference_id: str | None) -> None:
         """Let the expansion of the tool in the spindle count from now."""
-        self.memory = reference.tool_begins(self.memory, tool, estimate_reference_id)
+        now_s = self._clock.now().monotonic_s
+        self.memory = reference.tool_begins(self.memory, tool, estimate_reference_id, now_s)
 
     def count_from(self, output: OutputMemory, axes: tuple[str, ...]) -> None:
         """Take what the output counts from after a step."""

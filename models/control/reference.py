@@ -262,12 +262,14 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
     return replace(memory, record=replace(record, baseline=baseline))
 
 
-def tool_begins(memory: ReferenceMemory, tool: ToolOrigin, estimate_reference_id: str | None) -> ReferenceMemory:
-    """Let the expansion of the tool in the spindle count from now."""
+def tool_begins(
+    memory: ReferenceMemory, tool: ToolOrigin, estimate_reference_id: str | None, now_s: float
+) -> ReferenceMemory:
+    """Let the expansion of the tool in the spindle count from now [s]."""
     if memory.record is None:
         return memory
     ours = estimate_reference_id == memory.record.reference_id
-    return replace(memory, record=replace(memory.record, tool=tool if ours else None))
+    return replace(memory, tool_began_s=now_s, record=replace(memory.record, tool=tool if ours else None))
 
 
 def tool_begin_degc(
@@ -280,11 +282,29 @@ def tool_begin_degc(
     return record.tool.begin_degc if record.tool.number == tool_number else MappingProxyType({})
 
 
-def with_sensors(memory: ReferenceMemory, sensors: SensorsSinceReference) -> ReferenceMemory:
-    """Take what the estimation knows of the sensors since the reference."""
-    if memory.record is None or memory.record.reference_id != sensors.reference_id:
+def with_sensors(memory: ReferenceMemory, sensors: SensorsSinceReference, now_s: float) -> ReferenceMemory:
+    """Take what the estimation knows of the sensors since the reference.
+
+    A tool that came into the spindle while sensors of a label were away began at an imputed temperature. When they
+    return it is set right by its share of what the label had gone meanwhile, as if that had been a straight line.
+    """
+    record = memory.record
+    if record is None or record.reference_id != sensors.reference_id:
         return memory
-    return replace(memory, record=replace(memory.record, sensors=sensors))
+    before = {} if record.sensors is None else record.sensors.labels
+    left_s = dict(memory.labels_left_s)
+    begin_degc = {} if record.tool is None else dict(record.tool.begin_degc)
+    for label, origin in sensors.labels.items():
+        was = before[label].counted if label in before else origin.counted
+        if any(then and not now for then, now in zip(was, origin.counted, strict=True)):
+            left_s.setdefault(label, now_s)
+        if not any(now and not then for then, now in zip(was, origin.counted, strict=True)):
+            continue
+        away_since_s = left_s.pop(label, now_s)
+        if label in begin_degc and away_since_s <= memory.tool_began_s < now_s and origin.rest_k:
+            begin_degc[label] -= origin.rest_k[0] * (memory.tool_began_s - away_since_s) / (now_s - away_since_s)
+    tool = record.tool if record.tool is None else replace(record.tool, begin_degc=MappingProxyType(begin_degc))
+    return replace(memory, labels_left_s=MappingProxyType(left_s), record=replace(record, sensors=sensors, tool=tool))
 
 
 # --- the parts of it ---------------------------------------------------------------------

@@ -179,6 +179,10 @@ class ReferenceMemory:
     """Under zero_first, the retreat block has passed."""
     positioning_seen: bool = False
     """A positioning block was polled since the handshake last reported one."""
+    tool_began_s: float = 0.0
+    """When the expansion of the tool in the spindle began to count [s]."""
+    labels_left_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    """Since when sensors of a label have been away [s]."""
 
     @property
     def in_force(self) -> Reference | None:

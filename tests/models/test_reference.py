@@ -22,6 +22,7 @@ from models.control import reference
 from models.control.compensation import initial_memory
 from models.control.reference_records import (
     Announcement,
+    LabelOrigin,
     OutputBaseline,
     ReferenceDocument,
     ReferenceEnded,
@@ -30,6 +31,8 @@ from models.control.reference_records import (
     ReferenceRules,
     ReferenceState,
     ReferenceTakenUp,
+    SensorsSinceReference,
+    ToolOrigin,
 )
 from models.control.reference_restart import document_of, restart, resumed
 from models.control.state import ToolBaseline
@@ -251,6 +254,29 @@ def test_what_was_asked_for_before_a_gap_does_not_come_into_force_after_it():
 
 
 # --- what counts from it, and a restart --------------------------------------------------
+
+
+def label(*, counted, rest_k=0.0):
+    origin = LabelOrigin(
+        sensor_ids=(7,), reference_degc=(20.0,), counted=(counted,), offset_k=(None,), rest_k=(rest_k, 0.0)
+    )
+    return SensorsSinceReference(reference_id="r", labels={"Nose": origin})
+
+
+@pytest.mark.parametrize(("began_s", "right_k"), [(50.0, 1.0), (100.0, 1.0), (175.0, 1.0 + 0.75 * 2.0), (200.0, 1.0)])
+def test_a_tool_that_came_while_its_sensors_were_away_is_set_right_when_they_return(began_s, right_k):
+    """It began at the imputed 1.0 K; when the sensors return their label has gone 2.0 K further."""
+    memory = in_force()
+    memory = replace(
+        memory, record=replace(memory.record, reference=replace(memory.record.reference, reference_id="r"))
+    )
+    tool = ToolOrigin(number=2, begin_degc={"Nose": 1.0, "Room": 0.5})
+    for time_s, counts, rest_k in ((0.0, True, 0.0), (100.0, False, 0.0), (200.0, True, -2.0)):
+        if began_s <= time_s and memory.record.tool is None:
+            memory = reference.tool_begins(memory, tool, "r", began_s)
+        memory = reference.with_sensors(memory, label(counted=counts, rest_k=rest_k), time_s)
+    assert memory.record.tool.begin_degc == pytest.approx({"Nose": right_k, "Room": 0.5})
+    assert not memory.labels_left_s
 
 
 def counted(memory, tools=()):

@@ -98,7 +98,8 @@ class GoodInput:
             believed = self._release_after_samples if happening.duration_s > self._stale_after_s else 1
             counted = kind is FaultKind.RENUMBERED or (kind is FaultKind.DEAD_LINE and happening.amount > 0)
             line = str(happening.target)
-            self._cycles[line] = max(self._cycles.get(line, 0), RELEASED_AFTER_CYCLES if counted else 1, believed)
+            awaited = RELEASED_AFTER_CYCLES + believed - 1 if counted else believed
+            self._cycles[line] = max(self._cycles.get(line, 0), awaited)
             return
         if kind in RESTARTS:
             self._any_line = True
