@@ -10,6 +10,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.web.application import MonitorParts
 from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.live import Live
 from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
 from daemon.snapshots import SnapshotBoard
@@ -35,6 +36,7 @@ def monitor_service(
         desk=desk,
         registry=telemetry.registry,
         documents=documents,
+        live=Live(documents, board),
         report=history.event,
         models=partial(_models, board),
     )

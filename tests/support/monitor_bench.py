@@ -18,6 +18,7 @@ from config.schema import Configuration
 from daemon.monitor.accounts import Account, Role, hashed, write_accounts
 from daemon.monitor.web.application import MonitorParts
 from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.live import Live
 from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
 
@@ -110,9 +111,14 @@ class MonitorBench:
     configuration: Configuration
     rig: Rig
     port: int
+    parts: MonitorParts
     tls: ssl.SSLContext | None = None
     task: "asyncio.Task[None] | None" = None
     """What serves it; whoever cancels it stops the daemon for its viewers."""
+
+    @property
+    def live(self) -> Live:
+        return self.parts.live
 
     def browser(self) -> Browser:
         return Browser(self.port, self.tls)
@@ -139,6 +145,7 @@ def parts_of(rig: Rig, configuration: Configuration) -> MonitorParts:
         desk=rig.desk(),
         registry=rig.telemetry.registry,
         documents=documents,
+        live=Live(documents, rig.snapshots),
         report=rig.history.event,
         models=no_models,
     )
@@ -156,13 +163,14 @@ async def monitor(directory: Path, tls: ssl.SSLContext | None = None, **service:
     rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
     async with running(rig):
         serving = asyncio.Event()
-        task = asyncio.create_task(serve_monitor(parts_of(rig, configuration), serving.set))
+        parts = parts_of(rig, configuration)
+        task = asyncio.create_task(serve_monitor(parts, serving.set))
         waiting = asyncio.create_task(serving.wait())
         await asyncio.wait([task, waiting], return_when=asyncio.FIRST_COMPLETED)
         if task.done():
             task.result()
         try:
-            yield MonitorBench(configuration, rig, port, tls, task)
+            yield MonitorBench(configuration, rig, port, parts, tls, task)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)

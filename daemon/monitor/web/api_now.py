@@ -51,7 +51,7 @@ class _Stream(Response):
 
 @router.get(
     "/events",
-    response_class=_Stream,
+    response_class=Response,
     responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}, "description": "events"}},
 )
 async def events(

@@ -42,6 +42,7 @@ class MonitorParts:
     desk: CommandDesk
     registry: CollectorRegistry
     documents: Documents
+    live: Live
     report: Report
     """Puts an event into the audit: kind, text, person."""
     models: Look
@@ -80,12 +81,14 @@ def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASG
         report=parts.report,
     )
     app.state.parts, app.state.documents = parts, parts.documents
-    app.state.live = Live(parts.documents, parts.board)
+    app.state.live = parts.live
     app.state.recorded = Recorded(parts.configuration)
     app.state.pages, app.state.downloads = Pages(), Downloads()
     for part in (api_now, api_history, api_actions):
         app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
     app.include_router(_outside)
+    paths = openapi_document(app)["paths"]
+    app.state.methods = {path: ", ".join(sorted(method.upper() for method in taken)) for path, taken in paths.items()}
     _take_refusals(app)
     return Gate(app, names)
 
@@ -103,12 +106,19 @@ def _take_refusals(app: FastAPI) -> None:
 
     async def other(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
+        if error.status_code == 400:  # FastAPI could not read the body
+            return problem_response(422, "body: this is no JSON text in UTF-8; /openapi.json says what it holds")
         detail = {
             404: f"there is nothing at {request.url.path}; the pages begin at /, the API is described in /openapi.json",
             405: f"{request.url.path} does not take {request.method}; /openapi.json says what it takes",
         }.get(error.status_code, str(error.detail))
         return problem_response(error.status_code, detail, dict(error.headers or {}))
 
+    async def defect(request: Request, error: Exception) -> Response:
+        text = "the monitor has a defect here; the daemon's log has the details. The control goes on without it"
+        return problem_response(500, text)
+
+    app.add_exception_handler(Exception, defect)
     app.add_exception_handler(ProblemError, refused)
     app.add_exception_handler(RequestValidationError, invalid)
     app.add_exception_handler(HTTPException, other)
@@ -150,7 +160,10 @@ async def _openapi(request: Request) -> Response:
 
 @_outside.api_route("/{path:path}", methods=["GET", "HEAD"])
 async def _page(request: Request, path: str) -> Response:
-    answer = None if path.startswith("api/") else request.app.state.pages.answer(request, path)
+    if path.startswith("api/"):
+        allowed = request.app.state.methods.get(f"/{path}")
+        raise HTTPException(404) if allowed is None else HTTPException(405, headers={"allow": allowed})
+    answer = request.app.state.pages.answer(request, path)
     if answer is None:
         raise HTTPException(404)
     assert isinstance(answer, Response)

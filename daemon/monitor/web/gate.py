@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Collection
+from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -49,33 +50,29 @@ class Gate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return
-        started = False
+        complete = False
 
         async def timed_send(message: Message) -> None:
-            nonlocal started
+            nonlocal complete
             if message["type"] == "http.response.start":
-                started = True
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
             await within(SEND_S, send(message))
+            complete = message["type"] == "http.response.body" and not message.get("more_body", False)
 
         try:
             refused = self._refused(scope)
             if refused:
                 await problem_response(403, refused)(scope, receive, timed_send)
                 return
-            await self._app(scope, _bounded(receive), timed_send)
+            await self._app(scope, _bounded(receive, partial(_abort, scope)), timed_send)
         except TooSlowError:
-            if started or "abort" in scope.get("state", {}):
-                _abort(scope)
+            _abort(scope)
         except Exception:
             log.exception("request.defect", path=scope["path"])
-            if started:
+            if not complete:
                 _abort(scope)
-                return
-            text = "the monitor has a defect here; the daemon's log has the details. The control goes on without it"
-            await problem_response(500, text)(scope, receive, timed_send)
 
     def _refused(self, scope: Scope) -> str:
         """Return why a request is none of ours, '' when it is."""
@@ -112,8 +109,8 @@ async def within(seconds: float, work: Awaitable[None]) -> None:
         raise TooSlowError from None
 
 
-def _bounded(receive: Receive) -> Receive:
-    """Return a `receive` whose body must arrive in time and is of bounded length."""
+def _bounded(receive: Receive, abort: Callable[[], None]) -> Receive:
+    """Return a `receive` whose body must arrive in time and is of bounded length; else the connection is ended."""
     complete, size = False, 0
 
     async def bounded() -> Message:
@@ -124,9 +121,11 @@ def _bounded(receive: Receive) -> Receive:
             async with asyncio.timeout(RECEIVE_S):
                 message = await receive()
         except TimeoutError:
+            abort()
             raise TooSlowError from None
         size += len(message.get("body", b""))
         if size > MOST_BODY:
+            abort()
             raise TooSlowError
         complete = not message.get("more_body", False)
         return message

@@ -1,0 +1,192 @@
+"""Slow, dead and many browsers: each is cut off or served, and none of them holds the loop or takes memory for ever."""
+
+import asyncio
+import contextlib
+import json
+
+import pytest
+from monitor_bench import monitor
+
+from daemon.monitor import connections
+from daemon.monitor.web import gate, live, recorded, server
+
+HEAD = b"GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n"
+
+
+async def connected(port):
+    return await asyncio.open_connection("127.0.0.1", port)
+
+
+async def status_now(bench):
+    return (await bench.browser().get("/api/v1/status")).status
+
+
+async def next_status(reader):
+    while True:
+        line = await reader.readline()
+        if not line:
+            raise EOFError
+        if line.startswith(b"data: ") and b'"machine"' in line:
+            return json.loads(line[6:])
+
+
+@pytest.mark.parametrize("words", [b"", b"G", b"GET /api/v1/status HTTP/1.1\r\nHost: loc", b"POST / HTTP/1.1\r\nX"])
+async def test_a_head_that_does_not_arrive_in_time_ends_the_connection(tmp_path, monkeypatch, words):
+    monkeypatch.setattr(server, "HEAD_S", 0.05)
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(words)
+        with contextlib.suppress(ConnectionResetError):
+            assert await reader.read() == b""
+        writer.close()
+
+
+async def test_a_head_sent_letter_by_letter_ends_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(server, "HEAD_S", 0.2)
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        with contextlib.suppress(ConnectionError):
+            while True:
+                writer.write(b"G")
+                await writer.drain()
+                if reader.at_eof():
+                    break
+                await asyncio.sleep(0.02)
+        writer.close()
+        assert await status_now(bench) == 200
+
+
+async def test_a_body_that_does_not_arrive_or_never_ends_is_cut_off(tmp_path, monkeypatch):
+    monkeypatch.setattr(gate, "RECEIVE_S", 0.05)
+    begun = b"POST /api/v1/session HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        for rest in (b"Content-Length: 100\r\n\r\n{", b"Content-Length: 99999999\r\n\r\n" + b" " * 200_000):
+            reader, writer = await connected(bench.port)
+            writer.write(begun + rest)
+            with contextlib.suppress(ConnectionError):
+                assert not (await reader.read()).startswith(b"HTTP/1.1 200")
+            writer.close()
+        assert await status_now(bench) == 200
+
+
+async def test_a_viewer_who_takes_nothing_is_cut_off_and_the_others_go_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(gate, "SEND_S", 0.3)
+    monkeypatch.setattr(live, "LOOK_S", 0.01)
+    monkeypatch.setattr(live, "LONGEST_S", 0.01)
+    async with monitor(tmp_path) as bench, asyncio.timeout(120):
+        dead_reader, dead = await asyncio.open_connection("127.0.0.1", bench.port, limit=1024)
+        dead.write(HEAD % b"/api/v1/events")
+        reader, writer = await connected(bench.port)
+        writer.write(HEAD % b"/api/v1/events")
+        dead.transport.pause_reading()  # takes nothing more
+        await next_status(reader)
+        task = asyncio.create_task(drain(reader))
+        while bench.live.viewers > 1:
+            await asyncio.sleep(0.05)
+        assert not task.done(), "the other viewer still follows"
+        task.cancel()
+        dead.close()
+        writer.close()
+
+
+async def drain(reader):
+    while True:
+        await next_status(reader)
+
+
+async def test_fifty_viewers_all_get_the_same_newest_state(tmp_path):
+    async with monitor(tmp_path) as bench, asyncio.timeout(120):
+        await bench.rig.turn()
+        viewers = []
+        for _ in range(50):
+            reader, writer = await connected(bench.port)
+            writer.write(HEAD % b"/api/v1/events")
+            viewers.append((reader, writer))
+        await asyncio.gather(*(next_status(reader) for reader, _ in viewers))
+        assert bench.live.viewers == 50
+        bench.rig.set_reference()
+        await bench.rig.switch_on()
+        await bench.rig.follow(0.0, 0.0, 2)
+
+        async def sees_it(reader):
+            while (await next_status(reader))["state"] != "ACTIVE":
+                pass
+
+        await asyncio.gather(*(sees_it(reader) for reader, _ in viewers))
+        for _, writer in viewers:
+            writer.transport.abort()
+        while bench.live.viewers:
+            await asyncio.sleep(0.01)
+        assert bench.live._task is None, "without a viewer nothing is made"
+
+
+async def test_more_viewers_than_there_is_room_for_are_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(live, "MOST_VIEWERS", 1)
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(HEAD % b"/api/v1/events")
+        await next_status(reader)
+        answer = await bench.browser().get("/api/v1/events")
+        assert answer.status == 503 and "watching already" in answer.detail
+        writer.close()
+
+
+async def test_a_thousand_connections_leave_room_for_one_more_and_for_the_viewers(tmp_path):
+    async with monitor(tmp_path) as bench, asyncio.timeout(300):
+        reader, writer = await connected(bench.port)
+        writer.write(HEAD % b"/api/v1/events")
+        await next_status(reader)
+        crowd = []
+        for _ in range(1000):
+            _, other = await connected(bench.port)
+            other.write(b"GET /api/v1/status HTTP/1.1\r\nX")
+            crowd.append(other)
+        assert await status_now(bench) == 200
+        await next_status(reader)
+        await bench.rig.turn()
+        for other in (*crowd, writer):
+            other.transport.abort()
+    assert connections.most_connections(server.MOST_CONNECTIONS, server.SHARE_OF_DESCRIPTORS) <= 256
+
+
+async def test_queries_beyond_their_number_are_refused_and_a_long_one_is_broken_off(tmp_path, monkeypatch):
+    async with monitor(tmp_path) as bench:
+        monkeypatch.setattr(recorded, "LONGEST_QUERY_S", -1.0)
+        answer = await bench.browser().get("/api/v1/series?name=temperature.1")
+        assert answer.status == 503 and "took longer than" in answer.detail
+        monkeypatch.setattr(recorded, "MOST_WAITING", 0)
+        answer = await bench.browser().get("/api/v1/series?name=temperature.1")
+        assert answer.status == 503 and "too many queries" in answer.detail
+
+
+async def test_a_defect_in_a_route_is_a_500_and_the_next_request_is_answered(tmp_path, monkeypatch):
+    async with monitor(tmp_path) as bench:
+        with monkeypatch.context() as broken:
+            broken.setattr(bench.parts.documents, "sensors", lambda: 1 / 0)
+            answer = await bench.browser().get("/api/v1/sensors")
+            assert answer.status == 500 and "The control goes on without it" in answer.detail
+        assert (await bench.browser().get("/api/v1/sensors")).status == 200
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET " + b"/" * 70_000 + b" HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"GET /%ff%00%2e%2e/ HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET /../../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET /parts/../../web/access.py HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"POST /api/v1/enable HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+    ],
+)
+async def test_what_is_no_http_or_none_of_ours_is_answered_with_4xx_or_ended(tmp_path, sent):
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(sent)
+        with contextlib.suppress(ConnectionError):
+            answer = await reader.read(16)
+            assert not answer or answer.startswith(b"HTTP/1.1 4"), answer
+        writer.close()
+        assert await status_now(bench) == 200
