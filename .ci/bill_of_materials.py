@@ -70,9 +70,9 @@ class Wheel:
         return [canonicalize_name(one.name) for one in wanted]
 
     def _licence(self) -> str:
-        named = self.metadata["License-Expression"] or self.metadata["License"] or ""
+        named = str(self.metadata["License-Expression"] or self.metadata["License"] or "")  # a Header where not ASCII
         if 0 < len(named) <= LONGEST_LICENCE and "\n" not in named:
-            return str(named)
+            return named
         classes = [text for text in self.metadata.get_all("Classifier", []) if text.startswith("License ::")]
         return ", ".join(text.rpartition(":: ")[2] for text in classes)
 

@@ -98,6 +98,23 @@ class ControlSnapshot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedDiagram:
+    """What a plan was made from, for people to look at; made anew now and then."""
+
+    frequency_hz: tuple[float, ...]
+    receptance_um_per_n: Mapping[str, tuple[float, ...]]
+    """Magnitude at the tool point by axis."""
+    speed_rpm: tuple[float, ...]
+    limiting_depth_mm: tuple[float | None, ...]
+    """None where no lobe limits it."""
+    demanded_depth_mm: float
+    resonance_time_s: tuple[float, ...]
+    """Monotonic times of the followed resonances [s], oldest first."""
+    resonance_hz: Mapping[str, tuple[float, ...]]
+    """By axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SpindleSpeedSnapshot:
     """The tuning of the spindle speed; the field names are those of `toolpoint status --json`."""
 
@@ -123,6 +140,7 @@ class SpindleSpeedSnapshot:
     """By the axis that is followed."""
     change_per_sensor_step_rpm: Mapping[str, float]
     """Signal -> how far one step of its sensors moves the target."""
+    diagram: SpeedDiagram | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

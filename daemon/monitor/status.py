@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -120,8 +120,8 @@ class StatusBoard:
         speed = self._snapshots.spindle_speed
         if speed is None:
             return None
-        picture = asdict(speed)
-        del picture["stands_off"]
+        picture = asdict(replace(speed, diagram=None))
+        del picture["stands_off"], picture["diagram"]
         return picture | {"wished_rpm": speed.target_rpm}  # its name in 0.1.0
 
     def _temperatures(self, thermal: ThermalSnapshot) -> dict[str, Any] | None:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from pydantic import TypeAdapter
 
-from daemon.snapshots import ModelSnapshot
+from daemon.snapshots import ModelSnapshot, SpeedDiagram
 from models.spindle_speed.tuning import SpeedPlan
 
 
@@ -49,6 +49,8 @@ class PlannedSpeed:
     resonance_hz: dict[str, float]
     change_per_step_rpm: dict[str, float]
     """Signal -> how far one step of its sensors moves the target [1/min]."""
+    diagram: SpeedDiagram | None = None
+    """What it was made from; it changes once a minute."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 Slow, and with much to import: the daemon runs it in a process of its own (`daemon.speed_planner`).
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -13,11 +14,13 @@ from config.machine.spindle_chain import read_spindle
 from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase, load_stability_case
 from config.schema import Configuration
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
+from daemon.snapshots import SpeedDiagram
 from daemon.spindle_speed.messages import CalledOperation, PlannedSpeed, PlanRequest
 from models.dynamics.assembly import SpindleAssembly
 from models.errors import IdentificationError, StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
+from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes import StabilityLobes
@@ -35,6 +38,10 @@ MANY_STEPS = 16
 """The change per step is taken over one step, and over so many: speeds are chosen from a raster."""
 SENSITIVITY_EVERY_S = 60.0
 """The change per step of a sensor is worked out this often."""
+RESONANCES, RESONANCE_EVERY_S = 480, 180.0
+"""So many resonances are kept for people to look at, this far apart [s]: a day of them."""
+DRAWN = 300
+"""About so many frequencies of a response are kept for the same."""
 STEPS_UNKNOWN = (
     "a signal has had no temperature for a minute, so whether one step of a sensor moves the speed is not known; the "
     "speed is frozen"
@@ -131,6 +138,51 @@ def planned_with(configuration: Configuration, model: ThermomechanicalModel) -> 
     }
 
 
+class _Diagrams:
+    """Keeps what people look at: the resonances of a day, and once a minute response and lobes."""
+
+    def __init__(self) -> None:
+        self._resonances: deque[tuple[float, dict[str, float]]] = deque(maxlen=RESONANCES)
+        self._tool_number: int | None = None
+        self._latest: tuple[CalledOperation, float, SpeedDiagram] | None = None
+
+    def note(self, tool_number: int, time_s: float, known: EstimatedToolPoint | None) -> None:
+        """Keep a followed resonance of a tool, not more often than a day of them has room."""
+        if tool_number != self._tool_number:
+            self._tool_number = tool_number
+            self._resonances.clear()
+        if known is not None and (not self._resonances or time_s - self._resonances[-1][0] >= RESONANCE_EVERY_S):
+            self._resonances.append((time_s, dict(known.resonance_hz)))
+
+    def of(
+        self, called: CalledOperation, planner: SpeedPlanner, known: EstimatedToolPoint, time_s: float
+    ) -> SpeedDiagram | None:
+        """Return the diagram of an operation; None where there are no lobes: a plan does not depend on it."""
+        latest = self._latest
+        if latest is None or latest[0] != called or time_s - latest[1] >= SENSITIVITY_EVERY_S:
+            try:
+                latest = self._latest = (called, time_s, self._made(planner, known))
+            except StabilityError:
+                return None
+        return latest[2]
+
+    def _made(self, planner: SpeedPlanner, known: EstimatedToolPoint) -> SpeedDiagram:
+        lobes, operation = planner.lobes(known.response), planner.operation
+        every_hz = known.response.frequencies_hz(operation.range_rpm[1] / 60.0 * operation.teeth)
+        frequency_hz = every_hz[:: max(1, len(every_hz) // DRAWN)]
+        receptance = np.abs(known.response.receptance_m_per_n(frequency_hz)) * 1e6
+        times, found = zip(*self._resonances, strict=True) if self._resonances else ((), ())
+        return SpeedDiagram(
+            frequency_hz=tuple(frequency_hz.tolist()),
+            receptance_um_per_n={axis: tuple(receptance[:, i, i].tolist()) for i, axis in enumerate(("x", "y"))},
+            speed_rpm=tuple(lobes.speed_rpm.tolist()),
+            limiting_depth_mm=tuple(d if np.isfinite(d) else None for d in lobes.limiting_depth_mm.tolist()),
+            demanded_depth_mm=operation.demand.depth_mm,
+            resonance_time_s=times,
+            resonance_hz={axis: tuple(each.get(axis, np.nan) for each in found) for axis in known.resonance_hz},
+        )
+
+
 class SpeedPlanning:
     """Answers requests in turn: feeds the temperatures to every operation's estimator, and plans the one under way."""
 
@@ -138,6 +190,7 @@ class SpeedPlanning:
         self._operations, self._sensor_step_k = operations, sensor_step_k
         self._planner: tuple[CalledOperation, SpeedPlanner] | None = None
         self._sensitivity: tuple[CalledOperation, float, dict[str, float]] | None = None
+        self._diagrams = _Diagrams()
 
     def answer(self, request: PlanRequest) -> PlannedSpeed | None:
         """Return the plan of the operation under way, None where there is none."""
@@ -146,12 +199,13 @@ class SpeedPlanning:
             for time_s, degc in request.readings:
                 planning.estimator.renew(time_s, np.array(degc, dtype=np.float64))
             if place == request.place and request.called is not None:
+                self._diagrams.note(request.called.tool_number, request.time_s, planning.estimator.known)
                 planned = self._planned(planning, request.called, request.time_s)
         return planned
 
     def _planned(self, planning: OperationPlanning, called: CalledOperation, time_s: float) -> PlannedSpeed:
         known = planning.estimator.known
-        plan, problem, changes = None, "no temperatures yet", dict[str, float]()
+        plan, problem, changes, diagram = None, "no temperatures yet", dict[str, float](), None
         if known is not None:
             problem = known.inhibit
             try:
@@ -160,6 +214,7 @@ class SpeedPlanning:
                 if not changes and not problem:
                     problem = STEPS_UNKNOWN
                 plan = None if problem else planner.plan(known)
+                diagram = self._diagrams.of(called, planner, known, time_s)
             except StabilityError as error:
                 problem = str(error)
         return PlannedSpeed(
@@ -169,6 +224,7 @@ class SpeedPlanning:
             problem=problem,
             resonance_hz={} if known is None else dict(known.resonance_hz),
             change_per_step_rpm=changes,
+            diagram=diagram,
         )
 
     def _planner_of(self, planning: OperationPlanning, called: CalledOperation) -> SpeedPlanner:

@@ -41,4 +41,5 @@ def speed_snapshot(
         flagged_span_rpm=plan.flagged_span_rpm if plan is not None else None,
         resonance_hz=planned.resonance_hz if planned is not None else {},
         change_per_sensor_step_rpm=planned.change_per_step_rpm if planned is not None else {},
+        diagram=planned.diagram if planned is not None else None,
     )

@@ -3,6 +3,7 @@
 From the repository: `.venv/bin/python -P docs/images/render_demo.py`. It takes about half a minute.
 """
 
+import hashlib
 import io
 import re
 import time
@@ -12,12 +13,19 @@ import click
 from rich.console import Console
 
 from daemon.cli.simulate.demo import demo_machine
+from daemon.monitor import view
 from daemon.monitor.view import status_view, truth_panel
 from daemon.simulation.demonstration import Trail, switch_on, watch
 from daemon.simulation.processes import folder_for, start_simulation, write_simulation_configuration
 
 OUTPUT = Path(__file__).with_name("demo.svg")
-WIDTH = 120
+VIEW = Path(view.__file__)
+WIDTH = 100
+
+
+def made_by() -> str:
+    """Return the last line of the picture: what of the code it shows, so that a test sees when that has changed."""
+    return f"<!-- view.py {hashlib.sha256(VIEW.read_bytes()).hexdigest()[:16]} -->"
 
 
 @click.command()
@@ -30,7 +38,7 @@ def draw(minutes: float, speed: float) -> None:
         path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed)
         with start_simulation([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
-            watch(running, minutes * 60.0, lambda _: None, 0.25)
+            watch(running, minutes * 60.0, lambda _: None, 5.0)
             report = trail.take(running.reports)
             status = running.client.ask("status")
     if report is None:
@@ -40,7 +48,8 @@ def draw(minutes: float, speed: float) -> None:
     svg = console.export_svg(title="toolpoint demo")
     # The fonts of the reader's own computer serve: the picture fetches nothing from anywhere.
     svg = re.sub(r"@font-face \{.*?\}", "", svg, flags=re.DOTALL)
-    OUTPUT.write_text("\n".join(line.rstrip() for line in svg.splitlines()) + "\n", encoding="utf-8")
+    lines = [*(line.rstrip() for line in svg.splitlines()), made_by()]
+    OUTPUT.write_text("\n".join(lines) + "\n", encoding="utf-8")
     click.echo(f"{OUTPUT}: {OUTPUT.stat().st_size} bytes")
 
 

@@ -68,6 +68,10 @@ class SpeedPlanner:
         self._check = check
         self._ends: tuple[tuple[EstimatedToolPoint | None, ...], list[SpeedChoice]] = ((), [])
 
+    def lobes(self, response: ToolPointResponse) -> StabilityLobes:
+        """Return the lobes over the allowed speeds that it plans by; raises StabilityError."""
+        return self._lobes_of(response)
+
     def plan(self, known: EstimatedToolPoint) -> SpeedPlan:
         """Return the plan for the dynamics of now; raises StabilityError."""
         choice = self.choice(known)

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from control_rig import HandClock, running
@@ -16,6 +17,8 @@ from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
 from daemon.monitor.view import speed_in_words
+from daemon.monitor.web.documents import Documents
+from daemon.spindle_speed.planning import SPEEDS
 from drivers.guard.speed_text import SpeedStatus
 from models.records import WriteOutcome
 from models.thermomechanics.artifact import model_to_json
@@ -199,6 +202,17 @@ async def test_the_monitor_shows_it(bench: SpeedRig) -> None:
     await bench.operation()
     words = speed_in_words(bench.picture())
     assert "for S9000, TUNED" in words
+    bench.rig.snapshots.spindle_speed = bench.speed.snapshot()
+    found = Documents(bench.configuration, bench.clock, bench.rig.snapshots, dict).dynamics()
+    assert found is not None
+    lobes, point = found["lobes"], found["working_point"]
+    assert len(lobes["speed_rpm"]) == len(lobes["limiting_depth_mm"]) == SPEEDS
+    place = int(np.argmin(np.abs(np.array(lobes["speed_rpm"]) - bench.picture()["commanded_rpm"])))
+    assert lobes["limiting_depth_mm"][place] == pytest.approx(point["limiting_depth_mm"], rel=0.1)
+    (resonance_hz, *_), response = found["resonance"]["hz"].values(), found["response"]
+    frequency_hz = np.array(response["frequency_hz"])
+    assert frequency_hz[0] < resonance_hz[0] < frequency_hz[-1]
+    assert len(response["magnitude_um_per_n"]["x"]) == len(frequency_hz) < 1000
 
 
 def test_the_section_says_what_is_wrong_with_it(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -138,3 +139,9 @@ def test_the_picture_is_small_and_fetches_nothing() -> None:
     assert "url(http" not in picture
     assert "@import" not in picture
     assert "<script" not in picture
+
+
+def test_the_picture_of_the_terminal_is_the_view_as_it_is() -> None:
+    render = runpy.run_path(str(DOCS / "images" / "render_demo.py"))
+    last = (DOCS / "images" / "demo.svg").read_text(encoding="utf-8").splitlines()[-1]
+    assert last == render["made_by"](), "the view has changed: .venv/bin/python -P docs/images/render_demo.py"

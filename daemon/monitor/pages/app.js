@@ -57,7 +57,7 @@ live.addEventListener("status", ({ detail: status }) => {
   $("machine").textContent = status.machine;
   put($("foot"), `Toolpoint ${status.version ?? ""}`,
     status.clock_speed !== 1 ? ` · a simulation, ${status.clock_speed} times as fast as the clock on the wall` : "",
-    ` · the machine's time is ${clock(status.time, { date: true })} · `, h("a", { href: "/docs" }, "API"), " · ", h("a", { href: "/metrics" }, "metrics"));
+    ` · the machine's time is ${clock(status.time, { date: true })} · `, h("a", { href: "/openapi.json" }, "API"), " · ", h("a", { href: "/metrics" }, "metrics"));
   shown?.status?.(status);
   title();
 });

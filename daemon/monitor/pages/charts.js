@@ -40,7 +40,7 @@ export class Chart {
     this.legend = h("div", { class: "legend" });
     this.note = h("p", { class: "dim note" });
     this.element = h("figure", { class: "chart" },
-      h("figcaption", {}, options.caption ?? options.title), this.legend, this.place, this.note);
+      options.caption && h("figcaption", {}, options.caption), this.legend, this.place, this.note);
     this.watcher = new ResizeObserver(() => this.size());
     this.watcher.observe(this.place);
     every.add(this);
@@ -69,7 +69,7 @@ export class Chart {
 
   get height() {
     const base = parseFloat(getComputedStyle(document.documentElement).fontSize);
-    const tall = innerHeight > 60 * base ? 1.6 : 1; // a large screen is used
+    const tall = innerHeight > 75 * base ? 1.6 : 1; // a large screen is used
     return Math.round((this.options.height ?? 16) * base * tall);
   }
 
@@ -110,6 +110,7 @@ export class Chart {
 
   floor() {
     const { floor, ceiling } = this.options;
+    if (this.options.log) return (plot, low, high) => (low === null ? [0.001, 1] : [low / 1.5, high * 1.5]);
     if (floor === undefined && ceiling === undefined) {
       return (plot, low, high) => {
         if (low === null) return [0, 1];

@@ -83,12 +83,12 @@ export function prose(text) {
 }
 
 export function card(title, ...children) {
-  return h("section", { class: "card", "aria-label": title }, h("h2", {}, title), ...children);
+  return h("section", { class: "card" }, h("h2", {}, title), ...children);
 }
 
 // What a page says where its part is not configured: why it is empty, and how to get it.
 export function absent(title, why, how) {
-  return h("section", { class: "card absent", "aria-label": title }, h("h2", {}, title), h("p", {}, prose(why)), h("p", {}, prose(how)));
+  return h("section", { class: "card absent" }, h("h2", {}, title), h("p", {}, prose(why)), h("p", {}, prose(how)));
 }
 
 export function table(head, rows, { caption = "", classes = "" } = {}) {

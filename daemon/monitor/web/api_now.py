@@ -95,6 +95,8 @@ async def models(request: Request, person: Viewer) -> Response:
 )
 async def dynamics(request: Request, person: Viewer) -> Response:
     """Return the tool point's response, resonance over time, lobes and the working point."""
+    if (found := documents_of(request).dynamics()) is not None:
+        return JSONResponse(found)
     raise ProblemError(
         404,
         "the spindle's dynamics are not configured: make a spindle model (docs/how-to/"

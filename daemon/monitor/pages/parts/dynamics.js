@@ -64,7 +64,7 @@ class Dynamics {
 
   resonance({ t, hz }, add) {
     const names = Object.keys(hz);
-    const chart = new Chart({ title: "Resonance over time", unit: "frequency [Hz]", unit_short: "Hz", height: 15, series: names.map((name, index) => ({ label: name, colour: COLOURS[index] })) });
+    const chart = new Chart({ title: "Resonance over time", unit: "frequency [Hz]", unit_short: "Hz", height: 15, least: 5, series: names.map((name, index) => ({ label: name, colour: COLOURS[index], points: t.length < 4 })) });
     add("Resonance over time", "The spindle's bearings change with its temperature, and the resonance with them.", chart, [t, ...names.map((name) => hz[name])], "half");
   }
 }

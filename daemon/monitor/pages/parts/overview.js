@@ -11,15 +11,15 @@ const AGAIN_MS = 60000;
 
 export async function page(place, context) {
   const parts = {};
-  for (const name of ["state", "checks", "axes", "speed", "links", "latency"]) parts[name] = h("div", {});
+  for (const name of ["state", "problems", "checks", "axes", "speed", "links", "latency"]) parts[name] = h("div", {});
   const error = new ErrorOverShift(context.live);
   const actions = h("div", { class: "actions" });
   place.append(
     h("h1", { class: "hidden" }, "Overview"),
     h("div", { class: "grid" },
-      h("div", { class: "wide" }, parts.state),
-      h("section", { class: "card third", "aria-label": "How do I know" }, h("h2", {}, "How do I know"), parts.checks),
-      h("section", { class: "card", "aria-label": "Compensation by axis" },
+      h("div", { class: "wide" }, parts.state, parts.problems),
+      h("section", { class: "card third" }, h("h2", {}, "How do I know"), parts.checks),
+      h("section", { class: "card" },
         h("div", { class: "between" }, h("h2", {}, "Compensation by axis [µm]"), actions), parts.axes),
       error.element,
       h("div", { class: "third" }, parts.speed),
@@ -28,6 +28,7 @@ export async function page(place, context) {
   return {
     status(status) {
       put(parts.state, state(status));
+      put(parts.problems, problems(status));
       put(parts.checks, checks(status));
       put(parts.axes, axes(status));
       put(parts.speed, speed(status));
@@ -54,7 +55,16 @@ function state(status) {
     h("div", { class: "more" },
       axes.length > 0 && h("p", {}, "Estimated error without compensation: ", h("b", {}, without), "; with: ", h("b", {}, left), "."),
       h("p", { class: "dim" }, reference(status), status.since_s !== null ? ` In this state for ${duration(status.since_s)}.` : ""),
-      status.problems.map((problem) => h("p", { class: status.state === "FAULT" ? "said" : "attention" }, problem))));
+    ));
+}
+
+// What a person should look at: whole in a fault, else its beginning, and the rest on demand.
+function problems({ problems: found, state: now }) {
+  return found.map((problem) => {
+    const end = problem.indexOf(": ");
+    if (now === "FAULT" || problem.length < 90 || end < 0) return h("p", { class: now === "FAULT" ? "said" : "attention" }, problem);
+    return h("details", { class: "attention" }, h("summary", {}, problem.slice(0, end)), problem.slice(end + 2));
+  });
 }
 
 const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
@@ -129,7 +139,15 @@ function axes(status) {
     return h("tr", { id: `axis-${name}` }, cells.map((cell, column) => h("td", { "data-head": head[column][0] }, cell)));
   });
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Compensation by axis" },
+    since_reference(status),
     h("table", { class: "axes" }, h("thead", {}, h("tr", {}, head.map(([words, explanation]) => h("th", { scope: "col", title: explanation }, words)))), h("tbody", {}, rows)));
+}
+
+// After a second reference the request is not minus the estimate: what was applied at the reference stays in it.
+function since_reference(status) {
+  const offsets = Object.entries(status.axes).filter(([, axis]) => axis.channel !== null && Math.abs(axis.baseline_um ?? 0) >= 0.05);
+  if (!offsets.length) return null;
+  return h("p", { class: "dim note" }, `Requested = what was applied when the reference was set (${offsets.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.baseline_um)}`).join(", ")}) − estimated error.`);
 }
 
 // Compensation from - bound to + bound: the ideal (minus the estimate) with its band, what is written, what is applied.
@@ -223,7 +241,7 @@ class ErrorOverShift {
       ],
       bands: [{ upper: 3, lower: 4, colour: "--band" }],
     });
-    this.element = h("section", { class: "card", "aria-label": "Error over the shift" },
+    this.element = h("section", { class: "card" },
       h("div", { class: "between" }, h("h2", {}, "Error with and without compensation, last 8 h"), this.chooser), this.chart.element);
   }
 

@@ -38,13 +38,13 @@ class Temperatures {
     const whole = h("button", { type: "button", class: "quiet", onclick: () => { this.window = null; this.load(); } }, "Back to now");
     const search = h("input", { type: "search", id: "search", placeholder: "number, component, part, label", oninput: (event) => { this.words = event.target.value; this.rows(); } });
     this.element = h("div", { class: "grid" },
-      h("section", { class: "card", "aria-label": "Chart" },
+      h("section", { class: "card" },
         h("div", { class: "between" }, h("h2", {}, "Chosen temperatures"),
           h("span", { class: "actions" }, buttons("Range", RANGES, this.range_s, (range) => { this.range_s = range; this.window = null; this.load(); }), whole)),
         this.chart.element),
-      h("section", { class: "card half", "aria-label": "Drawing" }, h("h2", {}, "The machine, coloured by temperature"), this.drawing.drawing,
+      h("section", { class: "card half" }, h("h2", {}, "The machine, coloured by temperature"), this.drawing.drawing,
         h("p", { class: "dim note" }, "A sketch from the names of the components in the machine's file; a click on a sensor adds it to the chart.")),
-      h("section", { class: "card half", "aria-label": "Sensors" }, this.faults,
+      h("section", { class: "card half" }, this.faults,
         h("div", { class: "between" }, h("h2", {}, `Sensors (${this.sensors.length})`),
           h("span", { class: "actions" }, choice("by", [["component", "component"], ["part", "part"], ["label", "label"], ["degc", "temperature"]], this.by, (by) => { this.by = by; this.rows(); }),
             h("label", { class: "choice" }, h("span", {}, "find"), search))),
@@ -141,6 +141,7 @@ class Temperatures {
         bands: single ? [{ upper: 2, lower: 3, colour: "--band" }] : [],
         note: single ? "shaded: least and greatest of each piece of time" : `from ${clock(from, { date: true })}`,
       });
+      await new Promise(requestAnimationFrame); // it is on the screen then
       performance.measure(`temperatures ${names.length} over ${Math.round(to - from)} s`, { start: began });
     } catch (error) {
       this.chart.note.textContent = error.message;

@@ -33,7 +33,7 @@ class ThermalError {
     this.parts = h("div", {});
     this.marks = h("div", {});
     this.element = h("div", { class: "grid" },
-      h("section", { class: "card", "aria-label": "Estimated and measured" }, h("div", { class: "between" }, h("h2", {}, "Estimated against measured"),
+      h("section", { class: "card" }, h("div", { class: "between" }, h("h2", {}, "Estimated against measured"),
         h("span", { class: "actions" }, this.choose, buttons("Range", RANGES.slice(0, 6), this.range_s, (range) => { this.range_s = range; this.window = null; this.load(); }),
           h("button", { type: "button", class: "quiet", onclick: () => { this.window = null; this.load(); } }, "Back to now"))), this.error.element, this.rest.element),
       h("div", { class: "third" }, this.facts), h("div", { class: "third" }, this.parts), h("div", { class: "third" }, this.marks));

@@ -1,0 +1,305 @@
+"""The pages of the monitor in a real browser: against the demonstration, and against the parts of a daemon."""
+
+import asyncio
+import contextlib
+import gzip
+import os
+import re
+import runpy
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from control_rig import running
+from monitor_bench import PASSWORD, MonitorBench, accounts_file, free_port, monitor, parts_of
+from playwright.async_api import Browser, Page, async_playwright, expect
+from speed_rig import SpeedRig
+
+from daemon.monitor.web.serving import serve_monitor
+
+ROOT = Path(__file__).parents[2]
+BUILD = runpy.run_path(str(ROOT / "hatch_build.py"))
+CHROMIUM = shutil.which("chromium")
+PATIENCE_MS = 120_000
+"""For a computer that is busy with something else: the tests wait for what they name, never for a time."""
+PAGES = ("overview", "temperatures", "thermal-error", "dynamics", "latency", "history", "models")
+MOST_COMPRESSED = 100_000
+"""All of the overview, compressed [byte]."""
+
+if CHROMIUM is None and not os.environ.get("CI"):
+    pytest.skip("no chromium on this computer: apt install chromium", allow_module_level=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def charts() -> None:
+    """A tree of sources that was never installed lacks what the build puts beside the pages."""
+    BUILD["put_files"](ROOT)
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the check of accessibility, a script."""
+    folder = tmp_path_factory.mktemp("axe")
+    for name in ("package.json", "package-lock.json", ".npmrc"):
+        shutil.copy(ROOT / name, folder)
+    BUILD["install_packages"](folder)
+    return (folder / "node_modules/axe-core/axe.min.js").read_text("utf-8")
+
+
+@contextlib.asynccontextmanager
+async def chromium() -> AsyncIterator[Browser]:
+    async with async_playwright() as playwright:
+        arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+        browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        try:
+            yield browser
+        finally:
+            await browser.close()
+
+
+class Watched:
+    """A page, and what it should not do."""
+
+    def __init__(self, page: Page, base: str) -> None:
+        self.page, self.base = page, base
+        self.said: list[str] = []
+        self.elsewhere: list[str] = []
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("console", lambda message: self.said.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: self.said.append(str(error)))
+        page.on("request", lambda request: self._asked(request.url))
+
+    def _asked(self, url: str) -> None:
+        if urlsplit(url).netloc != urlsplit(self.base).netloc and not url.startswith("data:"):
+            self.elsewhere.append(url)
+
+    async def open(self, name: str) -> None:
+        await self.page.goto(f"{self.base}#/{name}")
+        await expect(self.page.locator(f"main[data-page={name}] .card").first).to_be_visible(timeout=PATIENCE_MS)
+
+    async def text(self, selector: str) -> str:
+        return await self.page.locator(selector).first.inner_text()
+
+
+async def watched(browser: Browser, base: str, **context: Any) -> Watched:
+    return Watched(await (await browser.new_context(**context)).new_page(), base)
+
+
+async def broken_rules(page: Page, axe: str) -> list[str]:
+    """Return the rules of accessibility that the page breaks, each with the first element."""
+    await page.evaluate(axe)  # as the debugger does: the policy of the page forbids scripts in it
+    found = await page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [
+        f"{rule['id']}: {rule['nodes'][0]['html'][:160]} {rule['nodes'][0]['failureSummary'][:200]}"
+        for rule in found["violations"]
+    ]
+
+
+# --- the demonstration as a person starts it ---------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def demo() -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Start `toolpoint demo` and yield the address that it prints first."""
+    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--headless", "--web-port", "18080"]
+    command += ["--minutes", "10000", "--speed", "20"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stderr is not None
+    first = process.stderr.readline()
+    threading.Thread(target=process.stderr.read, daemon=True).start()
+    address = re.search(r"http://127\.0\.0\.1:\d+/", first)
+    try:
+        assert address is not None, first
+        wait_until_served(address[0], process)
+        yield address[0], process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        process.wait()
+
+
+def wait_until_served(base: str, process: "subprocess.Popen[str]") -> None:
+    port = urlsplit(base).port
+    assert port is not None
+    while process.poll() is None:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+            return
+        time.sleep(0.2)
+    raise AssertionError(f"the demonstration ended with status {process.returncode}")
+
+
+@pytest.mark.wires
+async def test_every_page_against_the_running_demonstration(demo, axe):
+    base, _ = demo
+    broken: dict[str, list[str]] = {}
+    async with chromium() as browser:
+        for scheme, width in (("light", 1280), ("dark", 360)):
+            seen = await watched(browser, base, color_scheme=scheme, viewport={"width": width, "height": 900})
+            for name in PAGES:
+                await seen.open(name)
+                if rules := await broken_rules(seen.page, axe):
+                    broken[f"{name}, {scheme}"] = rules
+                wide = await seen.page.evaluate("document.documentElement.scrollWidth - innerWidth")
+                assert wide <= 0, f"{name} is {wide} pixels wider than {width}"
+            expected = [text for text in seen.said if "404" not in text]  # dynamics are not configured
+            assert (expected, seen.elsewhere) == ([], [])
+    assert broken == {}
+
+
+@pytest.mark.wires
+async def test_the_overview_moves_and_says_how_one_knows(demo):
+    base, _ = demo
+    async with chromium() as browser:
+        seen = await watched(browser, base)
+        await seen.open("overview")
+        await expect(seen.page.locator("#state")).to_contain_text("ACTIVE", timeout=PATIENCE_MS)
+        await expect(seen.page.locator(".checks .yes").first).to_be_visible()
+        first = await seen.text("#axis-z")
+        await expect(seen.page.locator("#axis-z")).not_to_have_text(first, timeout=PATIENCE_MS)
+        assert "24.7 s" in await seen.text("main")
+        await expect(seen.page.locator("figure canvas").first).to_be_visible(timeout=PATIENCE_MS)
+        assert await seen.page.locator("button", has_text="Switch on").count() == 0
+
+
+@pytest.mark.wires
+async def test_how_much_and_how_fast(demo, capsys):
+    base, _ = demo
+    async with chromium() as browser:
+        seen = await watched(browser, base)
+        sizes: list[int] = []
+        bodies = []
+        seen.page.on("response", lambda response: bodies.append(response) if "/events" not in response.url else None)
+        await seen.open("overview")
+        await expect(seen.page.locator("figure canvas").first).to_be_visible(timeout=PATIENCE_MS)
+        for response in bodies:
+            sizes.append(len(gzip.compress(await response.body())))
+        marks = "performance.getEntriesByName('interactive')[0].startTime"
+        interactive_ms = await seen.page.evaluate(marks)
+        await seen.open("temperatures")
+        await expect(seen.page.locator("figure canvas").first).to_be_visible(timeout=PATIENCE_MS)
+        drawn = await seen.page.evaluate(
+            "performance.getEntriesByType('measure').map(one => `${one.name}: ${one.duration.toFixed(0)} ms`)"
+        )
+    with capsys.disabled():
+        print(f"\noverview: {sum(sizes)} byte compressed in {len(sizes)} answers, interactive {interactive_ms:.0f} ms")
+        print(f"drawn, from the question on: {drawn}")
+    assert sum(sizes) <= MOST_COMPRESSED
+
+
+@pytest.mark.wires
+async def test_when_the_daemon_stops_the_page_goes_stale_with_a_sentence(demo):
+    base, process = demo
+    async with chromium() as browser:
+        seen = await watched(browser, base)
+        await seen.open("overview")
+        await expect(seen.page.locator("#age")).to_contain_text("live", timeout=PATIENCE_MS)
+        os.killpg(process.pid, signal.SIGTERM)
+        await expect(seen.page.locator("#stale")).to_contain_text("has not answered", timeout=PATIENCE_MS)
+        assert "stale" in (await seen.page.locator("body").get_attribute("class") or "")
+        assert "(old)" in await seen.page.title()
+
+
+# --- a daemon's parts, where a test can do what a person at the machine would not ----------------
+
+
+async def test_a_fault_appears_with_its_reason(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("overview")
+        await expect(seen.page.locator("#state")).to_contain_text("ACTIVE")
+        bench.rig.control.journal.raise_fault("the variable #500 holds a value that nobody of us wrote")
+        await bench.rig.turn()
+        await expect(seen.page.locator("#state")).to_contain_text("FAULT", timeout=PATIENCE_MS)
+        assert "FAULT" in await seen.page.title()
+
+
+async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):
+    users = accounts_file(tmp_path, anna="operator", ben="viewer")
+    async with monitor(tmp_path, users=users) as bench, chromium() as browser:
+        await bench.rig.turn()
+        bench.rig.set_reference()
+        base = f"http://127.0.0.1:{bench.port}/"
+        viewer = await watched(browser, base)
+        await log_in(viewer, "ben")
+        await expect(viewer.page.locator("#state")).to_be_visible(timeout=PATIENCE_MS)
+        assert await viewer.page.locator("#do-enable").count() == 0
+        refused = await viewer.page.evaluate(
+            "async () => { const {csrf} = await (await fetch('/api/v1/session')).json();"
+            " const answer = await fetch('/api/v1/enable', {method: 'POST', body: '{}',"
+            " headers: {'content-type': 'application/json', 'x-csrf-token': csrf}});"
+            " return [answer.status, (await answer.json()).detail]; }"
+        )
+        assert refused[0] == 403 and "operator" in refused[1]
+        operator = await watched(browser, base)
+        await log_in(operator, "anna")
+        await operator.page.locator("#do-enable").click()
+        await expect(operator.page.locator("dialog")).to_contain_text("Switch compensation on?")
+        assert not any(bench.rig.snapshots.control.wanted)
+        turning = asyncio.create_task(keep_turning(bench))
+        await operator.page.locator("dialog button[type=submit]").click()
+        await expect(operator.page.locator("#do-disable")).to_be_visible(timeout=PATIENCE_MS)
+        turning.cancel()
+        assert any(bench.rig.snapshots.control.wanted)
+
+
+async def test_lobes_response_and_working_point_are_drawn_where_the_tuning_is_on(tmp_path):
+    bench, port = SpeedRig(tmp_path), free_port()
+    service = bench.configuration.service.model_copy(update={"http_port": port})
+    configuration = bench.configuration.model_copy(update={"service": service})
+    async with running(bench.rig), chromium() as browser:
+        await bench.rig.turn()
+        await bench.operation()
+        bench.rig.snapshots.spindle_speed = bench.speed.snapshot()
+        serving = asyncio.Event()
+        task = asyncio.create_task(serve_monitor(parts_of(bench.rig, configuration), serving.set))
+        await serving.wait()
+        seen = await watched(browser, f"http://127.0.0.1:{port}/")
+        await seen.open("dynamics")
+        await expect(seen.page.locator("canvas")).to_have_count(3, timeout=PATIENCE_MS)
+        assert "TUNED" in await seen.text("main") and "2.00 mm" in await seen.text("main")
+        assert (seen.said, seen.elsewhere) == ([], [])
+        if folder := os.environ.get("TOOLPOINT_PICTURES"):
+            await seen.page.screenshot(path=Path(folder) / "dynamics.png", full_page=True)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_the_page_lives_on_after_a_restart_and_takes_the_pages_of_another_version(tmp_path, monkeypatch):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.turn()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("overview")
+        await expect(seen.page.locator("#age")).to_contain_text("live", timeout=PATIENCE_MS)
+        await seen.page.evaluate("window.before = true")
+        bench.task.cancel()
+        await expect(seen.page.locator("#stale")).to_be_visible(timeout=PATIENCE_MS)
+        monkeypatch.setattr("daemon.monitor.web.documents.VERSION", "9.9.9")
+        again = asyncio.create_task(serve_monitor(parts_of(bench.rig, bench.configuration)))
+        await expect(seen.page.locator("#foot")).to_contain_text("9.9.9", timeout=PATIENCE_MS)
+        assert await seen.page.evaluate("window.before") is None
+        await expect(seen.page.locator("#stale")).to_be_hidden(timeout=PATIENCE_MS)
+        again.cancel()
+        await asyncio.gather(again, return_exceptions=True)
+
+
+async def log_in(seen: Watched, name: str) -> None:
+    await seen.page.goto(seen.base)
+    await seen.page.locator("dialog input[name=name]").fill(name)
+    await seen.page.locator("dialog input[name=password]").fill(PASSWORD)
+    await seen.page.locator("dialog button[type=submit]").click()
+
+
+async def keep_turning(bench: MonitorBench) -> None:
+    while True:
+        await bench.rig.turn()
+        await asyncio.sleep(0.05)
