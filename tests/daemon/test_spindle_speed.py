@@ -17,7 +17,7 @@ from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
 from daemon.monitor.view import speed_in_words
-from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.dynamics import dynamics_document
 from daemon.spindle_speed.planning import SPEEDS
 from drivers.guard.speed_text import SpeedStatus
 from models.records import WriteOutcome
@@ -203,7 +203,7 @@ async def test_the_monitor_shows_it(bench: SpeedRig) -> None:
     words = speed_in_words(bench.picture())
     assert "for S9000, TUNED" in words
     bench.rig.snapshots.spindle_speed = bench.speed.snapshot()
-    found = Documents(bench.configuration, bench.clock, bench.rig.snapshots, dict).dynamics()
+    found = dynamics_document(bench.rig.snapshots, bench.clock)
     assert found is not None
     lobes, point = found["lobes"], found["working_point"]
     assert len(lobes["speed_rpm"]) == len(lobes["limiting_depth_mm"]) == SPEEDS

@@ -69,7 +69,7 @@ export class Chart {
 
   get height() {
     const base = parseFloat(getComputedStyle(document.documentElement).fontSize);
-    const tall = innerHeight > 75 * base ? 1.6 : 1; // a large screen is used
+    const tall = innerWidth > 120 * base && innerHeight > 60 * base ? 1.6 : 1; // a large screen is used
     return Math.round((this.options.height ?? 16) * base * tall);
   }
 

@@ -8,6 +8,7 @@ from starlette.responses import JSONResponse, Response
 from daemon.monitor.web import schemas
 from daemon.monitor.web.access import Access, Person, Viewer, access_of
 from daemon.monitor.web.documents import Documents
+from daemon.monitor.web.dynamics import dynamics_document
 from daemon.monitor.web.live import EventStream, Live
 from daemon.monitor.web.problems import Problem, ProblemError
 
@@ -95,7 +96,8 @@ async def models(request: Request, person: Viewer) -> Response:
 )
 async def dynamics(request: Request, person: Viewer) -> Response:
     """Return the tool point's response, resonance over time, lobes and the working point."""
-    if (found := documents_of(request).dynamics()) is not None:
+    parts = request.app.state.parts
+    if (found := dynamics_document(parts.board, parts.clock)) is not None:
         return JSONResponse(found)
     raise ProblemError(
         404,

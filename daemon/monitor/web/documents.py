@@ -143,38 +143,6 @@ class Documents:
             "why": speed.alarm or speed.reason,
         }
 
-    def dynamics(self) -> dict[str, Any] | None:
-        """Return response, lobes and resonances of the operation under way; None where the tuning is not configured."""
-        speed, cnc, now = self._board.spindle_speed, self._board.control.cnc, self._clock.now()
-        if speed is None:
-            return None
-        diagram = speed.diagram
-        actual_rpm = cnc.sample.spindle_speed_rpm if cnc is not None else None
-        document: dict[str, Any] = {
-            "operation": speed.operation,
-            "state": speed.state,
-            "why": speed.alarm or speed.reason,
-            "working_point": {
-                "speed_rpm": speed.applied_rpm or speed.programmed_rpm or actual_rpm,
-                "depth_mm": diagram.demanded_depth_mm if diagram is not None else None,
-                "limiting_depth_mm": speed.limiting_depth_mm,
-            },
-        }
-        if diagram is not None:
-            document["lobes"] = {"speed_rpm": diagram.speed_rpm, "limiting_depth_mm": diagram.limiting_depth_mm}
-            document["response"] = {
-                "frequency_hz": diagram.frequency_hz,
-                "magnitude_um_per_n": diagram.receptance_um_per_n,
-            }
-            shift_s = now.utc_s - now.monotonic_s
-            document["resonance"] = {
-                "t": [shift_s + each for each in diagram.resonance_time_s],
-                "hz": diagram.resonance_hz,
-            }
-        cleaned = plain(document)
-        assert isinstance(cleaned, dict)
-        return cleaned
-
     def problems(self) -> list[str]:
         """Return what a person should look at, the gravest first."""
         board, control = self._board, self._board.control

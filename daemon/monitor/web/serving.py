@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 
+import structlog
 from cryptography import x509
 
 from daemon.monitor.web.application import MonitorParts, monitor_application
 from daemon.monitor.web.server import Certificate, serve_web
+
+log = structlog.get_logger(__name__)
 
 
 async def serve_monitor(parts: MonitorParts, on_serving: Callable[[], None] = lambda: None) -> None:
@@ -20,7 +23,13 @@ async def serve_monitor(parts: MonitorParts, on_serving: Callable[[], None] = la
         except (OSError, ValueError) as error:
             raise OSError(f"{service.tls_certificate} and its key cannot be used ({error})") from error
     application = monitor_application(parts, names)
-    await serve_web(application, service.http_host, service.http_port, certificate, on_serving)
+    address = f"{'http' if certificate is None else 'https'}://{service.http_host}:{service.http_port}/"
+
+    def serving() -> None:
+        log.info("monitor.serving", pages=address)
+        on_serving()
+
+    await serve_web(application, service.http_host, service.http_port, certificate, serving)
 
 
 def names_of_certificate(pem: bytes) -> set[str]:
