@@ -282,6 +282,10 @@ class ErrorOverShift {
       const without = labels.reduce((sum, label, place) => each(sum, each(means[2 * place], means[2 * place + 1], (now, then) => now - then),
         (value, kelvin) => value + tool[label] * kelvin), estimated);
       const remaining = without.map((value, index) => (value === null || value === undefined ? value : value + (of_cnc[index] ?? 0) - baseline[index]));
+      for (const mark of marks) { // the piece of time in which the reference was set holds means of before and after
+        const index = Math.floor(((mark - from) / (to - from)) * this.points);
+        for (const place of [index, index + 1]) if (place < this.points) remaining[place] = undefined;
+      }
       this.recorded = { t, without, remaining, band: held(band), to };
       this.chart.options.marks = marks.map((x) => ({ x, words: "reference" }));
       const last = t.findLast((time, index) => typeof estimated[index] === "number") ?? from;
