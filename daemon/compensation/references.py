@@ -1,7 +1,7 @@
 """Owns the reference: feeds its lifecycle with events, carries out the results, and keeps it for a restart."""
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -127,9 +127,15 @@ class References:
         """Take the temperatures of returned sensors, which were set anew."""
         self.memory = reference.rebase(self.memory, found)
 
-    def on_sensors(self, sensors: SensorsSinceReference) -> None:
-        """Take what the thermal task knows of the sensors since the reference."""
-        self.memory = reference.with_sensors(self.memory, sensors, self._clock.now().monotonic_s)
+    def on_sensors(self, sensors: SensorsSinceReference, seen_s: Mapping[str, float]) -> None:
+        """Take what the thermal task knows of the sensors since the reference, and when labels last had values [s]."""
+        self.memory = reference.with_sensors(self.memory, sensors, self._clock.now().monotonic_s, seen_s)
+
+    def tool_set_right(
+        self, before: Mapping[str, tuple[float, float]], now_degc: Mapping[str, float], now_s: float
+    ) -> None:
+        """Set a tool right that came into the spindle while a label had no value."""
+        self.memory = reference.tool_set_right(self.memory, before, now_degc, now_s)
 
     def tool_begins(self, tool: ToolOrigin, estimate_reference_id: str | None) -> None:
         """Let the expansion of the tool in the spindle count from now."""

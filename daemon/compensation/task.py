@@ -204,7 +204,7 @@ class ControlTask:
             case ReferenceRebased():
                 self._references.rebase(message.reference)
             case SensorsSinceReference():
-                self._references.on_sensors(message)
+                self._references.on_sensors(message, self._measured.tool.seen_s)
             case ReferenceRefused():
                 self._desk.refused(message.reference_id, message.why)
                 self._references.refused(message.reference_id, message.why)

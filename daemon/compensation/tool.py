@@ -10,31 +10,39 @@ class ToolInSpindle:
 
     def __init__(self, references: References) -> None:
         self._references = references
-        self._seen: int | None = None
+        self._polled: int | None = None
         self._counted_from: str | None = None
-        self._increments_degc: dict[str, float] = {}
-        """The latest increment of each label since this reference: of one whose sensors are away, what it had."""
+        self._seen: dict[str, tuple[float, float]] = {}
+        """Of each label since this reference when it last had a value [s], and which mean increment [K]."""
         self.number = 0
 
     def on_sample(self, seen: int, estimate: ThermalErrorEstimate | None) -> None:
         """Take the tool number of a poll: another one is a tool change."""
         self._follow(estimate)
-        if self._seen is None:
-            self._seen = self.number = seen
-        elif seen != self._seen:
-            self._seen = seen
+        if self._polled is None:
+            self._polled = self.number = seen
+        elif seen != self._polled:
+            self._polled = seen
             self.begin(seen, estimate)
 
     def begin(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
         """Let the tool term of this tool count from now."""
         self.number = number
         self._follow(estimate)
+        begin_degc = {label: increment for label, (_, increment) in self._seen.items()}
         counted_from = estimate.reference_id if estimate is not None else None
-        self._references.tool_begins(ToolOrigin(number=number, begin_degc=dict(self._increments_degc)), counted_from)
+        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from)
 
     def _follow(self, estimate: ThermalErrorEstimate | None) -> None:
         if estimate is None:
             return
         if estimate.reference_id != self._counted_from:
-            self._counted_from, self._increments_degc = estimate.reference_id, {}
-        self._increments_degc |= estimate.label_increment_degc
+            self._counted_from, self._seen = estimate.reference_id, {}
+        at_s, increments = estimate.trace.first_byte.monotonic_s, estimate.label_increment_degc
+        self._references.tool_set_right(self._seen, increments, at_s)
+        self._seen |= {label: (at_s, increment) for label, increment in increments.items()}
+
+    @property
+    def seen_s(self) -> dict[str, float]:
+        """When each label last had a value [s]."""
+        return {label: at_s for label, (at_s, _) in self._seen.items()}

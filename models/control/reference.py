@@ -39,6 +39,10 @@ CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
 Step = tuple[ReferenceMemory, tuple[Effect, ...]]
 """The memory after an event, and what follows from it."""
 
+LABEL_AWAY_S = 25.0
+"""A label without a value for so long has been away: it has one with every cycle [s]."""
+EVER_SEEN: Mapping[str, float] = MappingProxyType({})
+
 
 class Condition(StrEnum):
     """What may leave a state."""
@@ -282,11 +286,48 @@ def tool_begin_degc(
     return record.tool.begin_degc if record.tool.number == tool_number else MappingProxyType({})
 
 
-def with_sensors(memory: ReferenceMemory, sensors: SensorsSinceReference, now_s: float) -> ReferenceMemory:
-    """Take what the estimation knows of the sensors since the reference.
+def tool_set_right(
+    memory: ReferenceMemory, before: Mapping[str, tuple[float, float]], now_degc: Mapping[str, float], now_s: float
+) -> ReferenceMemory:
+    """Set a tool right that came into the spindle while a label had no value.
+
+    Parameters
+    ----------
+    memory
+        With the tool, whose label began at its last increment.
+    before
+        Of each label the time [s] and the mean increment [K] that it had last.
+    now_degc
+        Mean increment of the labels that have one [K].
+    now_s
+        Of these [s].
+
+    Returns
+    -------
+    ReferenceMemory
+        With what the tool began at on a straight line between the two; unchanged where no label was away then.
+
+    """
+    record = memory.record
+    if record is None or record.tool is None:
+        return memory
+    begin_degc = dict(record.tool.begin_degc)
+    for label, increment in now_degc.items():
+        at_s, then = before.get(label, (now_s, increment))
+        if label in begin_degc and now_s - at_s > LABEL_AWAY_S and at_s <= memory.tool_began_s < now_s:
+            begin_degc[label] += (increment - then) * (memory.tool_began_s - at_s) / (now_s - at_s)
+    if begin_degc == record.tool.begin_degc:
+        return memory
+    return replace(memory, record=replace(record, tool=replace(record.tool, begin_degc=MappingProxyType(begin_degc))))
+
+
+def with_sensors(
+    memory: ReferenceMemory, sensors: SensorsSinceReference, now_s: float, seen_s: Mapping[str, float] = EVER_SEEN
+) -> ReferenceMemory:
+    """Take what the estimation knows of the sensors since the reference; `seen_s`: when each label last had a value.
 
     A tool that came into the spindle while sensors of a label were away began at an imputed temperature. When they
-    return it is set right by its share of what the label had gone meanwhile, as if that had been a straight line.
+    return, and the step fades out that this is, it is set right by its share of the step.
     """
     record = memory.record
     if record is None or record.reference_id != sensors.reference_id:
@@ -300,7 +341,7 @@ def with_sensors(memory: ReferenceMemory, sensors: SensorsSinceReference, now_s:
             left_s.setdefault(label, now_s)
         if not any(now and not then for then, now in zip(was, origin.counted, strict=True)):
             continue
-        away_since_s = left_s.pop(label, now_s)
+        away_since_s = min(left_s.pop(label, now_s), seen_s.get(label, now_s))
         if label in begin_degc and away_since_s <= memory.tool_began_s < now_s and origin.rest_k:
             begin_degc[label] -= origin.rest_k[0] * (memory.tool_began_s - away_since_s) / (now_s - away_since_s)
     tool = record.tool if record.tool is None else replace(record.tool, begin_degc=MappingProxyType(begin_degc))

@@ -18,9 +18,13 @@ class Taken:
     def tool_begins(self, tool: ToolOrigin, counted_from: str | None) -> None:
         self.tools.append((tool, counted_from))
 
+    def tool_set_right(self, *_: object) -> None:
+        pass
+
 
 def estimate(reference_id: str = "r1", **increments: float) -> SimpleNamespace:
-    return SimpleNamespace(reference_id=reference_id, label_increment_degc=increments)
+    trace = SimpleNamespace(first_byte=SimpleNamespace(monotonic_s=10.0))
+    return SimpleNamespace(reference_id=reference_id, label_increment_degc=increments, trace=trace)
 
 
 @pytest.mark.parametrize("by_poll", [True, False])

@@ -279,6 +279,16 @@ def test_a_tool_that_came_while_its_sensors_were_away_is_set_right_when_they_ret
     assert not memory.labels_left_s
 
 
+@pytest.mark.parametrize(("began_s", "right_k"), [(5.0, 1.0), (10.0, 1.0), (60.0, 2.0), (110.0, 1.0)])
+def test_a_tool_that_came_while_nothing_was_heard_began_on_the_line_between_before_and_after(began_s, right_k):
+    memory = in_force("r")
+    memory = reference.tool_begins(memory, ToolOrigin(number=2, begin_degc={"Nose": 1.0, "Room": 0.5}), "r", began_s)
+    memory = reference.tool_set_right(
+        memory, {"Nose": (10.0, 1.0), "Room": (100.0, 0.5)}, {"Nose": 3.0, "Room": 9.0}, 110.0
+    )
+    assert memory.record.tool.begin_degc == pytest.approx({"Nose": right_k, "Room": 0.5})
+
+
 def counted(memory, tools=()):
     output = replace(
         initial_memory(now_s=0.0, applied_um=np.array([1.0, -2.0]), wanted=(True, True)),
