@@ -36,7 +36,7 @@ def shipped_model() -> ThermalModel:
 @pytest.fixture(scope="module")
 def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
     """The machine of the campaign."""
-    return write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0, http=False)[1]
+    return write_simulation_configuration(demo_machine(), tmp_path_factory.mktemp("machine"), speed=1.0)[1]
 
 
 class Bench:
@@ -134,7 +134,7 @@ def test_another_model_contributes_from_now_on(bench: Bench) -> None:
 def without_tool(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
     machine = demo_machine()
     del machine["compensation"]["axes"]["z"]["tool_term"]
-    return write_simulation_configuration(machine, tmp_path_factory.mktemp("bare"), speed=1.0, http=False)[1]
+    return write_simulation_configuration(machine, tmp_path_factory.mktemp("bare"), speed=1.0)[1]
 
 
 def test_a_tool_counts_from_its_own_setting_and_expands_from_when_it_came(

@@ -248,7 +248,6 @@ class Campaign:
             self._kills.due = happening
         elif happening.kind is Incident.MODEL_RELOAD:
             self._models.exchange()
-            self._memory.restarted(time_s)
             self._seen.operations.released(time_s, self._models.model_id)
         elif happening.kind is Incident.DAMAGED_MODEL:
             self._models.damage()

@@ -188,7 +188,7 @@ class KillPlan:
 
 
 class MemoryWatch:
-    """Follows the resident memory of each life and each model from the first hour on."""
+    """Follows the resident memory of each life from the first hour on, releases of models included."""
 
     def __init__(self, warm_up_s: float) -> None:
         self._warm_up_s = warm_up_s
@@ -196,10 +196,10 @@ class MemoryWatch:
         self._at_start_mib: float | None = None
         self.rss_mib = 0.0
         self.growth_mib = 0.0
-        """The most that it has grown in one life with one model [MiB]."""
+        """The most that it has grown in one life [MiB]."""
 
     def restarted(self, time_s: float) -> None:
-        """A life begins, or the work of another model, which takes memory of its own."""
+        """A life begins."""
         self._began_s = self._next_s = time_s
         self._at_start_mib = None
 
