@@ -56,8 +56,6 @@ if TYPE_CHECKING:
 log = structlog.get_logger(__name__)
 STOP_CALLS = 4
 """The control task may end this many calls to the CNC before it is cancelled."""
-GARBAGE_OBJECTS = 20_000
-"""So many new objects are looked through for cycles of references at once: Python's own 700 come in every feedback."""
 ALIVE_PERIOD_S = 10.0
 """How often the store records that the daemon runs [s of the wall clock]; a restart measures its outage by it."""
 
@@ -219,7 +217,6 @@ class Daemon:
                     job.start()
                 gc.collect()
                 gc.freeze()
-                gc.set_threshold(GARBAGE_OBJECTS)
                 self._service_manager.ready("running")
                 log.info("daemon.ready", machine=configuration.machine)
                 await stop.wait()
