@@ -3,7 +3,7 @@
 import asyncio
 import gc
 import signal
-from collections.abc import Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import scheduled_jobs
-from daemon.links import DisplacementLog, Links
+from daemon.links import DisplacementLog, Links, Serve
 from daemon.messages import SpindleSpeed
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
@@ -82,6 +82,12 @@ def load_model(configuration: Configuration) -> LoadedModel[ThermalModel]:
     return loaded
 
 
+def _load_monitor() -> Callable[..., Serve]:
+    from daemon.monitoring import monitor_service  # noqa: PLC0415 (loaded only where it is configured)
+
+    return monitor_service
+
+
 class Daemon:
     """One machine's daemon."""
 
@@ -121,6 +127,7 @@ class Daemon:
         self._alive_real_s = float("-inf")
         self._last_block = WriteAheadRecord.beside(configuration.history.path)
         self._resume = load_resume_point(configuration, self._history, clock, self._last_block)
+        self._monitor: Serve | None = None
         self._planner = open_planner(parts.speed_planner, configuration, self._on_bearings)
         self._link = CncLink(lambda: parts.open_cnc(configuration, clock), self._open_session)
         inbox = self._inbox = ThermalInbox()
@@ -248,10 +255,16 @@ class Daemon:
         control_socket = ControlSocket(service.socket, service.socket_group, self._commands.handle)
         yield links.own("service.socket", service.socket, control_socket.run)
         if service.http_port is not None:
-            from daemon.monitoring import monitor_service  # noqa: PLC0415 (loaded only where it is configured)
+            yield links.own("service.http_port", service.http_port, self._serve_monitor)
 
+    async def _serve_monitor(self, came_up: Callable[[], None]) -> None:
+        """Serve the monitor; its libraries, a quarter of the start, are loaded while the daemon already runs."""
+        if self._monitor is None:
+            monitor_service = await asyncio.to_thread(_load_monitor)
             given = self._configuration, self._clock, self.snapshots, self._commands, self._telemetry, self._history
-            yield links.own("service.http_port", service.http_port, monitor_service(*given))
+            self._monitor = monitor_service(*given)
+            gc.freeze()
+        await self._monitor(came_up)
 
     def _open_session(self, cnc: Cnc, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self._resume.known_macros

@@ -34,14 +34,10 @@ def _type_id(identifier: int) -> bytes:
     return struct.pack("<BBH", 1, 0, identifier)
 
 
-READ_REQUEST, READ_RESPONSE = (
-    _type_id(ObjectIds.ReadRequest_Encoding_DefaultBinary),
-    _type_id(ObjectIds.ReadResponse_Encoding_DefaultBinary),
-)
-WRITE_REQUEST, WRITE_RESPONSE = (
-    _type_id(ObjectIds.WriteRequest_Encoding_DefaultBinary),
-    _type_id(ObjectIds.WriteResponse_Encoding_DefaultBinary),
-)
+READ_REQUEST = _type_id(ObjectIds.ReadRequest_Encoding_DefaultBinary)
+READ_RESPONSE = _type_id(ObjectIds.ReadResponse_Encoding_DefaultBinary)
+WRITE_REQUEST = _type_id(ObjectIds.WriteRequest_Encoding_DefaultBinary)
+WRITE_RESPONSE = _type_id(ObjectIds.WriteResponse_Encoding_DefaultBinary)
 SERVICE_FAULT = _type_id(ObjectIds.ServiceFault_Encoding_DefaultBinary)
 
 REQUEST_HEADER = struct.Struct("<qIIiI3s")
@@ -54,19 +50,7 @@ VARIABLE = struct.Struct("<BBd")
 WITH_VALUE, WITH_STATUS = 1, 2
 NULL, DOUBLE = 0, 11
 STATUS = struct.Struct("<I")
-NUMBERS: dict[int, struct.Struct] = {
-    1: struct.Struct("<?"),
-    2: struct.Struct("<b"),
-    3: struct.Struct("<B"),
-    4: struct.Struct("<h"),
-    5: struct.Struct("<H"),
-    6: struct.Struct("<i"),
-    7: struct.Struct("<I"),
-    8: struct.Struct("<q"),
-    9: struct.Struct("<Q"),
-    10: struct.Struct("<f"),
-    DOUBLE: struct.Struct("<d"),
-}
+NUMBERS = {kind: struct.Struct("<" + code) for kind, code in enumerate("?bBhHiIqQfd", start=1)}
 """Built-in type on the wire -> its bytes (OPC 10000-6, 5.1.2)."""
 NOTHING = ua.DataValue(None, StatusCode=None)
 EPOCH_100NS = 116_444_736_000_000_000
