@@ -35,6 +35,13 @@ class Row:
     interrupted: bool = False
     """A person wants no further run."""
 
+    def rounds(self, count: int) -> Iterator[int]:
+        """Yield the numbers of so many rounds, until a person wants no further one."""
+        for k in range(count):
+            if self.interrupted:
+                return
+            yield k
+
     def check(self, what: str, holds: bool, violation: object = "") -> bool:
         """Count a check; keep what was seen when it does not hold."""
         self.checks[what] = self.checks.get(what, 0) + 1

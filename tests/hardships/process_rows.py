@@ -41,9 +41,7 @@ def kills(rig: Rig, row: Row, count: int, moments: random.Random) -> None:
     rig.ensure_following()
     offset, after = rig.log_path.stat().st_size, rig.last_write()
     states: Counter[str] = Counter()
-    for k in range(count):
-        if row.interrupted:
-            break
+    for k in row.rounds(count):
         row.runs += 1
         if moments.random() < WHILE_STARTING:
             if rig.running.daemon.poll() is not None:
@@ -96,7 +94,7 @@ def more(now: dict[str, int], before: dict[str, int]) -> bool:
 
 def descriptors_exhausted(rig: Rig, row: Row, count: int) -> None:
     """Leave the daemon no free descriptor while its link to the CNC breaks."""
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         offset, after = rig.log_path.stat().st_size, rig.last_write()
         row.runs += 1
@@ -121,7 +119,7 @@ def half_sent(rig: Rig, row: Row, count: int) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 3 * HALF_SENT), hard))
     try:
-        for _ in range(count):
+        for _ in row.rounds(count):
             rig.ensure_following()
             pid, offset, after = rig.running.daemon.pid, rig.log_path.stat().st_size, rig.last_write()
             resource.prlimit(pid, resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
@@ -175,7 +173,7 @@ def _came_up_again(rig: Rig, offset: int, broken_s: float) -> float | None:
 
 def half_open(rig: Rig, row: Row, count: int) -> None:
     """Let the CNC's end of the connection vanish without a word; new connections are served."""
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         offset, after = rig.log_path.stat().st_size, rig.last_write()
         row.runs += 1
@@ -363,7 +361,7 @@ def _rss_mib(rig: Rig) -> float:
 def ports_swapped(rig: Rig, row: Row, count: int) -> None:
     """Give two lines each other's port while the daemon is down, as a new numbering of adapters does; then back."""
     first, second = (rig.directory / f"{name}.tty" for name in ("saddle", "fixed"))
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         offset, after = rig.log_path.stat().st_size, rig.last_write()
         row.runs += 1

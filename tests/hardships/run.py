@@ -6,7 +6,7 @@
 
 A simulated machine and the daemon run as processes on serial lines, OPC UA and a store on a disk of its own. Exit
 status 0 when everything held and nothing acknowledged was lost, 1 otherwise, 2 for bad usage. The random moments come
-from --seed, which is printed. Ctrl-C ends the kills early and reports those so far.
+from --seed, which is printed. Ctrl-C ends a row early and goes on with the next.
 """
 
 import argparse

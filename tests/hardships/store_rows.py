@@ -53,7 +53,7 @@ def power_cuts(rig: Rig, row: Row, count: int, moments: random.Random, cut: Call
     The commit after them was under way: its frames are torn, lost in parts, damaged or not there. The file of the last
     block is never synced: it is as it was some time ago, as it is, or gone. The index is gone in any case.
     """
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         offset, after = rig.log_path.stat().st_size, rig.last_write()
         last_block = rig.store.with_name(f"{rig.store.name}.last-block")
@@ -128,7 +128,7 @@ def damaged_pages(rig: Rig, row: Row, count: int, moments: random.Random) -> Non
     Who cannot start says why; who starts on a wrong audit finds values that are not its own, and that is a FAULT.
     """
     rig.ensure_following()
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.running.daemon.terminate()
         rig.running.daemon.wait()
         whole = rig.directory / "whole"
@@ -169,7 +169,7 @@ def damaged_pages(rig: Rig, row: Row, count: int, moments: random.Random) -> Non
 def full_disk(rig: Rig, row: Row, count: int) -> None:
     """Fill the disk under the store, and free it again."""
     folder = need_small_disk(rig)
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         offset, after = rig.log_path.stat().st_size, rig.last_write()
         row.runs += 1
@@ -206,7 +206,7 @@ def _fill(ballast: Path) -> None:
 def read_only_disk(rig: Rig, row: Row, count: int) -> None:
     """Start the daemon on a disk that cannot be written, and make it writable again."""
     folder = need_small_disk(rig)
-    for _ in range(count):
+    for _ in row.rounds(count):
         rig.ensure_following()
         after = rig.last_write()
         said = rig.status()["history"]["acknowledged"]
