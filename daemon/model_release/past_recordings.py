@@ -29,6 +29,10 @@ LONGEST_GAP_MIN = 10.0
 """After a longer stretch without displacements a new recording begins."""
 
 
+NAME = "history from minute "
+"""A recording's name begins so; the number of its first minute since 1970 follows."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Minutes:
     """One-minute means of a piece of the history; NaN where nothing was measured."""
@@ -52,6 +56,11 @@ def used_channels(configuration: Configuration) -> dict[str, str]:
         for name, axis in configuration.compensation.axes.items()
         if axis.estimate is not None and axis.estimate in measured
     }
+
+
+def began_utc_s(recording: Recording) -> float:
+    """Return when a recording from the history began [s]."""
+    return MINUTE_S * int(recording.name.removeprefix(NAME))
 
 
 def recordings_from_history(
@@ -183,7 +192,7 @@ def _runs(pieces: list[Minutes], sensor_ids: tuple[int, ...], channels: tuple[st
     degc = np.concatenate([piece.degc for piece in pieces])
     for rows in np.split(measured, np.flatnonzero(breaks) + 1):
         yield Recording(
-            name=f"history from minute {int(minute[rows[0]])}",
+            name=f"{NAME}{int(minute[rows[0]])}",
             time_s=MINUTE_S * (minute[rows] - minute[rows[0]]),
             speed_rpm=speed[rows] if np.isfinite(speed[rows]).any() else None,
             temperature_names=tuple(f"T{sensor_id}" for sensor_id in sensor_ids),

@@ -207,3 +207,48 @@ def test_a_recording_that_is_downloaded_is_what_training_reads(
     assert found.speed_rpm == pytest.approx(expected.speed_rpm)
     trained = CliRunner().invoke(main, ["thermal", "train", str(path), "--output", str(tmp_path / "model.json")])
     assert trained.exit_code in (0, 1) and (tmp_path / "model.json").exists(), trained.output
+
+
+def test_an_exported_recording_is_what_train_reads(
+    machine: tuple[Installation, Configuration, float], tmp_path: Path
+) -> None:
+    installation, configuration, begin_s = machine
+    exported = ["export", "-c", installation.config_path, "--what", "recording", "--from", "-48h"]
+    run = tmp_path / "run.csv"
+    result = CliRunner().invoke(main, [str(part) for part in [*exported, "-o", run]])
+    assert result.exit_code == 0, result.output
+    assert f"thermal train {run} --model default" in result.stderr
+    with HistoryReader(configuration.history.path) as reader:
+        (held,) = recordings_from_history(
+            configuration,
+            reader,
+            commissioned_um_per_unit(configuration),
+            from_utc_s=begin_s - 1e5,
+            to_utc_s=begin_s + 1e5,
+        )
+    read = read_recording(run)
+    assert (read.temperature_names, read.displacement_names) == (held.temperature_names, held.displacement_names)
+    np.testing.assert_allclose(read.time_s, held.time_s)
+    np.testing.assert_allclose(read.temperatures_degc, held.temperatures_degc, atol=1e-4)
+    np.testing.assert_allclose(read.displacements_um, held.displacements_um, atol=1e-4)
+    assert read.speed_rpm is not None and held.speed_rpm is not None
+    np.testing.assert_allclose(read.speed_rpm, held.speed_rpm, atol=0.1)
+    command = ["thermal", "train", str(run), "--model", "ridge", "-o", str(tmp_path / "model.json")]
+    assert CliRunner().invoke(main, command).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("output", "begin", "sentence"),
+    [
+        ("run.parquet", "-100d", "a recording is a CSV file"),
+        ("run.csv", "2001-01-01", "has no 120 minutes in a row with displacements of Y1, Z1"),
+    ],
+)
+def test_a_recording_that_cannot_be_exported_is_refused(
+    machine: tuple[Installation, Configuration, float], tmp_path: Path, output: str, begin: str, sentence: str
+) -> None:
+    end = ["--to", "2001-01-02"] if begin.startswith("2001") else []
+    where = ["-c", str(machine[0].config_path), "-o", str(tmp_path / output)]
+    result = CliRunner().invoke(main, ["export", "--what", "recording", "--from", begin, *end, *where])
+    assert result.exit_code == 2 and sentence in result.stderr
+    assert not list(tmp_path.iterdir())

@@ -20,7 +20,8 @@ from models.json_values import plain
 from models.records import ProbeSample
 
 KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
-KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes")
+RECORDING = "recording"
+KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes", RECORDING)
 FORMATS = ("csv", "parquet")
 store_option = option("--store", type=FILE, help="The store's file (else the configuration's history.path).")
 
@@ -175,7 +176,11 @@ def export(
     format_: str | None,
     output: Path,
 ) -> None:
-    """Export records as CSV or Parquet, units in the column names. Reads a running daemon's store too."""
+    """Export records as CSV or Parquet, units in the column names. Reads a running daemon's store too.
+
+    A recording holds what `thermal train` reads: means of one minute of temperatures, spindle speed, and displacements
+    without what the NC has applied; every stretch with displacements becomes a file of its own.
+    """
     if what != TEMPERATURES and (sensors or quality):
         refuse(f"--sensors and --quality go with --what temperatures, not with {what}")
     suffix = output.suffix.lower().removeprefix(".")
@@ -186,6 +191,9 @@ def export(
         refuse("a Parquet file cannot go to standard output; give a file with -o")
     if to_utc_s <= from_utc_s:
         refuse(f"--to ({iso(to_utc_s)}) must be later than --from ({iso(from_utc_s)})")
+    if what == RECORDING:
+        _write_recordings(config_path, store, output, format_, from_utc_s, to_utc_s)
+        return
     with open_history(store, config_path) as reader:
         if unknown := sorted(set(sensors or ()) - set(reader.sensor_ids())):
             refuse(f"{reader.path}: the store knows no sensors {unknown}")
@@ -196,6 +204,26 @@ def export(
             refuse(f"{reader.path}: no {what} from {iso(from_utc_s)} to {iso(to_utc_s)}; {held}")
         rows = _write(table, output, format_)
         say(f"{rows} rows of {what} written to {output}")
+
+
+def _write_recordings(
+    config_path: Path, store: Path | None, output: Path, format_: str, from_utc_s: float, to_utc_s: float
+) -> None:
+    """Write recordings, and say how to train on them; the configuration says which axis follows which displacement."""
+    from daemon.model_release.recording_files import write_recordings
+
+    if format_ != "csv" or output.suffix.lower() != ".csv":
+        refuse(f"{output}: a recording is a CSV file; name one that ends in .csv")
+    configuration = read_configuration(config_path)
+    try:
+        with HistoryReader(store or configuration.history.path) as reader:
+            paths = write_recordings(configuration, reader, output, from_utc_s=from_utc_s, to_utc_s=to_utc_s)
+    except OSError as error:
+        refuse(f"{output}: cannot be written ({error.strerror})")
+    recordings = [str(path) for path in paths if path.suffix == ".csv"]
+    with_map = "".join(f" --map {path}" for path in paths if path.suffix == ".yaml")
+    say(f"{len(recordings)} recording(s): {', '.join(recordings)}")
+    say(f"train on them with: toolpoint thermal train {' '.join(recordings)}{with_map} --model default -o model.json")
 
 
 def _write(table: Table, output: Path, format_: str) -> int:

@@ -1,0 +1,67 @@
+"""Writes what the daemon's history would be trained on as recordings that `toolpoint thermal train` reads."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+import yaml
+
+from config.files import write_whole
+from config.recordings.recording_map import ColumnError, resolve_columns, usual_map
+from config.schema import Configuration
+from daemon.history.reader import HistoryReader
+from daemon.model_release.past_recordings import began_utc_s, commissioned_um_per_unit, recordings_from_history
+from drivers.files.recording_csv import write_recording
+from models.recordings.dataset import Recording
+from models.records import FloatArray
+
+TIME, SPEED = "utc_s", "spindle_speed_rpm"
+
+
+def write_recordings(
+    configuration: Configuration, reader: HistoryReader, output: Path, *, from_utc_s: float, to_utc_s: float
+) -> list[Path]:
+    """Write every stretch of the history with displacements as a file of its own; return the files.
+
+    Several are numbered. A map stands beside them where their columns do not carry the usual names. Raises
+    DatasetError when there is no stretch to train on, OSError when nothing can be written.
+    """
+    um_per_unit = commissioned_um_per_unit(configuration)
+    found = recordings_from_history(configuration, reader, um_per_unit, from_utc_s=from_utc_s, to_utc_s=to_utc_s)
+    paths = [output if len(found) == 1 else output.with_stem(f"{output.stem}-{n}") for n in range(1, len(found) + 1)]
+    for path, recording in zip(paths, found, strict=True):
+        _write(path, recording, configuration.machine, um_per_unit)
+    if (keys := _map_keys(found[0])) is not None:
+        paths.append(output.with_suffix(".map.yaml"))
+        write_whole(paths[-1], yaml.safe_dump(keys, sort_keys=False, allow_unicode=True))
+    return paths
+
+
+def _write(path: Path, recording: Recording, machine: str, um_per_unit: Mapping[str, float] | None) -> None:
+    begin_s = began_utc_s(recording)
+    metadata = {
+        "machine": machine,
+        "begins": datetime.fromtimestamp(begin_s, UTC).isoformat(),
+        "rows": "means of one minute",
+        "displacements": "as measured" if um_per_unit is None else "measured minus what the NC has applied",
+    }
+    columns: dict[str, tuple[FloatArray, int]] = {TIME: (begin_s + recording.time_s, 0)}
+    if recording.speed_rpm is not None:
+        columns[SPEED] = recording.speed_rpm, 1
+    columns |= {n: (v, 4) for n, v in zip(recording.temperature_names, recording.temperatures_degc.T, strict=True)}
+    columns |= {n: (v, 4) for n, v in zip(recording.displacement_names, recording.displacements_um.T, strict=True)}
+    write_recording(path, metadata, columns)
+
+
+def _map_keys(recording: Recording) -> dict[str, object] | None:
+    """Return the map of a recording's columns; None where they carry the usual names."""
+    header = [TIME, SPEED, *recording.temperature_names, *recording.displacement_names]
+    try:
+        usual = resolve_columns(usual_map(header), header)
+        if len(usual.displacements) == len(recording.displacement_names):
+            return None
+    except ColumnError:
+        pass
+    speed = {} if recording.speed_rpm is None else {"speed": SPEED}
+    names = {"temperatures": list(recording.temperature_names), "displacements": list(recording.displacement_names)}
+    return {"time": TIME, **speed, **names}
