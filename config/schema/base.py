@@ -29,6 +29,7 @@ class KeyProblems(ValueError):
 
 
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+CHANNEL_PATTERN = r"^\S([^\x00-\x1f\x7f]*\S)?$"
 RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
 READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
@@ -36,6 +37,7 @@ ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
+    CHANNEL_PATTERN: "text on one line, without a blank at either end",
     RANGE_PATTERN: "a range such as 7-12",
     NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
@@ -47,6 +49,8 @@ Seconds = Annotated[float, Field(gt=0)]
 Days = Annotated[float, Field(gt=0)]
 MacroNumber = Annotated[int, Field(ge=1, le=99999)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=40)]
+ChannelName = Annotated[str, Field(pattern=CHANNEL_PATTERN, max_length=80)]
+"""A displacement channel is called what the column of its recording is: `Weg Z [um]`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Days, KeyProblems, MacroNumber, Name, Seconds, Section
+from config.schema.base import ChannelName, Days, KeyProblems, MacroNumber, Name, Seconds, Section
 
 SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
 
@@ -34,7 +34,7 @@ class ToolTermConfig(Section):
 class AxisConfig(Section):
     """One axis of the machine. Bound, slew rate and step have no defaults: a person must choose them."""
 
-    estimate: Name | None = Field(
+    estimate: ChannelName | None = Field(
         None,
         description="model channel that is this axis' thermal error; none: the axis stays disabled",
         examples=["Z1"],

@@ -7,13 +7,13 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field, model_validator
 
-from config.schema.base import KeyPath, KeyProblems, Name, Seconds, Section
+from config.schema.base import ChannelName, KeyPath, KeyProblems, Seconds, Section
 
 
 class DisplacementChannelConfig(Section):
     """One displacement channel."""
 
-    name: Name = Field(description="name of the channel in history and models", examples=["Z1"])
+    name: ChannelName = Field(description="name of the channel in history and models", examples=["Z1"])
     column: str | int = Field(description="header text of its column, or the column's number from 1", examples=[2])
     scale_um: float = Field(1.0, description="micrometres per unit of the file, with sign [um]")
 

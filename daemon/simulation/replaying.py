@@ -1,6 +1,9 @@
 """Plays a recording over real wires while the whole daemon runs: its configuration and its result."""
 
 import json
+import re
+from collections.abc import Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +57,13 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
         raise ValueError(
             f"a replay takes at most {MOST_CHANNELS} displacement channels, the recording has {len(channels)}"
         )
+    axes = axis_names(channels)
     period_s = float(np.median(np.diff(recording.time_s)))
     sensors = [
         {"id": number, "component": "recording", "part": name}
         for number, name in enumerate(recording.temperature_names, start=1)
     ]
-    macros = _macro_map(channels)
+    macros = _macro_map(tuple(axes))
     record_file.write_text(json.dumps(_commissioning(macros)), encoding="utf-8")
     return {
         "machine": f"recording {recording.name}",
@@ -72,17 +76,28 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
         },
         "displacements": {
             "file": {"path": ""},
-            "channels": [{"name": name, "column": name} for name in channels],
+            "channels": [{"name": channel, "column": axis} for axis, channel in axes.items()],
         },
-        "cnc": {"macros": macros, "guard": _guard(channels)},
+        "cnc": {"macros": macros, "guard": _guard(tuple(axes))},
         "compensation": {
             "model_file": str(model_file.resolve()),
             "commissioning_file": str(record_file),
-            "axes": {name: {"estimate": name, **LIMITS} for name in channels},
+            "axes": {axis: {"estimate": channel, **LIMITS} for axis, channel in axes.items()},
             "reference": {"sequence_numbers": [100], "mean_s": max(60.0, period_s)},
             "output": {"safe_sequence_numbers": [900]},
         },
     }
+
+
+def axis_names(channels: Sequence[str]) -> dict[str, str]:
+    """Return the axis that stands for each channel: the channel's name as far as a name may be written so."""
+    found: dict[str, str] = {}
+    for channel in channels:
+        letters = re.sub(r"[^A-Za-z0-9]+", "_", channel).strip("_")[:30]
+        wanted = letters if letters[:1].isalpha() and letters[:1].isascii() else f"c{letters}"
+        name = next(name for name in chain([wanted], (f"{wanted}_{n}" for n in count(2))) if name not in found)
+        found[name] = channel
+    return found
 
 
 def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:

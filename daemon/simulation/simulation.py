@@ -87,7 +87,8 @@ class Simulation:
             return report
 
         def extended(content: dict[str, Any]) -> None:
-            report(content | {"channels": machine.channels()} if content.get("final") else content)
+            played = {"channels": machine.channels(), "series": machine.series()}
+            report(content | played if content.get("final") else content)
 
         return extended
 

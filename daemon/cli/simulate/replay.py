@@ -5,24 +5,28 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from daemon.cli.common import (
     EXISTING_FILE,
     FOLDER,
     NOT_NEGATIVE,
     POSITIVE,
+    html_option,
     json_option,
     option,
     refuse,
     say,
     write_json,
+    write_page,
 )
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
-from daemon.simulation.replaying import check_model, map_of, playing_time_s, replay_machine
+from daemon.simulation.replaying import axis_names, check_model, map_of, playing_time_s, replay_machine
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
+from models.thermal.family import model_from_json
 
 FASTEST = 600.0
 """Faster than this the wires cannot keep the machine's time [simulated s per s]."""
@@ -42,6 +46,7 @@ FASTEST = 600.0
 @option("--from-hours", type=NOT_NEGATIVE, help="Begin here [h].")
 @option("--to-hours", type=NOT_NEGATIVE, help="End here [h].")
 @option("--directory", type=FOLDER, help="Where wires, logs and store go, and stay.")
+@html_option
 @json_option
 def replay(
     recording: Path,
@@ -51,6 +56,7 @@ def replay(
     from_hours: float | None,
     to_hours: float | None,
     directory: Path | None,
+    html_path: Path | None,
     json_path: str | None,
 ) -> None:
     """Play RECORDING: temperatures as LATSIS frames, displacements as a growing CSV, speed from the CNC.
@@ -84,7 +90,42 @@ def replay(
             switch_on(running)
             _follow(running, until_s)
             final, status = settle(running)
+    channels = axis_names(part.displacement_names)
+    final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
     report(recording, final, status, json_path)
+    if html_path is not None:
+        write_page(html_path, page(recording, model_path, channels, final, status))
+
+
+def page(
+    recording: Path, model_path: Path, channels: dict[str, str], final: dict[str, Any], status: dict[str, Any]
+) -> str:
+    """Return the page of a replay: what was measured, what the NC applied turned round, and what that left."""
+    from daemon.workbench.thermal.result_pages import Stretch, replay_page
+
+    model = model_from_json(model_path.read_bytes(), str(model_path))
+    series = final["series"]
+    measured, left = (
+        np.array([series["channels"][axis][case] for axis in channels], dtype=np.float64).T
+        for case in ("without", "with")
+    )
+    played = Stretch(
+        name=recording.name,
+        time_h=np.arange(len(measured)) * series["block_s"] / 3600.0,
+        measured_um=measured,
+        estimated_um=measured - left,
+    )
+    facts = {
+        "file": model_path,
+        "model": model.model_id,
+        "kind": model.kind,
+        "sensors": len(model.sensor_ids),
+        "refused by its training": model.refused or "no",
+        "trained on": ", ".join(data.name for data in model.training),
+    }
+    found = {key: status[key] for key in ("cycles", "writes")} | {"channels": final["channels"]}
+    found["cycles"] = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
+    return replay_page(f"Replay of {recording.name}", found, facts, list(channels.values()), played)
 
 
 def report(recording: Path, final: dict[str, Any], status: dict[str, Any], json_path: str | None) -> None:

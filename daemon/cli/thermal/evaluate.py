@@ -12,10 +12,12 @@ from daemon.cli.common import (
     ProgressBar,
     common_columns_option,
     hours_option,
+    html_option,
     json_option,
     option,
     say,
     write_json,
+    write_page,
 )
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ def parse_fault(text: str) -> "Fault":
     metavar="KIND:S[:AMOUNT]@Hh",
     help=f"A sensor fails during the test: {FORMS}; S each: every sensor in turn.",
 )
+@html_option
 @json_option
 def evaluate(
     recordings: tuple[Path, ...],
@@ -81,6 +84,7 @@ def evaluate(
     common_columns: bool,
     probe_minutes: float | None,
     faults: "tuple[Fault, ...]",
+    html_path: Path | None,
     json_path: str | None,
 ) -> None:
     """Fit a family of models on part of RECORDINGS and test it on the rest.
@@ -91,6 +95,7 @@ def evaluate(
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.evaluation import Protocol, read_recordings
     from daemon.workbench.thermal.evaluation import evaluate as evaluated
+    from daemon.workbench.thermal.result_pages import Stretch, evaluation_page
 
     leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
     recording_map = None if map_path is None else load_recording_map(map_path)
@@ -104,8 +109,12 @@ def evaluate(
     with ProgressBar() as bar:
         read, warnings = read_recordings(recordings, recording_map, bar.show, common=common_columns)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s
-        found = evaluated(read, sample_s, model, protocol, bar.show)
+        stretches: list[Stretch] = []
+        found = evaluated(read, sample_s, model, protocol, bar.show, stretches)
     found["warnings"] = list(warnings)
+    if html_path is not None:
+        title = f"{model} on {', '.join(path.name for path in recordings[:3])}{' ...' * (len(recordings) > 3)}"
+        write_page(html_path, evaluation_page(title, found, stretches))
     _show(found)
     write_json(json_path, found)
 

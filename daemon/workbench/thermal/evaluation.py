@@ -10,6 +10,7 @@ import numpy as np
 from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
 from daemon.workbench.thermal.reading import read_alike
+from daemon.workbench.thermal.result_pages import Stretch
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
@@ -81,9 +82,14 @@ def read_recordings(
 
 
 def evaluate(
-    recordings: Sequence[Recording], sample_s: float, model: str, protocol: Protocol, progress: Progress
+    recordings: Sequence[Recording],
+    sample_s: float,
+    model: str,
+    protocol: Protocol,
+    progress: Progress,
+    stretches: list[Stretch] | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of a family of models on recordings, for JSON.
+    """Return the figures of a family of models on recordings, for JSON; `stretches` takes what a page draws.
 
     Raises DatasetError when the recordings cannot be trained on or tested as asked for.
     """
@@ -96,6 +102,8 @@ def evaluate(
     for number, part in enumerate(parts, start=1):
         outcomes.append(_one(recordings, sample_s, model, protocol, part))
         progress("evaluating", number, len(parts))
+    if stretches is not None:
+        stretches += [_stretch(whole, outcome, index) for outcome in outcomes for index in range(len(outcome.trials))]
     return {"model": model, **_figures(whole, outcomes)}
 
 
@@ -193,6 +201,20 @@ def _fault_outcomes(
             single = Fault(kind=fault.kind, sensor=name, at_hours=fault.at_hours, amount=fault.amount)
             found += [tester.with_fault(trial, single) for trial in trials if _holds(inputs, trial.rows, single)]
     return found
+
+
+def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
+    """Return one trial as a page draws it."""
+    trial = outcome.trials[index]
+    time_h = inputs.time_min[trial.rows] / 60.0
+    band_um = trial.band_factor[:, None] * outcome.trust.band_um
+    return Stretch(
+        name=outcome.name if len(outcome.trials) == 1 else f"{outcome.name} {index + 1}",
+        time_h=time_h - time_h[0],
+        measured_um=trial.measured_um,
+        estimated_um=trial.measured_um - trial.residual_um,
+        band_um=band_um if np.isfinite(band_um).all() else None,
+    )
 
 
 def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ the tool is always at a safe point, so that the NC applies what it is given once
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -152,6 +152,18 @@ class RecordedMachine:
             for i, axis in enumerate(self._axes)
         }
 
+    def series(self) -> dict[str, Any]:
+        """Return the block means without and with compensation per channel [um], None where nothing was measured."""
+        tables = [np.where(np.isfinite(table), np.round(table, 3), np.nan) for table in self._blocks.series()]
+        columns = {
+            axis: {
+                case: [None if np.isnan(value) else value for value in table[:, i].tolist()]
+                for case, table in zip(("without", "with"), tables, strict=True)
+            }
+            for i, axis in enumerate(self._axes)
+        }
+        return {"block_s": self._blocks.block_s, "channels": columns}
+
     def _row(self) -> int:
         played_s = max(self.time_s - LEAD_IN_S, 0.0)
         return max(int(np.searchsorted(self._time_s, played_s, side="right")) - 1, 0)
@@ -178,7 +190,7 @@ class BlockMeans:
     """Means over successive blocks of errors without and with compensation."""
 
     def __init__(self, block_s: float, width: int) -> None:
-        self._block_s = block_s
+        self.block_s = block_s
         self._number = 0
         self._count = 0
         self._sums = np.zeros((2, width))
@@ -186,7 +198,7 @@ class BlockMeans:
 
     def add(self, time_s: float, error_um: FloatArray, applied_um: FloatArray) -> None:
         """Take one moment into its block."""
-        number = int(time_s // self._block_s)
+        number = int(time_s // self.block_s)
         if number != self._number:
             self._close()
             self._number = number

@@ -1,0 +1,75 @@
+"""A replay takes a recording's names as they are: blanks, brackets, letters of any language."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.loader import parse_yaml_model
+from config.schema.compensation import AxisConfig
+from daemon.simulation.processes import write_simulation_configuration
+from daemon.simulation.replaying import axis_names, replay_machine
+from drivers.sim.machine.recorded import LEAD_IN_S, RecordedMachine
+from models.recordings.dataset import Recording
+
+CHANNELS = ("Weg Z [µm]", "Weg Z (µm)", '1st, "front"', "Z1")
+
+
+def recording() -> Recording:
+    time_s = np.arange(0.0, 1200.0, 60.0)
+    return Recording(
+        name="tag.csv",
+        time_s=time_s,
+        speed_rpm=None,
+        temperature_names=("Temp [°C]", "Öl: Rücklauf"),
+        temperatures_degc=np.tile([20.0, 21.0], (20, 1)),
+        displacement_names=CHANNELS,
+        displacements_um=np.outer(time_s / 60.0, [1.0, 2.0, 3.0, 4.0]),
+    )
+
+
+def test_every_channel_has_an_axis_of_its_own_that_may_be_written_so() -> None:
+    axes = axis_names(CHANNELS)
+    assert tuple(axes.values()) == CHANNELS
+    assert list(axes)[1] == "Weg_Z_m_2" and "Z1" in axes
+    assert all(name.isascii() and name.replace("_", "").isalnum() and name[0].isalpha() for name in axes)
+
+
+def test_the_configuration_of_a_replay_is_valid_whatever_its_columns_are_called(tmp_path: Path) -> None:
+    machine = replay_machine(recording(), tmp_path / "model.json", tmp_path / "commissioning.json")
+    path, _ = write_simulation_configuration(machine, tmp_path, speed=100.0)
+    assert path.is_file()
+    channels = [channel["name"] for channel in machine["displacements"]["channels"]]
+    assert tuple(channels) == CHANNELS
+    assert {axis["estimate"] for axis in machine["compensation"]["axes"].values()} == set(CHANNELS)
+
+
+@pytest.mark.parametrize("name", ["", " Z", "Z\n", "Z\t1", "Z" * 81])
+def test_a_channel_s_name_is_text_on_one_line(name: str) -> None:
+    text = f"estimate: {json.dumps(name)}\nabsolute_bound_um: 50.0\nslew_um_per_min: 2.0\nstep_um: 5.0\n"
+    with pytest.raises(Exception, match="estimate"):
+        parse_yaml_model(text, AxisConfig, "axis.yaml")
+
+
+def test_what_was_played_is_a_series_per_axis(tmp_path: Path) -> None:
+    from config.loader import load_configuration
+
+    machine = replay_machine(recording(), tmp_path / "model.json", tmp_path / "commissioning.json")
+    path, _ = write_simulation_configuration(machine, tmp_path, speed=100.0)
+    configuration = load_configuration(path)
+    played = RecordedMachine(
+        recording(),
+        configuration.temperatures.sensors,
+        configuration.cnc.macros,
+        configuration.compensation.axes,
+        configuration.cnc.guard,
+        block_s=60.0,
+    )
+    for at_s in np.arange(0.0, LEAD_IN_S + 600.0, 10.0):
+        played.advance(float(at_s))
+    series = played.series()
+    assert series["block_s"] == 60.0
+    assert list(series["channels"]) == list(axis_names(CHANNELS))
+    without = series["channels"]["Z1"]["without"]
+    assert without[:3] == [0.0, 4.0, 8.0] and series["channels"]["Z1"]["with"] == without

@@ -1,0 +1,81 @@
+"""The pages of evaluations and replays: complete in one file, measured and estimated on one scale, names escaped."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner
+
+from daemon.cli import main
+from daemon.workbench.thermal.result_pages import Stretch, figures, replay_page
+from models.thermal.features import lag_table
+
+NAME = "Weg <Z> [um]"
+
+
+def stretch(name: str, hours: float, seed: int) -> Stretch:
+    rng = np.random.default_rng(seed)
+    time_h = np.arange(0.0, hours, 1.0 / 60.0)
+    measured = np.cumsum(rng.normal(0.0, 1.0, (len(time_h), 1)), axis=0)
+    band = np.full(measured.shape, 2.0)
+    return Stretch(name=name, time_h=time_h, measured_um=measured, estimated_um=0.9 * measured, band_um=band)
+
+
+def test_measured_and_estimated_stand_on_one_scale_and_what_is_left_below() -> None:
+    stretches = [stretch("run 1", 2.0, 1), stretch("run 2", 3.0, 2)]
+    (drawn,) = figures(["Z1"], stretches)
+    above, below = drawn.axes
+    assert [curve.label for curve in above.curves] == ["measured", "estimated"]
+    np.testing.assert_allclose(below.curves[0].y, above.curves[0].y - above.curves[1].y)
+    assert drawn.shared_x and np.isnan(above.curves[0].y[120]), "stretches are not joined by a line"
+    assert [word for _, word in above.marks] == ["run 1", "run 2"]
+    assert np.nanmax(np.diff(above.curves[0].x)) < 0.2 and np.nanmin(np.diff(above.curves[0].x)) > 0.0
+
+
+def test_long_runs_are_thinned_out() -> None:
+    (drawn,) = figures(["Z1"], [stretch("run", 400.0, 3)])
+    assert 3000 < len(drawn.axes[0].curves[0].x) <= 6001
+
+
+def recording(path: Path) -> Path:
+    rng = np.random.default_rng(1)
+    rpm = np.concatenate([np.r_[np.full(60, speed), np.zeros(60)] for speed in (3000.0, 5000.0, 2000.0, 4000.0)])
+    quick, slow = lag_table(np.arange(480.0), ((rpm / 5000.0) ** 2)[:, None], (8.0, 40.0))[:, :, 0]
+    degc = 21.0 + np.column_stack([12.0 * quick, 8.0 * slow, 6.0 * quick]) + rng.normal(0.0, 0.02, (480, 3))
+    columns = {"t": 60.0 * np.arange(480.0), "rpm": rpm, **{f"t{i}": degc[:, i] for i in range(3)}, NAME: 30.0 * slow}
+    rows = [",".join(f"{value:.4f}" for value in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Path) -> None:
+    (columns := tmp_path / "map.yaml").write_text(
+        f'time: t\nspeed: rpm\ntemperatures: ["t[0-9]"]\ndisplacements: ["{NAME}"]\n', encoding="utf-8"
+    )
+    arguments = ["thermal", "evaluate", recording(tmp_path / "day.csv"), "--map", columns, "--leave-out-cycles"]
+    html = tmp_path / "day.html"
+    result = CliRunner().invoke(main, [str(part) for part in [*arguments, "--html", html, "--json", "-"]])
+    assert result.exit_code == 0, result.output
+    found, page = json.loads(result.stdout), html.read_text("utf-8")
+    assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=[\"']?http", page)
+    assert "<Z>" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL), "names are escaped"
+    text = page.split("What was chosen, and why", 1)[1]
+    chosen = found["channels"][NAME]["chosen"]
+    assert chosen["family"] in text and "What was tried in training" in text
+    assert f"{found['mean']['reduction_rmse']:.1%}" in text
+    assert page.count("Plotly.newPlot") >= 1 and "cycle 4" in text
+
+
+def test_a_replay_tells_the_model_and_what_was_left() -> None:
+    played = stretch("day.csv", 2.0, 4)
+    ends = {"rmse_um": 3.25, "max_um": 7.5}
+    found = {
+        "cycles": {"expected": 12, "received": 11},
+        "writes": {"sent": 9, "verified": 8},
+        "channels": {NAME: {"without": ends, "with": ends}},
+    }
+    page = replay_page("Replay of day.csv", found, {"model": "ridge-1", "trained on": "a.csv"}, [NAME], played)
+    text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert "ridge-1" in text and "11 of 12 cycles" in text and "8 of 9 writes" in text and "3.25" in text
+    assert "<Z>" not in text
