@@ -29,11 +29,7 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
     now_s = time.time()
     with HistoryReader(configuration.history.path) as reader:
         recordings = recordings_from_history(
-            configuration,
-            reader,
-            um_per_echo_unit(configuration),
-            from_utc_s=now_s - DAY_S * retraining.days,
-            to_utc_s=now_s,
+            configuration, reader, um_per_unit, from_utc_s=now_s - DAY_S * retraining.days, to_utc_s=now_s
         )
     trained = train_family(
         recordings, retraining.model, sample_s=60.0, created=datetime.now(UTC).isoformat(timespec="seconds")

@@ -114,7 +114,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("cnc.macros.writable", ["500 to 549"], "cnc.macros.writable[0]", "such as 120 or 500-549"),
         ("cnc.macros.writable", [500.5], "cnc.macros.writable[0]", "must be text"),
         ("compensation.axes", {}, "compensation.axes", "filled in"),
-        ("compensation.axes.z.estimate", "Z 1", "compensation.axes.z.estimate", "letters, digits and underscores"),
+        ("compensation.axes.z.estimate", "Z1 ", "compensation.axes.z.estimate", "text on one line"),
         ("compensation.axes.z.deadband_um", 50.0, "compensation.axes.z.deadband_um", "nothing is ever written"),
         ("compensation.output.validity_s", 1.0, "compensation.output.validity_s", "expires between two ticks"),
         ("compensation.output.validity_s", 120.0, "compensation.output.validity_s", "the guard accepts none"),

@@ -117,7 +117,7 @@ def _chosen(found: Mapping[str, Any]) -> Section:
     for channel, its in found["channels"].items():
         if chosen := its.get("chosen"):
             whys.setdefault((chosen["family"], chosen["why"]), []).append(channel)
-    items = [f"{', '.join(channels)}: {family}, because {why}" for (family, why), channels in whys.items()]
+    items = [f"{', '.join(channels)}: {family}: {why}" for (family, why), channels in whys.items()]
     if found["refused"] is not None:
         items.append(f"The gate would not let it be activated: {found['refused']}")
     return Section(title="What was chosen, and why", text=f"Family asked for: {found['model']}.", items=tuple(items))
