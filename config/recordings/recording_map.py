@@ -188,6 +188,7 @@ def _listed(names: Iterable[str]) -> str:
 
 _TIME_NAMES = {"t": "s", "time": "s", "time_s": "s", "utc_s": "s", "time_min": "min", "time_h": "h", "utc": "iso"}
 _SPEED_NAMES = ("rpm", "speed", "speed_rpm", "spindle_speed_rpm")
+_MAP_IT = "give a map, which `toolpoint thermal train --map-out map.yaml` proposes"
 _TEMPERATURE_PATTERNS = ("[tT][0-9]*",)
 _DISPLACEMENT_PATTERNS = ("c[0-9]*", "[XYZ][0-9]*", "*_um")
 
@@ -201,14 +202,14 @@ def usual_map(header: Sequence[str]) -> RecordingMap:
     """
     time = next((name for name in header if name in _TIME_NAMES), None)
     if time is None:
-        raise ColumnError("time", f"no column carries a usual name ({', '.join(_TIME_NAMES)}); write a map")
+        raise ColumnError("time", f"no column carries a usual name ({', '.join(_TIME_NAMES)}); {_MAP_IT}")
     found = {
         "temperatures": _present(_TEMPERATURE_PATTERNS, header),
         "displacements": _present(_DISPLACEMENT_PATTERNS, header),
     }
     for key, patterns in found.items():
         if not patterns:
-            raise ColumnError(key, f"no column carries a usual name for {key}; write a map")
+            raise ColumnError(key, f"no column carries a usual name for {key}; {_MAP_IT}")
     return RecordingMap.model_validate(
         {
             "time": time,

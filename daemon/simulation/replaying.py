@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from config.recordings.recording_map import RecordingMap, load_recording_map, usual_map
+from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, usual_map
 from config.records.commissioning import macro_map_digest
 from config.schema.cnc import MacroMapConfig
+from config.schema.temperatures import LONGEST_CHAIN
 from daemon.model_release.loading import read_model
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.files.recording_csv import read_header
@@ -26,8 +27,13 @@ LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, 
 
 
 def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
-    """Return the given map, or the usual one for the recording's column names."""
-    return load_recording_map(map_path) if map_path is not None else usual_map(read_header(recording))
+    """Return the given map, or the usual one for the column names; raises ValueError, RecordingFileError."""
+    if map_path is not None:
+        return load_recording_map(map_path)
+    try:
+        return usual_map(read_header(recording))
+    except ColumnError as error:
+        raise ValueError(f"{recording}: {error}") from error
 
 
 def check_model(path: Path, recording: Recording) -> None:
@@ -69,7 +75,14 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
         "machine": f"recording {recording.name}",
         "temperatures": {
             "lines": [
-                {"name": LINE, "port": "", "baud": 115200, "cycle_period_s": period_s, "chain": [f"1-{len(sensors)}"]}
+                {
+                    "name": name,
+                    "port": "",
+                    "baud": 115200,
+                    "cycle_period_s": period_s,
+                    "chain": [f"{part[0]}-{part[-1]}"],
+                }
+                for name, part in _lines(len(sensors)).items()
             ],
             "sensors": sensors,
             "cleansing": {"stale_after_s": max(300.0, 5 * period_s)},
@@ -87,6 +100,13 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "output": {"safe_sequence_numbers": [900]},
         },
     }
+
+
+def _lines(sensors: int) -> dict[str, list[int]]:
+    """Return the sensors of each line, as few lines as can carry them."""
+    lines = -(-sensors // LONGEST_CHAIN)
+    parts = np.array_split(np.arange(1, sensors + 1), lines)
+    return {LINE if n == 1 else f"{LINE}_{n}": part.tolist() for n, part in enumerate(parts, start=1)}
 
 
 def axis_names(channels: Sequence[str]) -> dict[str, str]:

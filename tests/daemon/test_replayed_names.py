@@ -1,6 +1,7 @@
 """A replay takes a recording's names as they are: blanks, brackets, letters of any language."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from config.loader import parse_yaml_model
 from config.schema.compensation import AxisConfig
 from daemon.simulation.processes import write_simulation_configuration
-from daemon.simulation.replaying import axis_names, replay_machine
+from daemon.simulation.replaying import axis_names, map_of, replay_machine
 from drivers.sim.machine.recorded import LEAD_IN_S, RecordedMachine
 from models.recordings.dataset import Recording
 
@@ -73,3 +74,18 @@ def test_what_was_played_is_a_series_per_axis(tmp_path: Path) -> None:
     assert list(series["channels"]) == list(axis_names(CHANNELS))
     without = series["channels"]["Z1"]["without"]
     assert without[:3] == [0.0, 4.0, 8.0] and series["channels"]["Z1"]["with"] == without
+
+
+def test_more_sensors_than_one_line_carries_are_played_on_several(tmp_path: Path) -> None:
+    degc = np.full((20, 302), 20.0)
+    names = tuple(f"T{i}" for i in range(1, 303))
+    many = replace(recording(), temperature_names=names, temperatures_degc=degc)
+    machine = replay_machine(many, tmp_path / "model.json", tmp_path / "commissioning.json")
+    write_simulation_configuration(machine, tmp_path, speed=100.0)
+    assert [line["chain"] for line in machine["temperatures"]["lines"]] == [["1-151"], ["152-302"]]
+
+
+def test_a_recording_without_usual_names_is_refused_with_its_file_and_what_to_do(tmp_path: Path) -> None:
+    (path := tmp_path / "tag.csv").write_text("Zeit;Temp\n0;1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"tag\.csv: time: no column carries a usual name .*--map-out map\.yaml"):
+        map_of(path, None)
