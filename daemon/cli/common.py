@@ -131,15 +131,6 @@ def write_json(destination: str | None, content: Any) -> None:
         Path(destination).write_text(text + "\n", encoding="utf-8")
 
 
-def write_page(path: Path, page: str) -> None:
-    """Write a page, or end with why it cannot be written."""
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        refuse(f"{path}: the page cannot be written ({error.strerror})")
-    say(f"{path}: to look at in a browser")
-
-
 def parse_hours(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, float] | None:
     """Return the two hours of a text such as 0-32."""
     if value is None:
@@ -232,14 +223,6 @@ csv_option = option(
     type=FILE,
     callback=destination,
     help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
-)
-html_option = option(
-    "--html",
-    "html_path",
-    metavar="FILE",
-    type=FILE,
-    callback=destination,
-    help="Draw the result as a page to zoom into, complete in one file.",
 )
 picture_option = option(
     "--picture",

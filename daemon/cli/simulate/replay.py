@@ -12,14 +12,13 @@ from daemon.cli.common import (
     FOLDER,
     NOT_NEGATIVE,
     POSITIVE,
-    html_option,
     json_option,
     option,
     refuse,
     say,
     write_json,
-    write_page,
 )
+from daemon.cli.pages import html_option, write_page
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration

@@ -12,13 +12,12 @@ from daemon.cli.common import (
     ProgressBar,
     common_columns_option,
     hours_option,
-    html_option,
     json_option,
     option,
     say,
     write_json,
-    write_page,
 )
+from daemon.cli.pages import html_option, write_page
 
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
