@@ -324,14 +324,18 @@ class Shop(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(list(MODELS)))
     def another_model_is_released(self, name: str) -> None:
-        before = self.memory
+        """The command may be on its way to what the model before had asked for: judged is what is asked for."""
+        before, command = self.memory, self.loop.rig.control.command
+        degc = self.loop.thermal._cleansing.mean_degc()
         self.runner.run(self.loop.use_model(MODELS[name]))
         self.moment()
         if before is None or before.state is not OutputState.ACTIVE or before.settling or self.memory.settling:
             return
-        if self.memory.model_id != before.model_id and self.memory.reference_id == before.reference_id:
-            wanted = np.array(self.memory.wanted)
-            moved = np.abs(self.memory.command_um - before.command_um)[wanted]
+        still = np.array_equal(self.loop.thermal._cleansing.mean_degc(), degc, equal_nan=True)
+        same_reference = self.memory.reference_id == before.reference_id
+        if still and self.memory.model_id != before.model_id and same_reference and self.memory.wanted == before.wanted:
+            requested_um = self.loop.rig.control.command.requested_um
+            moved = np.abs(requested_um - command.requested_um)[np.array(self.memory.wanted)]
             assert np.all(moved <= 0.1 + NOISE_UM), "the new model contributes from now on"
 
     @precondition(lambda self: self.policy == "zero_first")
