@@ -28,6 +28,8 @@ class Cleansing:
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        self.least = configuration.compensation.output.min_confidence
+        """With less confidence the output holds."""
         names = sorted(set(temperatures.components))
         self._group = np.array([names.index(each) for each in temperatures.components], dtype=np.intp)
         self._usable_at_s = np.full(len(position), -np.inf)

@@ -15,8 +15,6 @@ from models.thermal.family import ThermalModel
 
 log = structlog.get_logger(__name__)
 
-FILLED = 0.999
-"""From here on the states count as filled."""
 SPARE_PERIODS = 2.0
 """A rebuild begins this many samples earlier than the states need."""
 SHOWN = 20
@@ -133,21 +131,25 @@ class ModelInUse:
         """What sensors that returned count from, as JSON, where the reference itself does not hold it."""
         return self._online.kept
 
-    def inhibit(self, mean_s: float) -> str:
-        """Return why the model cannot be followed yet with means over a time [s], '' when it can."""
+    def inhibit(self, mean_s: float, least: float) -> str:
+        """Return why the model cannot be followed yet with means over a time [s], '' when it can.
+
+        `least`: how far the states must be known, 0..1.
+        """
         wanted_s = self.model.period_s
         if wanted_s is not None and abs(wanted_s - mean_s) > 1e-6:
             return (
                 f"model {self.model.model_id} was fitted on means over {wanted_s:g} s; "
                 f"set compensation.reference.mean_s: {wanted_s:g}"
             )
-        filled = self._online.filled
-        if filled >= FILLED:
+        known = self._online.filled
+        if known >= least:
             return ""
         needed_h = self._online.history_min / 60.0
         return (
-            f"the states of model {self.model.model_id} need {needed_h:.1f} h of {self._online.inputs} "
-            f"without a longer gap, and {filled * needed_h:.1f} h are there; wait, and leave the daemon running"
+            f"the states of model {self.model.model_id} stand for the last {needed_h:.1f} h of {self._online.inputs}, "
+            f"of which too little is known (confidence {known:.2f}, {least:g} is needed); wait, and leave the daemon "
+            "running, then position the work again"
         )
 
     def _samples(self, until_s: float) -> Samples:

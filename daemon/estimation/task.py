@@ -211,7 +211,7 @@ class ThermalTask:
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
-        return "" if self._online is None else self._online.inhibit(self._cleansing.window_s)
+        return "" if self._online is None else self._online.inhibit(self._cleansing.window_s, self._cleansing.least)
 
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
         """Hand the estimate on first; the control task writes while the history is."""

@@ -35,8 +35,9 @@ class Estimation:
     """IDs of the sensors that do not count; they are imputed from the others."""
     outside: tuple[int, ...]
     """IDs of the sensors outside the range that training covered."""
-    band_factor: float = 1.0
-    """By how much the model's band is widened here, beyond the domain of training; at least 1."""
+    band_factor: FloatArray | float = 1.0
+    """By how much the model's band is widened here, beyond the domain of training or while the past is not known, of
+    each channel or of all; at least 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +72,7 @@ class OnlineModel(Protocol):
 
     @property
     def filled(self) -> float:
-        """How far the states are filled, 0..1."""
+        """How far the states are known, 0..1: what a reference now would be worth."""
         ...
 
     def rebuild(self, history: Samples) -> None:

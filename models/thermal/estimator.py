@@ -15,18 +15,17 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
 from models.thermal.features import BRIDGE_MIN, Layout, lag_step, speed_inputs
+from models.thermal.known_history import KnownHistory
 from models.thermal.left_out import LeftOut
 from models.thermal.model import LinearParameters
-from models.thermal.solution import band_factor
+from models.thermal.solution import band_factor, far_confidence
 from models.thermal.watch import SensorFault, Watcher, WatchState
 
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
-SPEED_MARGIN = 1.05
-"""Spindle speed may exceed that of training by this factor."""
-FADED_DISTANCE = 2.0
-"""At this many times the largest distance of training (the root of leverage), confidence is zero."""
-DOMAIN_WIDENING = 0.5
+SPEED_MARGIN = 2.1
+"""Spindle speed may exceed that of training by this factor; the leverage says what its lags are worth before."""
+DOMAIN_WIDENING = 1.0
 """The range seen in training is widened on both sides by this share of its width."""
 DOMAIN_MARGIN_K = 0.5
 """And by at least this [K]: eight steps of a TMP102, so that a quiet sensor's noise is no departure."""
@@ -46,13 +45,11 @@ class ModelState:
     """When each sensor was last known [min], shape (n_sensors,)."""
     since_min: FloatArray
     """Since when each sensor has been known without a longer gap [min], shape (n_sensors,)."""
-    filled_min: FloatArray
-    """Since when the lags of each sensor have been filled, by itself or from the others [min], shape (n_sensors,)."""
+    unknown: FloatArray
+    """Share of each lag, those of speed last, that nobody recorded, when temperature or speed was last known, 0..1."""
     speed_rpm: float
     """Latest known spindle speed [1/min]."""
     speed_known_min: float
-    speed_since_min: float
-    """Since when spindle speed has been known without a longer gap [min]."""
     lagged: FloatArray
     """Lags of temperatures [degC], shape (n_lags, n_sensors)."""
     known_lagged: FloatArray
@@ -82,12 +79,12 @@ class LinearEstimator:
         widening = np.maximum(DOMAIN_WIDENING * (domain.highest - domain.lowest), DOMAIN_MARGIN_K)
         self._lowest, self._highest = domain.lowest - widening, domain.highest + widening
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
-        constants = (*model.layout.lags_min, *model.layout.speed_lags_min)
-        self.history_min = SETTLED_LAGS * max(constants, default=0.0)
+        self._past = KnownHistory(model, self._bridge_min)
+        self.history_min = SETTLED_LAGS * max((*model.layout.lags_min, *model.layout.speed_lags_min), default=0.0)
         """So much history the states need [min]."""
 
     def begin(self, time_min: float, degc: FloatArray, speed_rpm: float = float("nan")) -> ModelState:
-        """Return the state at a first sample, as if it had lasted for ever; nothing is settled yet.
+        """Return the state at a first sample, as if it had lasted for ever; how far that is so is not known.
 
         Raises ValueError when the shape does not fit the model or the time is not finite.
 
@@ -115,10 +112,9 @@ class LinearEstimator:
             missing=~known,
             known_min=np.where(known, time_min, -np.inf),
             since_min=np.full(len(degc), time_min if self.history_min else -np.inf),
-            filled_min=np.full(len(degc), time_min),
+            unknown=self._past.at_first(degc, speed_rpm),
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
-            speed_since_min=time_min,
             lagged=lagged,
             known_lagged=lagged,
             speed_lagged=np.tile(inputs, (len(model.layout.speed_lags_min), 1)),
@@ -146,8 +142,8 @@ class LinearEstimator:
         """Return the state after a sample.
 
         After a gap longer than `BRIDGE_MIN` the lags of a sensor begin where the other sensors let them be expected;
-        those of spindle speed, and those of sensors that were silent all together, are settled again only after
-        `history_min`. A model without lags has nothing to begin.
+        of those of spindle speed, and of sensors that were silent all together, what they took in of the gap is
+        unknown, and they begin anew where a machine at rest tells more. A model without lags has nothing to begin.
 
         Parameters
         ----------
@@ -171,23 +167,25 @@ class LinearEstimator:
         returned = known & (time_min - state.known_min > self._bridge_min) & (self.history_min > 0.0)
         speed_known = bool(np.isfinite(speed_rpm))
         speed = float(speed_rpm) if speed_known else state.speed_rpm
-        anew = speed_known and time_min - state.speed_known_min > self._bridge_min
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
         own = known & state.missing & np.isfinite(state.known_min) & bridged
         if own.any():
             lagged = _bridged(self.model.layout, state, time_min, filled, own, lagged)
-        alone = returned & own & ~(known & ~returned).any()
         returned &= ~own
+        unknown, rests = self._past.after(state, time_min, degc, speed_known)
+        if rests.any():
+            count, now = len(lagged), speed_inputs(np.array([speed]), self.model.speed_scale_rpm)
+            lagged = np.where(rests[:count, None] & known, filled, lagged)
+            speed_lagged = np.where(rests[count:, None], now, speed_lagged)
         advanced = ModelState(
             time_min=time_min,
             degc=filled,
             missing=~known,
             known_min=np.where(known, time_min, state.known_min),
             since_min=np.where(returned, time_min, state.since_min),
-            filled_min=np.where(alone, time_min, state.filled_min),
+            unknown=unknown,
             speed_rpm=speed,
             speed_known_min=time_min if speed_known else state.speed_known_min,
-            speed_since_min=time_min if anew else state.speed_since_min,
             lagged=lagged,
             known_lagged=np.where(known, lagged, state.known_lagged),
             speed_lagged=speed_lagged,
@@ -196,22 +194,14 @@ class LinearEstimator:
         return self.begun(advanced, np.flatnonzero(returned).tolist()) if returned.any() else advanced
 
     def begun(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
-        """Return the state in which the lags of sensors (indices) that return begin where the others expect them.
-
-        They are filled from then on as those of the others are.
-        """
+        """Return the state in which the lags of sensors (indices) that return begin where the others expect them."""
         returned = np.zeros(self.model.layout.sensors, dtype=np.bool_)
         returned[list(sensors)] = True
         without = state.missing | returned
         if state.watch is not None:
             without[list(state.watch.excluded)] = True
-        alone = bool(without.all())
-        filled_min = state.time_min if alone else float(np.max(state.filled_min[~without]))
-        return replace(
-            state,
-            lagged=self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist()),
-            filled_min=np.where(returned, filled_min, state.filled_min),
-        )
+        lagged = self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist())
+        return replace(state, lagged=lagged)
 
     def _lags(
         self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float
@@ -252,16 +242,8 @@ class LinearEstimator:
         return state
 
     def settled(self, state: ModelState) -> float:
-        """Return how far the states are filled, 0..1; below 1 the estimate must not be enabled."""
-        if self.history_min <= 0.0:
-            return 1.0
-        since = state.filled_min[np.isfinite(state.known_min)]
-        oldest_min = float(np.max(since)) if len(since) else state.time_min
-        if self.model.layout.speed_lags_min:
-            if state.time_min - state.speed_known_min > self._bridge_min:
-                return 0.0
-            oldest_min = max(oldest_min, state.speed_since_min)
-        return float(np.clip((state.time_min - oldest_min) / self.history_min, 0.0, 1.0))
+        """Return how far the states are known, 0..1: what a reference now would be worth."""
+        return self._past.worth(state)
 
     def features(self, state: ModelState) -> FloatArray:
         """Return temperatures, their lags and lagged speed of a state, shape (layout.columns,)."""
@@ -273,7 +255,7 @@ class LinearEstimator:
         Sensors that must not count are left out of the model over the whole interval since the
         reference, by block elimination, so that nothing of their wrong values stays behind.
 
-        Result: `confidence` is the product of how far the states are filled, of the share of usable sensors and of the
+        Result: `confidence` is the product of how far the states are known, of the share of usable sensors and of the
         distance from training; None without any usable sensor.
         """
         excluded = excluded_sensors(state, reference)
@@ -286,18 +268,18 @@ class LinearEstimator:
         counted[list(excluded)] = False
         seen = change[:sensors] if self.model.domain.of_increments else state.degc
         outside = counted & ((seen < self._lowest) | (seen > self._highest))
-        distance = self.left_out.distance(change, excluded)
+        distance, unknown_share = self.left_out.distance(change, excluded)
         highest_rpm = self.model.domain.highest_speed_rpm
         slow_enough = state.speed_rpm <= SPEED_MARGIN * highest_rpm or not highest_rpm
-        near = float(np.clip((FADED_DISTANCE - distance) / (FADED_DISTANCE - 1.0), 0.0, 1.0))
-        settled = min(self.settled(state), self.settled(reference))
+        near = far_confidence(distance, unknown_share)
+        known, past_factor = self._past.since(state, reference)
         return Estimation(
             thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
-            confidence=settled * near * self.left_out.share(excluded),
-            in_domain=not outside.any() and distance <= 1.0 and slow_enough,
+            confidence=known * near * self.left_out.share(excluded),
+            in_domain=not outside.any() and near > 0.0 and slow_enough,
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),
-            band_factor=float(band_factor(distance)),
+            band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor),
         )
 
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:

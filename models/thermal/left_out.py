@@ -8,7 +8,7 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.features import IntArray
 from models.thermal.model import LinearParameters
-from models.thermal.solution import leverage
+from models.thermal.solution import leverage_and_size
 
 MOST_EXCLUSIONS_KEPT = 64
 """So many sets of excluded sensors keep their coefficients at hand."""
@@ -37,20 +37,23 @@ class LeftOut:
             self._coefficients[excluded] = self.model.coefficients(excluded, self._beside)
         return self._coefficients[excluded]
 
-    def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> float:
-        """Return how far the features have gone since the reference, 1 at the farthest that training went.
+    def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> tuple[float, float]:
+        """Return how far the features have gone since the reference, and how much of that training says nothing of.
 
         Each solution takes sensors that do not count for what it expects of them itself: what another one expects of
         a temperature and of its lags may differ by more than the two ever did in training.
+
+        Result: 1 at the farthest that training went, and a share of 0..1.
         """
         limit = self.model.domain.leverage_limit
         if limit is None:
-            return 0.0
-        total = 0.0
+            return 0.0, 0.0
+        total, whole = 0.0, 0.0
         for one in self.model.solutions:
             known = one.imputed(change, excluded, self._beside) if excluded else change
-            total += float(leverage([one], known[None])[0])
-        return float(np.sqrt(total / limit))
+            found, size = leverage_and_size([one], known[None])
+            total, whole = total + float(found[0]), whole + float(size[0])
+        return float(np.sqrt(total / limit)), total / whole if whole > 0.0 else 0.0
 
     def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return by how much the thermal error may be wrong, of the worst channel [um].

@@ -55,7 +55,7 @@ class LinearOnline:
 
     @property
     def filled(self) -> float:
-        """How far the states are filled, 0..1."""
+        """How far the states are known, 0..1: what a reference now would be worth."""
         if self.history_min <= 0.0:
             return 1.0
         return 0.0 if self._state is None else self._estimator.settled(self._state)

@@ -13,6 +13,7 @@ from models.records import FloatArray
 from models.thermal.features import IntArray, Layout
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
+from models.thermal.start import StartDeviation
 
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""
@@ -106,6 +107,8 @@ class LinearParameters:
     test_vectors: tuple[TestVector, ...]
     axis_positions: tuple[str, ...] = ()
     """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
+    start: StartDeviation | None = None
+    """How wrong it may be while the past is not known; None without lags, and in files of versions before."""
 
     def __post_init__(self) -> None:
         _check_names(self)
@@ -161,6 +164,12 @@ def _check_solutions(model: LinearParameters) -> None:
         raise ModelError(
             "watch.layout.sensors", f"{model.watch.layout.sensors} where the model has {model.layout.sensors}"
         )
+    if (start := model.start) is not None:
+        lags = len(model.layout.lags_min) + len(model.layout.speed_lags_min)
+        if (start.covariance_um2.shape[-1], len(start.rest_degc)) != (lags, model.layout.sensors):
+            raise ModelError("start.covariance_um2", f"is not of {lags} lags and {model.layout.sensors} sensors")
+        if len(start.signal_um) != len(model.channels):
+            raise ModelError("start.signal_um", f"holds {len(start.signal_um)} for {len(model.channels)} channels")
 
 
 def _check_arrays(model: LinearParameters) -> None:

@@ -102,9 +102,10 @@ def returning(
     then = reference.state
     back = then.missing | (state.since_min > then.known_min)
     back[list(absent)] = True
+    faults = () if state.watch is None else state.watch.faults
+    back[[fault.sensor for fault in faults if fault.sign == MISSING]] = True
     back &= ~state.missing
-    if state.watch is not None:
-        back[[fault.sensor for fault in state.watch.faults if fault.sign != MISSING]] = False
+    back[[fault.sensor for fault in faults if fault.sign != MISSING]] = False
     return tuple(int(index) for index in np.flatnonzero(back))
 
 

@@ -11,6 +11,11 @@ from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
 from models.thermal.features import Design, IntArray, Layout, canonical, design_columns
 
+FULL_DISTANCE = 8.0
+"""Up to so many times the farthest that training went, distance alone takes nothing from confidence ..."""
+NO_DISTANCE = 16.0
+"""... and here it leaves nothing: no machine is linear for ever."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
@@ -143,14 +148,20 @@ def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:
     `solutions`: the fitted ridges; one without directions adds nothing. `change`, shape (n, d): features minus features
     at a reference.
     """
-    total = np.zeros(len(change))
+    return leverage_and_size(solutions, change)[0]
+
+
+def leverage_and_size(solutions: Sequence[Solution], change: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the leverage of changes of the features, and ``x^T x``: what it would be if training said nothing."""
+    total, size = np.zeros(len(change)), np.zeros(len(change))
     for ridge in solutions:
         if ridge.directions is None or ridge.remaining is None:
             continue
         scaled = design_columns(change, ridge.layout, ridge.design) * ridge.gain
-        scores = scaled.astype(ridge.directions.dtype, copy=False) @ ridge.directions
-        total += np.square(scores) @ ridge.remaining
-    return total
+        scores = np.square(scaled.astype(ridge.directions.dtype, copy=False) @ ridge.directions)
+        total += scores @ ridge.remaining
+        size += scores.sum(axis=1)
+    return total, size
 
 
 def band_factor(distance: FloatArray | float) -> FloatArray:
@@ -162,3 +173,15 @@ def band_factor(distance: FloatArray | float) -> FloatArray:
     `distance`: the root of leverage over its largest value in training: 1 at the farthest that training went.
     """
     return np.maximum(1.0, distance)
+
+
+def far_confidence(distance: float, unknown_share: float) -> float:
+    """Return how far an estimate may be followed beyond the domain of training, 0..1.
+
+    A far change in directions that training excited is known well; one in new directions is not, however near it is.
+
+    `distance`: see `band_factor`. `unknown_share`: leverage over what it would be if training said nothing, 0..1.
+    """
+    near = float(np.clip((NO_DISTANCE - distance) / (NO_DISTANCE - FULL_DISTANCE), 0.0, 1.0))
+    unknown = min(unknown_share / max(1.0 - unknown_share, 1e-9), 1e3) if distance > 1.0 else 0.0
+    return near / (1.0 + unknown * unknown)

@@ -27,12 +27,19 @@ CONFIRM_MIN = 10.0
 """A departure must last so long [min] before it is a fault."""
 MOST_MAP_VALUES = 500_000
 """Predictions without excluded sensors are kept at hand up to about so many numbers."""
+DEPARTURE = "departure"
+"""Sign of a sensor that the others do not explain."""
 MISSING = "missing"
 """Sign of a missing sensor: no fault of its values, so it counts again when it has a value."""
 EXPLAINED = 0.75
 """An exclusion explains an alarm when the others then depart by no more than this share of their limits ..."""
 EXPLAINED_SHARE = 0.3
 """... or of the departure before it."""
+MOST_DEPARTURES = 2
+"""When so many sensors are out because they departed, it is rather the machine that runs as it never did in training:
+another one must depart ..."""
+STRONG = 3.0
+"""... by so many times its limit, and the others by hardly anything."""
 MOST_SUSPECTS = 12
 """So many sensors, those that depart most, are tried as the one to exclude."""
 
@@ -110,8 +117,8 @@ class Watcher:
         faults = tuple(b for b in state.faults if b.sensor not in sensors or b.sign != MISSING)
         still = {b.sensor for b in faults}
         anew = [sensor for sensor in sensors if sensor not in still]
-        if not anew:
-            return replace(state, faults=faults)
+        if not anew or len(anew) + len(still) == self.watch.layout.sensors:
+            return replace(state, faults=faults)  # nobody is left to expect anything from: their own past goes on
         watch, out = self.watch, self.watch.layout.of_sensors(anew)
         others = watch.layout.of_sensors(sorted(still)).tolist() if still else []
         precision = without_columns(watch.precision, others)
@@ -180,7 +187,8 @@ class Watcher:
     ) -> WatchState:
         """Return the state after a sample.
 
-        Result: with what was found so far; an excluded sensor stays excluded.
+        Result: with what was found so far; an excluded sensor stays excluded. While no sensor has a value the watch
+        waits, and then goes straight through the gap.
 
         Parameters
         ----------
@@ -197,7 +205,7 @@ class Watcher:
 
         """
         elapsed_min = time_min - state.time_min
-        if elapsed_min <= 0.0:
+        if elapsed_min <= 0.0 or not np.isfinite(degc).any():
             return state
         advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
         if not find_faults:
@@ -222,7 +230,7 @@ class Watcher:
             speed_lagged[index] = lag_step(state.speed_lagged[index], state.speed, speed, elapsed_min, constant_min)
         columns = self._columns(filled, lagged, speed_lagged)
         fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
-        same = np.abs(filled - state.degc) <= SAME_K
+        same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
         return WatchState(
             time_min=time_min,
             degc=filled,
@@ -263,13 +271,16 @@ class Watcher:
     def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
         excluded = state.excluded
         departures = self.relative_departures(state, excluded)
-        over_min = np.where(departures > 1.0, state.over_min + elapsed_min, 0.0)
+        over_min = np.where(departures > 1.0, state.over_min + min(elapsed_min, 0.5 * CONFIRM_MIN), 0.0)
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)
         culprits = self._culprits(state, excluded, departures)
+        departed = sum(fault.sign == DEPARTURE for fault in state.faults)
+        if departed + len(culprits) > MOST_DEPARTURES and not self._strong(state, excluded, departures, culprits):
+            culprits = ()
         if not culprits:
             return replace(state, over_min=over_min)
-        found = tuple(SensorFault(sensor=sensor, time_min=state.time_min, sign="departure") for sensor in culprits)
+        found = tuple(SensorFault(sensor=sensor, time_min=state.time_min, sign=DEPARTURE) for sensor in culprits)
         return replace(state, over_min=np.zeros_like(over_min), faults=(*state.faults, *found))
 
     def _culprits(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, ...]:
@@ -284,6 +295,14 @@ class Watcher:
             return (first,)
         second, rest = self._best_without(state, without_first, remaining)
         return (first, second) if rest <= least else ()
+
+    def _strong(
+        self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray, culprits: tuple[int, ...]
+    ) -> bool:
+        """Whether some sensors depart so far, and the others so little without them, that no machine does that."""
+        rest = self.relative_departures(state, tuple(sorted({*excluded, *culprits}))).max() if culprits else np.inf
+        largest = float(departures.max())
+        return largest >= STRONG and bool(rest <= EXPLAINED_SHARE * largest)
 
     def _best_without(self, state: WatchState, excluded: tuple[int, ...], departures: FloatArray) -> tuple[int, float]:
         """Return the sensor whose exclusion leaves the smallest rest, and that rest over its threshold."""

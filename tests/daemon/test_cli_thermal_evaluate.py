@@ -63,7 +63,11 @@ def test_the_json_holds_what_is_promised_and_nothing_else_is_on_standard_output(
     promised = {"rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"}
     assert set(found["channels"]) == {"c1", "c2"}
     assert all(promised <= set(channel) for channel in found["channels"].values())
-    assert set(found["mean"]) == promised
+    assert set(found["mean"]) == promised | {"online", "band"}
+    for figures_of in (*found["channels"].values(), found["mean"]):
+        assert set(figures_of["online"]) >= {"rmse_um", "reduction_rmse", "mean_confidence"}
+        band = {"coverage": figures_of["band_coverage"], "width_um": figures_of["band_width_um"]}
+        assert figures_of["band"] == pytest.approx(band)
     assert found["mean"]["max_um"] == max(channel["max_um"] for channel in found["channels"].values())
     for key in promised - {"max_um"}:
         assert found["mean"][key] == pytest.approx(np.mean([c[key] for c in found["channels"].values()]))
@@ -76,11 +80,25 @@ def test_the_json_holds_what_is_promised_and_nothing_else_is_on_standard_output(
         assert all({"rmse_um", "reduction_rmse"} <= set(figures) for figures in channel["candidates"].values())
 
 
+def test_what_the_machine_gets_is_told_beside_what_is_estimated(tmp_path: Path) -> None:
+    columns = table()
+    beyond = columns["t"] >= 8 * 3600.0
+    for name in ("t1", "t2", "t3", "t4"):
+        columns[name] = columns[name] + np.where(beyond, 0.03 * (columns["t"] - 8 * 3600.0), 0.0)
+    path = write(tmp_path / "hot.csv", columns)
+    usual, hot = figures(write(tmp_path / "day.csv", table()), *SPLIT)["mean"], figures(path, *SPLIT)["mean"]
+    assert usual["online"]["mean_confidence"] > 0.99
+    assert usual["online"]["reduction_rmse"] == pytest.approx(usual["reduction_rmse"], abs=0.005)
+    assert hot["reduction_rmse"] < -0.2 and hot["online"]["mean_confidence"] < 0.7
+    assert hot["online"]["reduction_rmse"] > -0.02, "what is far from training is not followed"
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_every_family_says_what_it_chose(recording: Path, model: str) -> None:
     found = figures(recording, *SPLIT, "--model", model)
     assert found["model"] == model and found["hyper_parameters"]
     assert found["mean"]["rmse_um"] > 0.0
+    assert found["mean"]["online"]["mean_confidence"] > 0.7, "the daemon runs every family"
 
 
 def test_the_names_are_those_of_the_families() -> None:

@@ -176,15 +176,56 @@ def sample(now, rpm):
     )
 
 
-async def test_until_its_states_are_filled_the_model_is_doubted_and_says_what_it_needs(tmp_path, model_with_speed):
+async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_reference(tmp_path, model_with_speed):
     shop = Shop(tmp_path, model_with_speed, by_load=True)
     await shop.prepare()
-    await shop.run(180)
+    await shop.run(2)
+    assert shop.task.inhibit() == "", "it stands as it stood when its recording began"
     await shop.refer()
     await shop.run(2)
-    assert shop.latest.confidence < 0.3
-    assert "16.0 h of temperatures and spindle speed" in shop.latest.inhibit
-    assert shop.task.inhibit() == shop.latest.inhibit
+    assert shop.latest.confidence > 0.9
+    await shop.end()
+
+
+async def test_a_warm_machine_without_a_past_is_doubted_says_what_it_needs_and_has_a_wider_band(
+    tmp_path, model_with_speed
+):
+    shop = Shop(tmp_path, model_with_speed, by_load=True)
+    shop.degc, shop.rpm, _ = day(seed=1, by_load=True)
+    shop.minute = 75.0
+    await shop.prepare()
+    await shop.run(2)
+    await shop.refer()
+    await shop.run(60)
+    early = shop.latest
+    assert early.confidence < 0.7
+    assert "the last 16.0 h of temperatures and spindle speed" in early.inhibit
+    assert shop.task.inhibit() == early.inhibit
+    assert early.band_um > 1.2 * model_with_speed.band_um
+    await shop.run(12 * 60)
+    assert shop.task.inhibit() == ""
+    await shop.refer()
+    await shop.run(60)
+    assert shop.latest.band_um < early.band_um
+    await shop.end()
+
+
+async def test_an_outage_of_half_an_hour_is_bridged(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    reference = await shop.refer()
+    await shop.run(30)
+    await shop.end()
+    shop.clock.monotonic_s += 1800.0
+    shop.minute += 30.0
+    shop.begin()
+    await shop.prepare()
+    await shop.task._take(shop.taken_up(reference))
+    await shop.run(30)
+    assert shop.task.inhibit() == "" and shop.latest.confidence > 0.9
+    truth = day(seed=7)[2][int(shop.minute), 0] - day(seed=7)[2][int(shop.minute) - 90, 0]
+    assert abs(shop.latest.thermal_error_um[0] - truth) < 3.0
     await shop.end()
 
 
@@ -326,8 +367,8 @@ async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model_wit
     await shop.end()
 
 
-async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_filled(tmp_path):
-    why = "the states of model m need 16.0 h of temperatures without a longer gap, and 2.0 h are there"
+async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_known(tmp_path):
+    why = "the states of model m stand for the last 16.0 h of temperatures, of which too little is known"
     bench = Bench(tmp_path)
     async with running(bench.rig(model_problem=why)) as rig:
         await rig.turn()

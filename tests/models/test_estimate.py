@@ -82,10 +82,10 @@ def test_without_any_sensor_there_is_no_estimate() -> None:
     assert estimate(MODEL, np.full(4, np.nan), REFERENCE, 0.0) is None
 
 
-def test_the_domain_is_half_a_range_wider_than_training_and_never_narrower_than_the_margin() -> None:
-    assert at([6.0, 0.0, 0.0, DOMAIN_MARGIN_K]).in_domain
-    assert at([-2.0, -6.0, 0.0, -DOMAIN_MARGIN_K]).in_domain
-    beyond = at([6.01, 0.0, 10.01, 0.0])
+def test_the_domain_is_a_range_wider_than_training_on_both_sides_and_never_narrower_than_the_margin() -> None:
+    assert at([8.0, 0.0, 0.0, DOMAIN_MARGIN_K]).in_domain
+    assert at([-4.0, -8.0, 0.0, -DOMAIN_MARGIN_K]).in_domain
+    beyond = at([8.01, 0.0, 15.01, 0.0])
     assert (beyond.in_domain, beyond.outside) == (False, (11, 13))
     assert at([0.0, 0.0, 0.0, -DOMAIN_MARGIN_K - 0.01]).outside == (14,)
 

@@ -149,17 +149,19 @@ def test_lags_started_from_a_guess_follow_the_sensor(model: LinearModel) -> None
     np.testing.assert_allclose(left, guess * faded, atol=1e-9)
 
 
-def test_a_silence_of_one_sensor_leaves_the_states_settled_and_of_all_does_not(model: LinearModel) -> None:
+def test_a_silence_of_one_sensor_leaves_the_states_known_and_of_all_does_not(model: LinearModel) -> None:
     run = Run(model)
     run.run(30, gone=(3,))
     run.run(2)
-    assert run.estimator.settled(run.state) == 1.0
+    before = run.state.unknown.max()
     for minute in range(20):
         silent = np.full(SENSORS, np.nan)
         run.state = run.estimator.advance(run.state, run.minute + float(minute), silent, 0.0)
     run.minute += 20
     run.state = run.estimator.advance(run.state, float(run.minute), run._sample(run.minute)[1], 0.0)
-    assert run.estimator.settled(run.state) == 0.0
+    gone = 1.0 - np.exp(-20.0 / run.estimator._past.constants_min)
+    of_degc = ~run.estimator._past.of_speed
+    assert before < 0.2 and run.state.unknown[of_degc] == pytest.approx(gone[of_degc], abs=0.2)
     assert returning(run.estimator, run.state, run.reference, []) == (0, 1, 2, 3, 4)
     assert rebased(run.estimator, run.state, run.reference, (0, 1, 2, 3, 4)) is None, "nobody to go on from"
 

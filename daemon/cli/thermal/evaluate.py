@@ -145,12 +145,22 @@ def _show(found: dict[str, Any]) -> None:
     say(f"model {found['model']}: {compact_text(found['hyper_parameters'])}")
     for family, why in {c["chosen"]["family"]: c["chosen"]["why"] for c in found["channels"].values()}.items():
         say(f"chosen: {family}; {why}")
-    say(f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'band':>7} [um] covers")
+    say(
+        f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'on line':>8} "
+        f"{'band':>7} [um] covers"
+    )
     for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
+        online = (figures["online"] or {}).get("reduction_rmse")
         say(
             f"{name:10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
             f"{_text(figures['reduction_rmse'], '10.1%')} {_text(figures['reduction_max'], '7.1%')} "
+            f"{_text(online, '8.1%')} "
             f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}"
+        )
+    if (confidence := found["mean"]["online"]["mean_confidence"]) is not None:
+        say(
+            f"on line, weighed by confidence as the daemon does it: {_text(online, '.1%')} "
+            f"at a mean confidence of {confidence:.2f}"
         )
     for fault in found["faults"]:
         after = fault["found_after_min"]

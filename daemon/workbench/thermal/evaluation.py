@@ -15,9 +15,12 @@ from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
+from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
+from models.thermal.sensor_watch import SensorWatch
 from models.thermal.training.choice import Choice
+from models.thermal.training.families import Fit
 from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (
     Inputs,
@@ -26,9 +29,12 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.training.prepared import prepare
+from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names
+from models.thermal.training.online import Followed, compensated_um, follow, following_share
+from models.thermal.training.prepared import Prepared, prepare
 from models.thermal.training.recipes import RECIPES
-from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, trial_rows
+from models.thermal.training.train_family import MOST_WATCHED
+from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, since_first_known, trial_rows
 from models.thermal.training.trust import Trust, judge
 from models.thermal.training.watch_fit import fit_watch
 
@@ -68,7 +74,18 @@ class _Outcome:
     hyper_parameters: HyperParameters
     faults: list[FaultOutcome]
     dropped: dict[str, str]
+    online: list["_Online"]
+    """Of each trial; empty where the daemon cannot run the model."""
     choice: Choice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Online:
+    """What the machine would have got in one trial."""
+
+    followed: Followed
+    left_um: FloatArray
+    """Measured minus what the output held [um]."""
 
 
 def read_recordings(
@@ -176,8 +193,13 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     trust = judge(inputs, rows, fold, problem, probe_min=protocol.probe_min)
     watch = fit_watch(temperatures_alone(chosen), sample_s, rows, fold)
-    tester = Tester(inputs, problem.fit(), watch, protocol.probe_min, trust.bias_filter, rows)
+    fit = problem.fit()
+    tester = Tester(inputs, fit, watch, protocol.probe_min, trust.bias_filter, rows)
     trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
+    online: list[_Online] = []
+    if not inputs.axis_positions:
+        watched = watch if inputs.layout.sensors <= MOST_WATCHED else None
+        online = _online(_made(chosen, model, prepared, fit, trust, watched), inputs, trials, protocol.probe_min)
     return _Outcome(
         name=part.name,
         trials=trials,
@@ -185,8 +207,41 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         hyper_parameters=problem.hyper_parameters,
         faults=_fault_outcomes(inputs, tester, trials, protocol.faults, dropped),
         dropped=dropped,
+        online=online,
         choice=choice_of(model, problem, trust),
     )
+
+
+def _made(
+    recordings: Sequence[Recording], family: str, prepared: Prepared, fit: Fit, trust: Trust, watch: SensorWatch | None
+) -> ThermalModel:
+    """Return the model as the daemon would load it."""
+    recipe = RECIPES[family]
+    return recipe.make(
+        Fitted(
+            name=recipe.name,
+            kind=recipe.kind,
+            created="",
+            inputs=prepared.inputs,
+            rows=prepared.rows,
+            fit=fit,
+            trust=trust,
+            hyper_parameters=prepared.problem.hyper_parameters,
+            training=(),
+            sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names),
+            increments_k=increment_range_k(recordings),
+            watch=watch,
+        )
+    )
+
+
+def _online(model: ThermalModel, inputs: Inputs, trials: Sequence[Trial], probe_min: float | None) -> list[_Online]:
+    found = []
+    for trial in trials:
+        followed = follow(model, inputs, trial.rows)
+        held_um = compensated_um(followed, inputs.time_min[trial.rows], trial.measured_um, probe_min)
+        found.append(_Online(followed=followed, left_um=since_first_known(trial.measured_um - held_um)))
+    return found
 
 
 def _fault_outcomes(
@@ -258,11 +313,16 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
 
 
 def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, Any]]:
+    return {name: _one_channel(index, outcomes) for index, name in enumerate(channels)}
+
+
+NO_FIGURES = dict.fromkeys(
+    ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um", "online", "band")
+)
+
+
+def _one_channel(channel: int, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
     trials = [(trial, outcome.trust.band_um) for outcome in outcomes for trial in outcome.trials]
-    return {name: _one_channel(index, trials) for index, name in enumerate(channels)}
-
-
-def _one_channel(channel: int, trials: Sequence[tuple[Trial, FloatArray]]) -> dict[str, float | None]:
     measured, residual, band = [], [], []
     for trial, band_um in trials:
         known = np.isfinite(trial.residual_um[:, channel])
@@ -271,27 +331,57 @@ def _one_channel(channel: int, trials: Sequence[tuple[Trial, FloatArray]]) -> di
         band.append(band_um[channel] * trial.band_factor[known])
     without, remaining, half = np.concatenate(measured), np.concatenate(residual), np.concatenate(band)
     if not len(without):
-        keys = ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um")
-        return dict.fromkeys(keys, None)
+        return dict(NO_FIGURES)
     rmse, largest = float(np.sqrt(np.square(remaining).mean())), float(np.abs(remaining).max())
     rmse_without, largest_without = float(np.sqrt(np.square(without).mean())), float(np.abs(without).max())
-    covered = np.abs(remaining) <= half
+    coverage, width_um = _band_figures(remaining, half)
     return {
         "rmse_um": rmse,
         "max_um": largest,
         "reduction_rmse": 1.0 - rmse / rmse_without if rmse_without > 0.0 else None,
         "reduction_max": 1.0 - largest / largest_without if largest_without > 0.0 else None,
-        "band_coverage": float(covered.mean()) if np.isfinite(half).all() else None,
-        "band_width_um": float(2.0 * half.mean()) if np.isfinite(half).all() else None,
+        "band_coverage": coverage,
+        "band_width_um": width_um,
         "rmse_without_um": rmse_without,
         "max_without_um": largest_without,
+        "online": _online_figures(channel, outcomes, rmse_without),
+        "band": {"coverage": coverage, "width_um": width_um},
     }
 
 
-def _mean(channels: dict[str, dict[str, Any]]) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
+def _band_figures(residual_um: FloatArray, half_um: FloatArray) -> tuple[float | None, float | None]:
+    if not np.isfinite(half_um).all():
+        return None, None
+    return float((np.abs(residual_um) <= half_um).mean()), float(2.0 * half_um.mean())
+
+
+def _online_figures(channel: int, outcomes: Sequence[_Outcome], rmse_without_um: float) -> dict[str, float] | None:
+    """Return what the machine would have got on one channel; None where the daemon cannot run the model."""
+    parts = [part for outcome in outcomes for part in outcome.online]
+    if not parts:
+        return None
+    left_um = np.concatenate([part.left_um[:, channel] for part in parts])
+    rmse = float(np.sqrt(np.square(left_um[np.isfinite(left_um)]).mean()))
+    followed = [part.followed for part in parts]
+    found = {
+        "rmse_um": rmse,
+        "mean_confidence": float(np.concatenate([one.confidence for one in followed]).mean()),
+        "following": following_share(followed),
+    }
+    return found | ({"reduction_rmse": 1.0 - rmse / rmse_without_um} if rmse_without_um > 0.0 else {})
+
+
+def _mean(channels: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
     for key in ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"):
         values = [figures[key] for figures in channels.values()]
         known = [value for value in values if value is not None]
         found[key] = (max(known) if key == "max_um" else sum(known) / len(known)) if known else None
+    for key, names in (
+        ("online", ("rmse_um", "reduction_rmse", "mean_confidence")),
+        ("band", ("coverage", "width_um")),
+    ):
+        parts = [figures[key] for figures in channels.values() if figures[key] is not None]
+        means = {name: [part[name] for part in parts if part.get(name) is not None] for name in names}
+        found[key] = {name: sum(all_of) / len(all_of) if all_of else None for name, all_of in means.items()}
     return found

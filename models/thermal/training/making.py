@@ -18,6 +18,7 @@ from models.thermal.solution import Solution
 from models.thermal.training.domain import farthest_leverage
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs
+from models.thermal.training.start_fit import fit_start
 from models.thermal.training.trust import Trust
 
 
@@ -82,6 +83,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         training=fitted.training,
         created=fitted.created,
         axis_positions=inputs.axis_positions,
+        start=fit_start(inputs, rows, fit.coefficients),
         test_vectors=tuple(
             TestVector(
                 features=features[row].copy(),

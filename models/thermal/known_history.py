@@ -1,0 +1,101 @@
+"""How much of the past that its lags stand for a model in use knows, from one sample to the next."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.records import FloatArray
+from models.thermal.features import BoolArray
+from models.thermal.model import LinearParameters
+from models.thermal.start import NORMAL_95, grown_unknown
+
+if TYPE_CHECKING:
+    from models.thermal.estimator import ModelState
+
+
+class KnownHistory:
+    """What is unknown of a model's lags; pure in the state.
+
+    `model`: the model. `bridge_min`: a longer interval without samples is a gap [min].
+    """
+
+    def __init__(self, model: LinearParameters, bridge_min: float) -> None:
+        layout = model.layout
+        self._start, self._band_um, self._bridge_min = model.start, model.band_um, bridge_min
+        self.constants_min = np.array([*layout.lags_min, *layout.speed_lags_min])
+        self.of_speed: BoolArray = np.arange(len(self.constants_min)) >= len(layout.lags_min)
+
+    def at_first(self, degc: FloatArray, speed_rpm: float) -> FloatArray:
+        """Return the share of each lag that is unknown at a first sample, shape (n_lags,)."""
+        share = 1.0 if self._start is None else self._start.unknown_at_start(degc)
+        return np.where(self.of_speed & ~np.isfinite(speed_rpm), 1.0, share)
+
+    def after(
+        self, state: "ModelState", time_min: float, degc: FloatArray, speed_known: bool
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return the share of each lag that is unknown after a sample, and which lags begin anew for it.
+
+        Result, of shape (n_lags,) both: after a silence of all sensors the lags of a machine that stands at rest tell
+        more when they begin anew than when they go on through the gap.
+
+        `state`: before it. `time_min`, `degc`: of the sample. `speed_known`: whether it holds spindle speed.
+        """
+        renewed = np.where(self.of_speed, speed_known, np.isfinite(degc).any())
+        unknown = np.where(renewed, self._unknown(state, time_min), state.unknown)
+        share = self._at_rest(state, time_min, degc)
+        rests = (share < unknown) & (~self.of_speed | speed_known) if share < 1.0 else np.zeros_like(self.of_speed)
+        return np.where(rests, share, unknown), rests
+
+    def _at_rest(self, state: "ModelState", time_min: float, degc: FloatArray) -> float:
+        """Return what is unknown of lags that begin anew after a silence of all sensors; 1 where that is no choice."""
+        latest_min = float(np.max(state.known_min))
+        if self._start is None or time_min - latest_min <= self._bridge_min:
+            return 1.0
+        if np.isfinite(latest_min) and not np.isfinite(degc[state.known_min >= latest_min]).all():
+            return 1.0
+        return self._start.unknown_at_start(degc)
+
+    def worth(self, state: "ModelState") -> float:
+        """Return what a reference now would be worth, 0..1."""
+        return 0.0 if self._speed_is_gone(state) else self._known(self._unknown(state, state.time_min))
+
+    def since(self, state: "ModelState", reference: "ModelState") -> tuple[float, FloatArray]:
+        """Return how far the estimate since a reference may be followed, 0..1, and what widens its band.
+
+        Result: the latter as the variance over the square of the band inside the domain, shape (n_channels,).
+        """
+        then = self._unknown(reference, reference.time_min)
+        left = then * np.exp(-max(state.time_min - reference.time_min, 0.0) / self.constants_min)
+        now = self._unknown(state, state.time_min)
+        later = np.sqrt(np.maximum(np.square(now) - np.square(left), 0.0))
+        known = 0.0 if self._speed_is_gone(state) else self._known(then, later)
+        none = np.zeros(len(self._band_um))
+        if self._start is None or not len(self.constants_min):
+            return known, none
+        unsure_um2 = NORMAL_95**2 * (self._start.variance_um2(then - left) + self._start.variance_um2(later))
+        return known, np.divide(unsure_um2, np.square(self._band_um), out=none, where=self._band_um > 0.0)
+
+    def _speed_is_gone(self, state: "ModelState") -> bool:
+        """Whether spindle speed, which the model needs, is not known for longer than is bridged."""
+        return bool(self.of_speed.any()) and state.time_min - state.speed_known_min > self._bridge_min
+
+    def _known(self, *unknown: FloatArray) -> float:
+        """Return how far an estimate may be followed of whose lags several shares are unknown, each for itself.
+
+        A model that says nothing of that, of a version before, must have its lags filled.
+        """
+        if not len(self.constants_min):
+            return 1.0
+        if self._start is None:
+            return float(np.clip(1.0 - max(share.max() for share in unknown), 0.0, 1.0))
+        return self._start.known(np.sum([self._start.variance_um2(share) for share in unknown], axis=0))
+
+    def _unknown(self, state: "ModelState", time_min: float) -> FloatArray:
+        """Return the share of each lag that is unknown at a time, shape (n_lags,)."""
+        since_min = time_min - float(np.max(state.known_min))
+        of_degc = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)
+        if not self.of_speed.any():
+            return of_degc
+        since_min = time_min - state.speed_known_min
+        of_speed = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)
+        return np.where(self.of_speed, of_speed, of_degc)
