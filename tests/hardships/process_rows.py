@@ -14,6 +14,7 @@ import tty
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import yaml
@@ -57,7 +58,7 @@ def kills(rig: Rig, row: Row, count: int, moments: random.Random) -> None:
                 status = rig.status()
             begun = status["output"]["since_s"] is not None
             states[status["output"]["state"] if begun else "start"] += 1
-            row.check("no OFF, no FAULT", not begun or status["output"]["state"] in STATES, status["output"])
+            row.check("no OFF, no FAULT", in_order(status["output"]), status["output"])
         rig.kill()
         rig.check_store(row, rig.acknowledged, whole=k % WHOLE_EVERY == 0)
         if k % WHOLE_EVERY == WHOLE_EVERY - 1:
@@ -68,6 +69,11 @@ def kills(rig: Rig, row: Row, count: int, moments: random.Random) -> None:
     rig.check_writes(row, after, unverified=count)
     rig.check_store(row, rig.acknowledged)
     row.notes |= {f"killed in {state}": number for state, number in sorted(states.items())}
+
+
+def in_order(output: dict[str, Any]) -> bool:
+    """Return whether the output is neither in FAULT nor OFF; at a start it is OFF until its first step."""
+    return output["since_s"] is None or output["state"] in STATES or output["reason"] == "started"
 
 
 def stopped(rig: Rig, row: Row, seconds: float) -> None:
@@ -286,7 +292,7 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
             )
             row.check("the link to the CNC stands", link(status, "cnc")["up"], link(status, "cnc"))
             output = status["output"]
-            row.check("no OFF, no FAULT", output["since_s"] is None or output["state"] in STATES, output)
+            row.check("no OFF, no FAULT", in_order(output), output)
             time.sleep(0.1)
         rate = (hose.sent - sent) / (time.monotonic() - began_s) / 1e3
         row.notes |= {
@@ -294,6 +300,7 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
             "RSS at its begin MiB": round(rss_mib[0], 1),
             "RSS at most MiB": round(max(rss_mib), 1),
             "slowest answer s": round(max(answers_s), 2),
+            "loss of bytes said": float(bool(said)),
         }
         row.check("memory stays within 24 MiB of what it was", max(rss_mib) - rss_mib[0] <= 24.0, max(rss_mib))
         row.check("it says that bytes are dropped", bool(said) or rate < FLOOD_KB_PER_S, rate)
