@@ -192,7 +192,9 @@ class OperationsWatch:
         began_s = max(happening.at_s, self._reference_s)
         off_k = abs(happening.amount) * (time_s - began_s) / 3600.0
         far_off_s = began_s + FOUND_K / abs(happening.amount) * 3600.0
-        if time_s < max(far_off_s + FOUND_AFTER_S, self._busy_until_s) or claims.estimate_reference is None:
+        if claims.reference is None or claims.estimate_reference != claims.reference:
+            return  # nothing follows the estimate, which may be one of long ago
+        if time_s < max(far_off_s + FOUND_AFTER_S, self._busy_until_s):
             return
         left_out = int(happening.target or 0) in claims.left_out
         what = "" if left_out else f"{time_s:.1f} s: sensor {happening.target} is {off_k:.1f} K off and counts"
