@@ -65,6 +65,8 @@ def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Pat
     assert chosen["family"] in text and "What was tried in training" in text
     assert f"{found['mean']['reduction_rmse']:.1%}" in text
     assert page.count("Plotly.newPlot") >= 1 and "cycle 4" in text
+    assert "left on line, by confidence" in text
+    assert f"{found['mean']['online']['reduction_rmse']:.1%}" in text
 
 
 def test_a_replay_tells_the_model_and_what_was_left() -> None:

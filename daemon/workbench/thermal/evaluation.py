@@ -269,6 +269,7 @@ def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
         measured_um=trial.measured_um,
         estimated_um=trial.measured_um - trial.residual_um,
         band_um=band_um if np.isfinite(band_um).all() else None,
+        online_left_um=outcome.online[index].left_um if outcome.online else None,
     )
 
 
