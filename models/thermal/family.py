@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from models.model_file import ModelError, family_of, parse, record_from, unsigned
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineModel
+from models.thermal.gaussian import gaussian_model
 from models.thermal.linear import LinearModel, linear_model
 
 
@@ -94,6 +95,7 @@ Loader = Callable[[bytes], ThermalModel]
 
 FAMILIES: dict[str, Loader] = {
     "linear": linear_model,
+    "gaussian": gaussian_model,
 }
 """Family that a file names -> what reads the file."""
 

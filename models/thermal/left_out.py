@@ -8,7 +8,7 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.features import IntArray
 from models.thermal.model import LinearParameters
-from models.thermal.solution import leverage_and_size
+from models.thermal.solution import imputed_mean, leverage_and_size
 
 MOST_EXCLUSIONS_KEPT = 64
 """So many sets of excluded sensors keep their coefficients at hand."""
@@ -22,11 +22,8 @@ class LeftOut:
 
     def __init__(self, model: LinearParameters, beside: IntArray | None) -> None:
         self.model = model
-        self._beside = beside
+        self.beside = beside
         self._weight = np.abs(model.coefficients()[: model.layout.sensors])
-        uses = np.array([one.gain > 0.0 for one in model.solutions], dtype=np.float64)
-        uses[:, ~uses.any(axis=0)] = 1.0
-        self._knows = uses / uses.sum(axis=0)
         self._coefficients: dict[tuple[int, ...], FloatArray] = {}
 
     def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
@@ -34,7 +31,7 @@ class LeftOut:
         if excluded not in self._coefficients:
             if len(self._coefficients) >= MOST_EXCLUSIONS_KEPT:
                 self._coefficients.clear()
-            self._coefficients[excluded] = self.model.coefficients(excluded, self._beside)
+            self._coefficients[excluded] = self.model.coefficients(excluded, self.beside)
         return self._coefficients[excluded]
 
     def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> tuple[float, float]:
@@ -50,7 +47,7 @@ class LeftOut:
             return 0.0, 0.0
         total, whole = 0.0, 0.0
         for one in self.model.solutions:
-            known = one.imputed(change, excluded, self._beside) if excluded else change
+            known = one.imputed(change, excluded, self.beside) if excluded else change
             found, size = leverage_and_size([one], known[None])
             total, whole = total + float(found[0]), whole + float(size[0])
         return float(np.sqrt(total / limit)), total / whole if whole > 0.0 else 0.0
@@ -95,14 +92,10 @@ class LeftOut:
         Each solution gives with its own imputation exactly what it gives without these sensors; of several
         the mean is taken, of a lag over those that use it.
 
-        `change`, shape (layout.columns,): change of the features; what it holds for the sensors left out does not
-        count. `without`: indices of the sensors, from 0.
+        `change`, shape (layout.columns,) or (n, layout.columns): change of the features; what it holds for the sensors
+        left out does not count. `without`: indices of the sensors, from 0.
         """
-        if not len(without):
-            return change
-        solutions = self.model.solutions
-        found = np.array([one.imputed(change, without, self._beside) for one in solutions])
-        return np.asarray((self._knows * found).sum(axis=0))
+        return imputed_mean(self.model.solutions, change, without, self.beside)
 
     def started_lags(self, features: FloatArray, started: npt.NDArray[np.bool_], without: Sequence[int]) -> FloatArray:
         """Return the lags, those of some sensors started so that they stand as far from them as expected [degC].

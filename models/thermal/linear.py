@@ -29,12 +29,15 @@ class LinearOnline:
     """Advances the states once per sample of the training's period; estimates whenever it is asked.
 
     `model`: the model. `machine`: components of its sensors, which a model without ridges takes for each other.
+    `estimator`: what runs it.
     """
 
-    def __init__(self, model: LinearParameters, machine: Machine) -> None:
+    def __init__(
+        self, model: LinearParameters, machine: Machine, estimator: type[LinearEstimator] = LinearEstimator
+    ) -> None:
         self.model = model
         components = tuple(machine.components.get(sensor_id, "") for sensor_id in model.sensor_ids)
-        self._estimator = LinearEstimator(model, components)
+        self._estimator = estimator(model, components)
         self._state: ModelState | None = None
         self._reference: StateReference | None = None
         self._reference_min = 0.0
@@ -224,7 +227,7 @@ class LinearModel(LinearParameters):
         known = np.maximum.accumulate(np.where(np.isfinite(speed), np.arange(len(speed)), -1))
         held = np.where(known >= 0, speed[np.maximum(known, 0)], 0.0)
         features = feature_table(self.layout, time_min, degc, held, self.speed_scale_rpm)
-        return self.thermal_error_um(features[first:] - features[first], time_min[first:] - time_min[first])
+        return self.error_since_um(features[first:], features[first], time_min[first:] - time_min[first])
 
     def to_json(self) -> str:
         """Return the text of its file; numbers are exact, large matrices in single precision."""

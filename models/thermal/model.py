@@ -131,6 +131,21 @@ class LinearParameters:
         drift_um = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
         return np.asarray(change @ self.coefficients() + drift_um)
 
+    @property
+    def test_tolerance_um(self) -> float:
+        """Within what its test vectors are met [um]."""
+        return TEST_TOLERANCE_UM
+
+    def error_since_um(
+        self, features: FloatArray, reference: FloatArray, elapsed_min: float | FloatArray
+    ) -> FloatArray:
+        """Return the thermal error since the reference [um], shape (n_channels,) or (n, n_channels).
+
+        `features`, shape (d,) or (n, d), and `reference`, shape (d,): features now and at the reference. `elapsed_min`:
+        see `thermal_error_um`.
+        """
+        return self.thermal_error_um(features - reference, elapsed_min)
+
 
 def _check_names(model: LinearParameters) -> None:
     if not model.model_id.strip():
@@ -213,8 +228,8 @@ def _check_test_vectors(model: LinearParameters) -> None:
         shapes = (vector.features.shape, vector.reference.shape, vector.thermal_error_um.shape)
         if shapes != ((columns,), (columns,), (channels,)):
             raise ModelError(key, f"has shapes {shapes}; {columns} columns and {channels} channels are needed")
-        given = model.thermal_error_um(vector.features - vector.reference, vector.elapsed_min)
-        differs = ~(np.abs(given - vector.thermal_error_um) <= TEST_TOLERANCE_UM)
+        given = model.error_since_um(vector.features, vector.reference, vector.elapsed_min)
+        differs = ~(np.abs(given - vector.thermal_error_um) <= model.test_tolerance_um)
         if differs.any():
             channel = int(np.argmax(differs))
             raise ModelError(

@@ -87,12 +87,12 @@ class Solution:
         The ridge fitted without them gives what the whole one gives when the scaled columns S left out are
         ``-Q[S, S]^-1 Q[S, R] x[R]``, R the others: the values that the penalised fit expects of them.
 
-        Result of shape (layout.columns,): in the units of the features; a column that did not move in training is taken
+        Result of the shape of the change: in the units of the features; a column that did not move in training is taken
         not to move.
 
         Parameters
         ----------
-        change : shape (layout.columns,)
+        change : shape (layout.columns,) or (n, layout.columns)
             Change of the features; what it holds for the sensors left out does not count.
         without
             Indices of the sensors, from 0, with all their lags.
@@ -101,18 +101,18 @@ class Solution:
 
         """
         if self.directions is None:
-            return np.asarray(self._means(without, beside) @ change)
+            return np.asarray(change @ self._means(without, beside).T)
         out = self.layout.of_sensors(without)
-        columns = design_columns(change[None], self.layout, self.design)[0].copy()
+        columns = design_columns(np.atleast_2d(change), self.layout, self.design).copy()
         scaled = columns * self.gain
-        scaled[out] = 0.0
+        scaled[:, out] = 0.0
         to_out = self._inverse(out)
-        expected = -np.linalg.solve(to_out[out], to_out.T @ scaled)
+        expected = -np.linalg.solve(to_out[out], to_out.T @ scaled.T).T
         moves = self.gain[out] > 0.0
-        columns[out] = np.where(moves, expected / np.where(moves, self.gain[out], 1.0), 0.0)
-        found = change.copy()
-        found[out] = design_columns(columns[None], self.layout, self.design)[0][out]
-        return found
+        columns[:, out] = np.where(moves, expected / np.where(moves, self.gain[out], 1.0), 0.0)
+        found = np.atleast_2d(change).copy()
+        found[:, out] = design_columns(columns, self.layout, self.design)[:, out]
+        return found.reshape(change.shape)
 
     def _inverse(self, out: IntArray) -> FloatArray:
         """Return some columns of Q, the inverse of ``G + penalty``, but for a factor; shape (d, len(out))."""
@@ -136,6 +136,22 @@ class Solution:
             found[sensor] = 0.0
             found[sensor, np.flatnonzero(others)] = 1.0 / max(int(others.sum()), 1)
         return found
+
+
+def imputed_mean(
+    solutions: Sequence[Solution], change: FloatArray, without: Sequence[int], beside: IntArray | None = None
+) -> FloatArray:
+    """Return a change of the features with what several solutions take that of some sensors for in the mean.
+
+    Of a lag the mean is taken over those that use it. Result of the shape of the change; see `Solution.imputed`.
+    """
+    if not len(without):
+        return change
+    uses = np.array([one.gain > 0.0 for one in solutions], dtype=np.float64)
+    uses[:, ~uses.any(axis=0)] = 1.0
+    share = uses / uses.sum(axis=0)
+    imputed = [one.imputed(change, without, beside) for one in solutions]
+    return np.asarray(np.sum([weight * each for weight, each in zip(share, imputed, strict=True)], axis=0))
 
 
 def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:

@@ -77,7 +77,7 @@ def trained(table):
         displacement_names=("Z1",),
         displacements_um=um,
     )
-    made = train_family([recording], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    made = train_family([recording], "lags", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     return replace(made, sensor_ids=SENSOR_IDS)
 
 

@@ -59,13 +59,13 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def model(recording: Recording) -> LinearModel:
-    made = train_family([recording], "default", sample_s=60.0, created=CREATED).model
+    made = train_family([recording], "lags", sample_s=60.0, created=CREATED).model
     assert isinstance(made, LinearModel)
     return made
 
 
 def default_fit(recording: Recording) -> tuple[Any, Fit]:
-    prepared = prepare([recording], 60.0, RECIPES["default"])
+    prepared = prepare([recording], 60.0, RECIPES["lags"])
     return prepared.inputs, prepared.problem.fit()
 
 
@@ -337,7 +337,7 @@ def test_a_file_that_cannot_be_right_is_refused(model: LinearModel, change: Any,
 def test_a_changed_or_foreign_file_is_refused(model: LinearModel) -> None:
     text = model.to_json()
     with pytest.raises(ModelError, match="sha256: does not fit"):
-        model_from_json(text.replace('"kind": "default"', '"kind": "other"'), "m.json")
+        model_from_json(text.replace('"kind": "lags"', '"kind": "other"'), "m.json")
     with pytest.raises(ModelError, match=r"m\.json: format_version: 7 is unknown"):
         model_from_json(text.replace('"format_version": 3', '"format_version": 7'), "m.json")
     with pytest.raises(ModelError, match="this is not JSON"):

@@ -44,7 +44,7 @@ def machine(seed: int) -> Recording:
 
 @pytest.fixture(scope="module")
 def model() -> LinearModel:
-    made = train_family([machine(0)], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    made = train_family([machine(0)], "lags", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     assert isinstance(made, LinearModel)
     return made
 

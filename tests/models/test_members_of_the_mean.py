@@ -1,9 +1,12 @@
 """Which ridges enter the default model: those that predict what was left out, and no other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from models.recordings.dataset import Recording
+from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
 from models.thermal.training.families import MEMBER_FACTOR, MEMBER_SLACK, members
@@ -81,3 +84,35 @@ def test_members_are_all_that_are_nearly_as_good_as_the_best() -> None:
     assert members([0.01, 0.02 + MEMBER_SLACK]) == [0]
     assert members([1.46, 0.10, float("nan")]) == [1]
     assert members([float("nan"), float("nan")]) == [0, 1], "nothing was left out, so nothing is known"
+
+
+def test_a_default_that_needs_no_lags_still_watches_its_sensors(runs: list[Recording]) -> None:
+    """Sensors that see all heat: a ridge on temperatures is as good as any, and a drifting sensor must be found."""
+    seen = []
+    for run in runs:
+        places = np.random.default_rng(4).normal(0.0, 1.0, (SENSORS, 2))
+        um = (run.temperatures_degc - run.temperatures_degc[0]) @ places
+        noise = np.random.default_rng(len(seen)).normal(0.0, 0.05, um.shape)
+        seen.append(replace(run, displacements_um=um + noise))
+    made = train_family(seen, "default", sample_s=60.0, created="2026-01-01T00:00:00Z")
+    assert made.choice is not None and made.choice.family == "ridge"
+    model = made.model
+    assert isinstance(model, LinearModel) and not model.layout.lags_min and model.watch is not None
+    online = model.runtime(Machine(components={}))
+    of = seen[0]
+    online.on_sample(0.0, of.temperatures_degc[0], float("nan"))
+    reference = OnlineReference(time_min=0.0, now_min=0.0, degc=of.temperatures_degc[0])
+    online.set_reference(reference)
+    wanted = model.recorded_um(of.time_s / 60.0, of.temperatures_degc, None, 0)
+    for row in range(1, MINUTES):
+        online.on_sample(float(row), of.temperatures_degc[row], float("nan"))
+        found, _ = online.estimate(float(row), of.temperatures_degc[row], np.zeros(SENSORS, dtype=np.bool_))
+        assert found is not None
+        if not found.imputed:
+            np.testing.assert_allclose(found.thermal_error_um, wanted[row], atol=1e-6)
+    assert not online.excluded
+    rng = np.random.default_rng(8)
+    spoilt = of.temperatures_degc[-1] + 30.0 * np.eye(SENSORS)[3]
+    for row in range(MINUTES, MINUTES + 20):
+        online.on_sample(float(row), spoilt + rng.normal(0.0, 0.1, SENSORS), float("nan"))
+    assert list(online.excluded) == [model.sensor_ids[3]]

@@ -22,7 +22,7 @@ from daemon.cli.pages import html_option, write_page
 if TYPE_CHECKING:
     from models.thermal.training.trial import Fault
 
-MODELS = ("default", "lags", "increments", "increments-b0", "ridge", "pls", "lasso")
+MODELS = ("default", "lags", "gaussian", "increments", "increments-b0", "ridge", "pls", "lasso")
 FaultKind = Literal["stuck", "step", "open", "drift"]
 AMOUNT = {"step": "degC", "drift": "degC/h"}
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

@@ -24,9 +24,10 @@ from models.thermal.training.families import (
     ridge_family,
     ridge_fit,
 )
+from models.thermal.training.gaussian_member import GaussianMember, gaussian_fit, widened_piece
 from models.thermal.training.increment_family import increments_without_drift
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.lags import offered_lags, part_of, widened
+from models.thermal.training.lags import FAST_MIN, columns_of, offered_lags, part_of, widened
 from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
@@ -44,6 +45,14 @@ DESIGNS = {
     "persistent": Design(departures=False, correlation_min=CORRELATION_MIN),
 }
 """The two ridges on each part of the lags: levels on departures from lags, generalised least squares on lags."""
+DEPARTURES = {"fast": False, "slow": True}
+"""Whether the Gaussian process on a part of the lags regresses on departures from them, or on the lags."""
+MOST_MEMBERS = 4
+"""No more than the best so many are in a mean: further ones hardly change it, and each takes memory in the daemon."""
+LEAST_GAIN = 0.005
+"""Less of the error is no difference between two families, whatever the standard error."""
+WATCH_IS_WORTH = 0.02
+"""A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
 """With fewer independent folds scores are too few to mix families by."""
 ON_TEMPERATURES: dict[str, Prepare] = {
@@ -79,13 +88,15 @@ class Choice:
     candidates: tuple[Candidate, ...]
 
 
+Member = RidgeMember | GaussianMember
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Tried:
     family: str
     fit: Callable[[frozenset[int]], Fit]
     layout: Layout
     errors: LeftOutErrors | None
-    members: tuple[RidgeMember, ...] = ()
     hyper_parameters: HyperParameters = field(default_factory=dict)
     refused: str | None = None
 
@@ -97,18 +108,20 @@ class _Tried:
 class ChosenProblem:
     """The family that the training rows support; see `Prepare` for the parameters.
 
-    `families`: which of `ridge`, `pls`, `lasso`, `increments` and `lags` are tried.
+    `families`: which of `ridge`, `pls`, `lasso`, `increments`, `lags` and `gaussian` are tried.
     """
 
     def __init__(
         self, families: Sequence[str], inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None
     ) -> None:
         self._inputs, self._rows, self._fold, self._probe_min = inputs, rows, fold, probe_min
+        self._families = families
+        self._lags = offered_lags(inputs, rows)
         numbers = fold_numbers(rows, fold)
         self._independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
-        tried = [self._on_temperatures(name) for name in ON_TEMPERATURES if name in families]
-        lagged = self._lagged() if "lags" in families else []
-        chosen, why = self._choose([one for one in tried if one.refused is None], lagged)
+        plain = families if self._lags.all_min else (*families, "ridge")
+        tried = [self._on_temperatures(name) for name in ON_TEMPERATURES if name in plain]
+        chosen, others, why = self._choose([one for one in tried if one.refused is None])
         self._chosen = chosen
         self.layout = chosen.layout
         self.hyper_parameters: HyperParameters = chosen.hyper_parameters | {
@@ -116,8 +129,8 @@ class ChosenProblem:
             "lags_min": list(chosen.layout.lags_min),
             "speed_lags_min": list(chosen.layout.speed_lags_min),
         }
-        everything = [*tried, *lagged]
-        self.choice = Choice(family=chosen.family, why=why, candidates=tuple(_candidate(one) for one in everything))
+        candidates = tuple(_candidate(one) for one in (*tried, *others))
+        self.choice = Choice(family=chosen.family, why=why, candidates=candidates)
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
@@ -145,75 +158,147 @@ class ChosenProblem:
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         return left_out_errors(inputs, self._rows, self._fold, fits, self._probe_min)
 
-    def _lagged(self) -> list[_Tried]:
-        """Return the means of ridges on lags, without spindle speed and, where it was recorded, with it."""
-        lags = offered_lags(self._inputs, self._rows)
-        found = []
-        for speed in (False, True) if self._inputs.layout.speed_lags_min else (False,):
-            made = []
-            for part, (lags_min, speed_lags_min) in lags.parts(speed=speed).items():
-                inputs = part_of(self._inputs, lags_min, speed_lags_min)
-                made += [
-                    RidgeMember(f"{part} {name}", inputs, self._rows, self._fold, self._probe_min, design)
-                    for name, design in DESIGNS.items()
-                ]
-            found.append(mean_of("lags with speed" if speed else "lags", made))
-        return found
+    def _ridges(self, *, speed: bool) -> list[RidgeMember]:
+        """Return the ridges on each part of the lags, with spindle speed or without."""
+        made = []
+        for part, (lags_min, speed_lags_min) in self._lags.parts(speed=speed).items():
+            inputs = part_of(self._inputs, lags_min, speed_lags_min)
+            made += [
+                RidgeMember(f"{part} {name}", inputs, self._rows, self._fold, self._probe_min, design)
+                for name, design in DESIGNS.items()
+            ]
+        return made
 
-    def _choose(self, plain: Sequence[_Tried], lagged: Sequence[_Tried]) -> tuple[_Tried, str]:
-        """Return the simplest that no other beats by more than a standard error, and why it is that one."""
-        if self._independent < FEWEST_TO_MIX and lagged:
-            return lagged[-1], (
-                "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is the "
-                "mean of ridges on lags, which needs no choice"
+    def _processes(self, *, speed: bool) -> list[GaussianMember]:
+        """Return the Gaussian processes on each part of the lags, with spindle speed or without."""
+        return [
+            GaussianMember(
+                f"gaussian {part}",
+                part_of(self._inputs, lags_min, speed_lags_min),
+                self._rows,
+                self._fold,
+                self._probe_min,
+                DEPARTURES[part],
             )
-        steps = [_best(plain), *lagged]
-        possible = [one for one in steps if one is not None and np.isfinite(one.score)]
-        if not possible:
-            last = [*plain, *lagged][-1]
-            return last, "nothing could be left out, so nothing could be compared"
-        chosen, reasons = possible[0], []
-        for other in possible[1:]:
-            assert other.errors is not None and chosen.errors is not None
-            gained, error = advantage(other.errors, chosen.errors)
-            if gained > error:
-                reasons.append(
-                    f"{other.family} leaves {other.score:.1%} of the left-out error, {chosen.family} "
-                    f"{chosen.score:.1%}: more than the standard error of the difference, {error:.1%}"
-                )
-                chosen = other
+            for part, (lags_min, speed_lags_min) in self._lags.parts(speed=speed).items()
+        ]
+
+    def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:
+        """Return what is chosen, what else was tried with lags, and why it is that one."""
+        best_plain, reasons = _plainest(plain)
+        if not self._lags.all_min:
+            if not plain:
+                raise DatasetError("no run is long enough for any family; record longer runs")
+            why = f"no run is longer than {FAST_MIN[0]:g} min, so there are no lags to choose"
+            return best_plain or plain[0], [], why
+        ridges = self._ridges(speed=False)
+        others = [mean_of("lags", ridges, self._inputs, self._rows)]
+        chosen = others[0]
+        if self._inputs.layout.speed_lags_min:
+            with_speed = self._ridges(speed=True)
+            others.append(mean_of("lags with speed", with_speed, self._inputs, self._rows))
+            chosen, reason = simpler(others[0], others[1])
+            reasons.append(reason)
+            if self._independent < FEWEST_TO_MIX:
+                chosen = others[1]
+            ridges = with_speed if chosen is others[1] else ridges
+        if self._independent < FEWEST_TO_MIX:
+            return (
+                chosen,
+                others,
+                (
+                    "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is "
+                    f"the mean of ridges on {chosen.family}, which needs no choice"
+                ),
+            )
+        if "gaussian" in self._families:
+            processes = self._processes(speed=chosen is not others[0])
+            others.append(mean_of("gaussian", processes, self._inputs, self._rows, ridges))
+            if "lags" in self._families:
+                others.append(mean_of("gaussian and ridges", [*processes, *ridges], self._inputs, self._rows, ridges))
+                better = min(others[-2:], key=lambda one: one.score)
+                if better.score < chosen.score:
+                    reasons.append(
+                        f"{better.family} leaves {better.score:.1%} of the left-out error, {chosen.family} "
+                        f"{chosen.score:.1%}"
+                    )
+                    chosen = better
             else:
-                reasons.append(
-                    f"{other.family} ({other.score:.1%}) is not better than the simpler {chosen.family} "
-                    f"({chosen.score:.1%}) by more than a standard error, {error:.1%}"
-                )
-        return chosen, "; ".join(reasons) or f"{chosen.family} is all that there is to choose"
+                chosen = others[-1]
+        if best_plain is not None:
+            chosen, reason = simpler(best_plain, chosen)
+            reasons.append(reason)
+        return chosen, others, "; ".join(reasons) or f"{chosen.family} was asked for by name"
+
+
+def simpler(one: _Tried, other: _Tried, least: float = LEAST_GAIN) -> tuple[_Tried, str]:
+    """Return the first, simpler family unless the other is better by more than a standard error, and why.
+
+    `least`: what it must be better by in any case, as a share of the error.
+    """
+    if one.errors is None or other.errors is None:
+        return other, "nothing could be left out, so nothing could be compared"
+    gained, error = advantage(other.errors, one.errors)
+    shares = f"{other.family} leaves {other.score:.1%} of the left-out error, {one.family} {one.score:.1%}"
+    if gained > max(error, least):
+        return other, f"{shares}: more than the standard error of the difference, {error:.1%}"
+    return one, f"{shares}: not better than the simpler one by more than {max(error, least):.1%}"
 
 
 def _nothing(left_out: frozenset[int]) -> Fit:
     raise DatasetError("this family could not be fitted")
 
 
-def _best(tried: Sequence[_Tried]) -> _Tried | None:
-    known = [one for one in tried if np.isfinite(one.score)]
-    return min(known, key=lambda one: one.score) if known else None
+def _plainest(tried: Sequence[_Tried]) -> tuple[_Tried | None, list[str]]:
+    """Return the first on temperatures alone, a ridge, unless another one is better by more than a standard error."""
+    chosen: _Tried | None = None
+    reasons = []
+    for one in tried:
+        if not np.isfinite(one.score):
+            continue
+        if chosen is None:
+            chosen = one
+            continue
+        before = chosen
+        chosen, reason = simpler(before, one, WATCH_IS_WORTH)
+        if chosen is not before:
+            reasons.append(reason)
+    return chosen, reasons
 
 
-def mean_of(family: str, made: Sequence[RidgeMember]) -> _Tried:
-    """Return the mean of those members that are nearly as good as the best."""
-    scores = [float("nan") if one.errors is None else relative(one.errors) for one in made]
-    kept = [made[index] for index in members(scores)]
-    layout = joint_layout([one.layout for one in kept])
+def mean_of(
+    family: str, made: Sequence[Member], inputs: Inputs, rows: BoolArray, ridges: Sequence[RidgeMember] = ()
+) -> _Tried:
+    """Return the mean of those members that are nearly as good as the best.
+
+    `ridges`: of which the best counts alone far out, where a member bends.
+    """
+    scores = [_score(one) for one in made]
+    near = sorted(members(scores), key=lambda index: scores[index])[:MOST_MEMBERS]
+    kept = [made[index] for index in sorted(near)]
+    processes = [one for one in kept if isinstance(one, GaussianMember)]
+    linear = [one for one in kept if isinstance(one, RidgeMember)]
+    far = min(ridges, key=_score) if processes and ridges else None
+    layout = joint_layout([one.layout for one in (*kept, *([far] if far is not None else []))])
+    centre = inputs.features[rows].mean(axis=0)[columns_of(layout, inputs.layout)]
 
     def fit(left_out: frozenset[int]) -> Fit:
         """Return the mean of the members, fitted on everything but some folds."""
-        return ridge_fit([widened(one.solution(left_out), layout) for one in kept])
+        solutions = {id(one): widened(one.solution(left_out), layout) for one in linear}
+        if not processes:
+            return ridge_fit(list(solutions.values()))
+        assert far is not None
+        away = solutions.get(id(far)) or widened(far.solution(left_out), layout)
+        pieces = [widened_piece(one.piece(left_out), layout) for one in processes]
+        limit = float(np.mean([one.deviation_limit for one in processes]))
+        return gaussian_fit(pieces, list(solutions.values()), centre, away, limit)
 
     errors = [one.errors for one in kept if one.errors is not None]
-    hyper_parameters: HyperParameters = {
-        "members": ", ".join(one.name for one in kept),
-        "penalties": [one.penalty for one in kept],
-    }
+    hyper_parameters: HyperParameters = {"members": ", ".join(one.name for one in kept)}
+    if linear:
+        hyper_parameters["penalties"] = [one.penalty for one in linear]
+    for one in processes:
+        hyper_parameters[one.name] = one.hyper_parameters
     if np.isfinite(scores).all():
         hyper_parameters["tried"] = ", ".join(one.name for one in made)
         hyper_parameters["left_out_relative_rmse"] = scores
@@ -222,9 +307,12 @@ def mean_of(family: str, made: Sequence[RidgeMember]) -> _Tried:
         fit=fit,
         layout=layout,
         errors=mean_errors(errors) if len(errors) == len(kept) else None,
-        members=tuple(kept),
         hyper_parameters=hyper_parameters,
     )
+
+
+def _score(member: Member) -> float:
+    return float("nan") if member.errors is None else relative(member.errors)
 
 
 def _candidate(tried: _Tried) -> Candidate:

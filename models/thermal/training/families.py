@@ -13,8 +13,9 @@ import numpy as np
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
 from models.thermal.features import BoolArray, Design, IntArray
+from models.thermal.gaussian import Mixture
 from models.thermal.model import HyperParameters
-from models.thermal.solution import Solution
+from models.thermal.solution import Solution, imputed_mean
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.folds import fold_segments
 from models.thermal.training.inputs import Inputs
@@ -44,11 +45,24 @@ class Fit:
     """The ridges whose mean it is, where it is one."""
     counts: Mapping[str, int] = field(default_factory=dict)
     """Of what it was fitted on, by name; for the report."""
+    mixture: Mixture | None = None
+    """What makes one estimate of solutions that bend; None: it is linear."""
+    centre: FloatArray | None = None
+    """Mean of the features in training, shape (layout.columns,), of a mixture."""
+    without: tuple[int, ...] = ()
+    """Sensors left out of a mixture (indices from 0), which imputes them."""
 
     def estimate_um(self, features: FloatArray, reference: FloatArray, elapsed_min: FloatArray | float) -> FloatArray:
-        """Return the thermal error since the reference [um], shape (n, n_channels)."""
+        """Return the thermal error since the reference [um], shape (n_channels,) or (n, n_channels)."""
         drift = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
-        return np.asarray((features - reference) @ self.coefficients + drift)
+        linear_um = np.asarray((features - reference) @ self.coefficients + drift)
+        if self.mixture is None:
+            return linear_um
+        far_um = (features - reference) @ self.solutions[self.mixture.outside].coefficients(self.without)
+        both = np.vstack([np.atleast_2d(features), reference]) - self.centre
+        both = imputed_mean(self.solutions, both, self.without)
+        tables = np.atleast_2d(linear_um), np.atleast_2d(far_um)
+        return self.mixture.bent_um(self.solutions, both[:-1], both[-1], *tables).reshape(linear_um.shape)
 
 
 class Problem(Protocol):

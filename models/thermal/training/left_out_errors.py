@@ -1,7 +1,7 @@
 """How good a family is on what was left out, and how sure the difference between two families is."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,6 +73,27 @@ def left_out_errors(
     )
 
 
+def together(parts: Sequence[LeftOutErrors]) -> LeftOutErrors:
+    """Return the stretches of several, each of other folds."""
+    return replace(
+        parts[0],
+        folds=np.concatenate([part.folds for part in parts]),
+        measured_um=tuple(each for part in parts for each in part.measured_um),
+        residual_um=tuple(each for part in parts for each in part.residual_um),
+    )
+
+
+def only(errors: LeftOutErrors, fold: int) -> LeftOutErrors:
+    """Return the stretches of one fold."""
+    places = np.flatnonzero(errors.folds == fold)
+    return replace(
+        errors,
+        folds=errors.folds[places],
+        measured_um=tuple(errors.measured_um[place] for place in places),
+        residual_um=tuple(errors.residual_um[place] for place in places),
+    )
+
+
 def mean_errors(members: Sequence[LeftOutErrors]) -> LeftOutErrors:
     """Return what the mean of several families leaves of the same stretches."""
     first = members[0]
@@ -96,10 +117,11 @@ def rmse_um(errors: LeftOutErrors) -> tuple[FloatArray, FloatArray]:
 def relative(errors: LeftOutErrors) -> float:
     """Return the mean over the channels that move of the RMSE with / without the family; NaN when none moves."""
     without, left, _ = errors.squares()
-    return _relative(without, left)
+    return relative_of(without, left)
 
 
-def _relative(without: FloatArray, left: FloatArray) -> float:
+def relative_of(without: FloatArray, left: FloatArray) -> float:
+    """Return `relative` from sums of squares by fold, each of shape (n_folds, n_channels) [um^2]."""
     total, rest = without.sum(axis=0), left.sum(axis=0)
     moves = total > 0.0
     return float(np.sqrt(rest[moves] / total[moves]).mean()) if moves.any() else float("nan")
@@ -114,10 +136,12 @@ def advantage(errors: LeftOutErrors, other: LeftOutErrors) -> tuple[float, float
     """
     without, mine, _ = errors.squares()
     _, theirs, _ = other.squares()
-    difference = _relative(without, theirs) - _relative(without, mine)
+    difference = relative_of(without, theirs) - relative_of(without, mine)
     folds = len(without)
     if folds < 3:
         return difference, float("inf")
     rest = [np.arange(folds) != out for out in range(folds)]
-    each = np.array([_relative(without[kept], theirs[kept]) - _relative(without[kept], mine[kept]) for kept in rest])
+    each = np.array(
+        [relative_of(without[kept], theirs[kept]) - relative_of(without[kept], mine[kept]) for kept in rest]
+    )
     return difference, float(np.sqrt((folds - 1) / folds * np.square(each - each.mean()).sum()))

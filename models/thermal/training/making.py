@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.features import BoolArray, Design, Layout
+from models.thermal.gaussian import GaussianModel
 from models.thermal.linear import LinearModel
 from models.thermal.model import Domain, HyperParameters, TestVector, TrainingData
 from models.thermal.sensor_watch import SensorWatch
@@ -40,7 +42,7 @@ class Fitted:
     increments_k: tuple[FloatArray, FloatArray]
     """Lowest and highest increment of each sensor since any earlier instant [K], shape (n_sensors,)."""
     watch: SensorWatch | None
-    """Of its sensors, where the model works on lags."""
+    """Of its sensors, where the recipe works on lags, or found that they are not worth it."""
 
     @property
     def proof_rows(self) -> tuple[int, int, int]:
@@ -50,14 +52,15 @@ class Fitted:
 
 
 def make_linear_model(fitted: Fitted) -> LinearModel:
-    """Return the model of a fit that is linear in its features: with its ridges, or telescoped where it has no lags."""
+    """Return the model of a fit: with its ridges, and what bends, or telescoped where it has no lags and no watch."""
     inputs, fit, trust = fitted.inputs, fitted.fit, fitted.trust
-    if not (fit.solutions and inputs.layout.lags_min):
+    if not (fit.solutions and (inputs.layout.lags_min or fitted.watch is not None)):
         return _telescoped(fitted)
     features, rows = inputs.features, fitted.rows
     first, *others = fitted.proof_rows
     speed_rpm = inputs.speed_rpm if inputs.speed_rpm is not None else np.zeros(inputs.rows)
-    return LinearModel(
+    make = LinearModel if fit.mixture is None else partial(GaussianModel, mixture=fit.mixture)
+    return make(
         model_id=f"{fitted.name}-{digest(fit.coefficients)[:8]}",
         kind=fitted.kind,
         channels=inputs.channels,
@@ -89,7 +92,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
                 features=features[row].copy(),
                 reference=features[first].copy(),
                 elapsed_min=0.0,
-                thermal_error_um=(features[row] - features[first]) @ fit.coefficients,
+                thermal_error_um=fit.estimate_um(features[row], features[first], 0.0),
             )
             for row in others
         ),

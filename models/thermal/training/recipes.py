@@ -37,9 +37,13 @@ class Recipe:
 
 RECIPES = {
     "default": Recipe(
-        name="default", kind="default", prepare=partial(ChosenProblem, (*ON_TEMPERATURES, "lags")), lags=True
+        name="default",
+        kind="default",
+        prepare=partial(ChosenProblem, (*ON_TEMPERATURES, "lags", "gaussian")),
+        lags=True,
     ),
     "lags": Recipe(name="lags", kind="lags", prepare=partial(ChosenProblem, ("lags",)), lags=True),
+    "gaussian": Recipe(name="gaussian", kind="gaussian", prepare=partial(ChosenProblem, ("gaussian",)), lags=True),
     "increments": Recipe(name="increments", kind="increments", prepare=increments_without_drift, lags=False),
     "increments-b0": Recipe(name="increments-b0", kind="increments", prepare=increments_with_drift, lags=False),
     "ridge": Recipe(name="ridge", kind="ridge", prepare=ridge_family, lags=False),

@@ -17,8 +17,10 @@ from models.thermal.training.inputs import Inputs
 
 PENALTIES: tuple[float, ...] = tuple(10.0 ** (half / 2.0) for half in range(-14, 4))
 """Candidates, relative to the mean variance of the columns."""
-MOST_COLUMNS = 400
+MOST_COLUMNS = 200
 """More columns are first turned into their leading principal directions, this many."""
+DIRECTION_ROWS = 900
+"""So many rows, evenly spread, tell these directions; neighbouring rows say nearly the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,11 +60,12 @@ class RidgeProblem:
         spread = columns[rows].std(axis=0)
         moves = spread > 1e-9 * np.maximum(1.0, np.abs(columns[rows]).max(axis=0))
         self._gain = np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
-        scaled = (columns - columns[rows].mean(axis=0)) * self._gain
+        scaled = columns - columns[rows].mean(axis=0)
+        del columns  # hundreds of sensors with all their lags: no more copies at a time than must be
+        scaled *= self._gain
         self._basis: FloatArray | None = None
         if scaled.shape[1] > MOST_COLUMNS:
-            eigenvalues, vectors = np.linalg.eigh(scaled[rows].T @ scaled[rows])
-            self._basis = np.ascontiguousarray(vectors[:, np.argsort(eigenvalues)[::-1][:MOST_COLUMNS]])
+            self._basis = _leading_directions(scaled[rows])
             scaled = scaled @ self._basis
         self._pieces = _pieces(inputs, rows, fold, design, scaled)
 
@@ -91,6 +94,18 @@ class RidgeProblem:
                 )
             )
         return found
+
+
+def _leading_directions(scaled: FloatArray) -> FloatArray:
+    """Return the directions along which rows differ most, shape (d, at most `MOST_COLUMNS`).
+
+    `scaled`, shape (n, d): standardised columns about their mean, more than there are directions.
+    """
+    some = scaled[:: 1 + len(scaled) // DIRECTION_ROWS]
+    eigenvalues, vectors = np.linalg.eigh(some @ some.T)
+    kept = np.argsort(eigenvalues)[::-1][: min(MOST_COLUMNS, some.shape[1])]
+    kept = kept[eigenvalues[kept] > 1e-10 * max(float(eigenvalues[-1]), 1e-300)]
+    return np.ascontiguousarray(some.T @ vectors[:, kept] / np.sqrt(eigenvalues[kept]))
 
 
 def _pieces(inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design, scaled: FloatArray) -> list[_Piece]:

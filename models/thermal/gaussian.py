@@ -1,0 +1,212 @@
+"""The family of Gaussian processes: a mean of members, some with a part that bends, which goes over to a ridge far out.
+
+A member is a Gaussian process on temperatures, their lags and lagged speed with the kernel
+``x^T L x' + a^2 exp(-|z - z'|^2 / 2)`` (L: a prior variance for each group of columns; z: few coordinates of the
+features, in length scales). Its linear part is a `Solution`, of which sensors can be left out like of every ridge. What
+bends is a sum over rows of training, and so is the deviation of the estimate. Where that exceeds what it was when
+left-out runs were predicted, the mean goes over to a ridge.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.model_file import ModelError, Numbers, Packed, file_text, record_of
+from models.records import FloatArray
+from models.thermal.estimation import Estimation, Machine
+from models.thermal.estimator import LinearEstimator, ModelState
+from models.thermal.features import IntArray, design_columns
+from models.thermal.linear import LinearModel, LinearOnline
+from models.thermal.solution import Solution
+
+FAMILY = "gaussian"
+FADED_DEVIATION = 2.0
+"""At this many times the deviation up to which left-out runs were predicted, the ridge is all that counts."""
+TEST_TOLERANCE_UM = 1e-2
+"""Test vectors are met within this [um]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bend:
+    """What a Gaussian process has beside its linear part, over its training rows."""
+
+    coordinates: Packed
+    """From features about their centre to coordinates in length scales, shape (layout.columns, q)."""
+    points: Packed
+    """Coordinates of the training rows, shape (m, q)."""
+    weights_um: Numbers
+    """Weight of each training row, times the amplitude squared [um], shape (m, n_channels)."""
+    variance: float
+    """Amplitude squared, relative to the variance of the displacements."""
+    linear_points: Packed
+    """Scaled columns of the training rows along the directions of the linear part, shape (m, k)."""
+    root: Packed
+    """Leading part of a root of the inverse of the covariance of the training rows, shape (m, r)."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers; raises ModelError."""
+        rows, width = self.points.shape
+        shapes = (self.coordinates.shape[1], len(self.weights_um), len(self.linear_points), len(self.root))
+        if shapes != (width, rows, rows, rows):
+            raise ModelError("mixture.bends", f"has shapes {shapes} for {rows} rows and {width} coordinates")
+        for array in (self.coordinates, self.points, self.weights_um, self.linear_points, self.root):
+            if not np.isfinite(array).all():
+                raise ModelError("mixture.bends", "holds a number that is not finite")
+            array.flags.writeable = False
+        if not 0.0 <= self.variance < np.inf:
+            raise ModelError("mixture.bends", f"variance {self.variance} must be finite and not negative")
+
+    def similarity(self, features: FloatArray) -> FloatArray:
+        """Return the squared-exponential kernel between features and the training rows, shape (n, m)."""
+        at = features @ self.coordinates
+        squared = np.square(at).sum(axis=1)[:, None] - 2.0 * at @ self.points.T + np.square(self.points).sum(axis=1)
+        return np.asarray(np.exp(-0.5 * np.maximum(squared, 0.0)))
+
+    def since(self, linear: Solution, now: FloatArray, then: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what bends since the reference, and the deviation of the whole estimate given training.
+
+        Result of shapes (n, n_channels) [um], and (n,), relative to the deviation of displacements in training.
+
+        `linear`: the linear part. `now`, shape (n, d), and `then`, shape (d,): features about their centre.
+        """
+        assert linear.directions is not None
+        similar = self.similarity(np.vstack([now, then]))
+        change, difference = now - then, similar[:-1] - similar[-1]
+        scaled = design_columns(change, linear.layout, linear.design) * linear.gain
+        along = scaled.astype(np.float32) @ linear.directions
+        shared = along @ self.linear_points.T + self.variance * difference
+        apart = np.square(change @ self.coordinates).sum(axis=1)
+        before = np.square(scaled).sum(axis=1) - 2.0 * self.variance * np.expm1(-0.5 * apart)
+        known = np.square(shared @ self.root).sum(axis=1)
+        return difference @ self.weights_um, np.sqrt(np.maximum(before - known, 0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mixture:
+    """How several solutions, some with a bend, make one estimate."""
+
+    bends: tuple[Bend, ...]
+    """Of the first solutions, in their order."""
+    shares: Numbers
+    """Weight of each solution inside the domain, shape (n_solutions,); they sum to 1."""
+    outside: int
+    """Index of the solution, a ridge, that counts alone far out."""
+    deviation_limit: float
+    """Deviation up to which left-out runs were predicted."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises ModelError."""
+        if self.shares.ndim != 1 or np.any(self.shares < 0.0) or not np.isclose(self.shares.sum(), 1.0):
+            raise ModelError("mixture.shares", "must be shares that are not negative and sum to 1")
+        if not len(self.bends) <= self.outside < len(self.shares):
+            raise ModelError("mixture.outside", f"{self.outside} is no ridge among {len(self.shares)} solutions")
+        if not self.deviation_limit > 0.0:
+            raise ModelError("mixture.deviation_limit", f"{self.deviation_limit} must be positive")
+        self.shares.flags.writeable = False
+
+    def coefficients(
+        self, solutions: Sequence[Solution], without: Sequence[int] = (), beside: IntArray | None = None
+    ) -> FloatArray:
+        """Return the coefficients of the linear parts together, see `Solution.coefficients`."""
+        counted = [(share, one) for share, one in zip(self.shares, solutions, strict=True) if share > 0.0]
+        return np.asarray(np.sum([share * one.coefficients(without, beside) for share, one in counted], axis=0))
+
+    def bent_um(
+        self,
+        solutions: Sequence[Solution],
+        now: FloatArray,
+        then: FloatArray,
+        linear_um: FloatArray,
+        far_um: FloatArray,
+    ) -> FloatArray:
+        """Return the thermal error since the reference, shape (n, n_channels) [um].
+
+        Parameters
+        ----------
+        solutions
+            Of the model.
+        now, then : shapes (n, d) and (d,)
+            Features about their centre, now and at the reference, of all sensors.
+        linear_um, far_um : shape (n, n_channels)
+            What the linear parts together say, and what the ridge says that counts far out [um].
+
+        """
+        if not self.bends:
+            return linear_um
+        found, deviation = linear_um, np.zeros(len(now))
+        for share, linear, bend in zip(self.shares, solutions, self.bends, strict=False):
+            bent_um, uncertain = bend.since(linear, now, then)
+            found, deviation = found + share * bent_um, deviation + uncertain / len(self.bends)
+        inside = np.clip(FADED_DEVIATION - deviation / self.deviation_limit, 0.0, 1.0)[:, None]
+        return np.asarray(inside * found + (1.0 - inside) * far_um)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GaussianModel(LinearModel):
+    """Gaussian processes, or their mean with ridges, as the daemon loads them."""
+
+    mixture: Mixture
+
+    def __post_init__(self) -> None:
+        """Check how the mixture fits the solutions, then all that a linear model checks; raises ModelError."""
+        mixture, channels = self.mixture, len(self.channels)
+        if len(mixture.shares) != len(self.solutions):
+            raise ModelError("mixture.shares", f"holds {len(mixture.shares)} for {len(self.solutions)} solutions")
+        for linear, bend in zip(self.solutions, mixture.bends, strict=False):
+            directions = 0 if linear.directions is None else linear.directions.shape[1]
+            shapes = (len(bend.coordinates), bend.linear_points.shape[1], bend.weights_um.shape[1])
+            if shapes != (self.layout.columns, directions, channels):
+                raise ModelError("mixture.bends", f"has shapes {shapes}; {self.layout.columns} columns are needed")
+        LinearModel.__post_init__(self)
+
+    def coefficients(self, without: tuple[int, ...] = (), beside: IntArray | None = None) -> FloatArray:
+        """Return the coefficients of the linear parts [um per unit], without some sensors, shape (d, n_channels)."""
+        return self.mixture.coefficients(self.solutions, without, beside)
+
+    @property
+    def test_tolerance_um(self) -> float:
+        """Within what its test vectors are met [um]: the deviation is a difference of sums in single precision."""
+        return TEST_TOLERANCE_UM
+
+    def error_since_um(
+        self, features: FloatArray, reference: FloatArray, elapsed_min: float | FloatArray
+    ) -> FloatArray:
+        """Return the thermal error since the reference, shape (n_channels,) or (n, n_channels) [um]."""
+        change = features - reference
+        linear_um = np.atleast_2d(self.thermal_error_um(change, elapsed_min))
+        far_um = np.atleast_2d(change @ self.solutions[self.mixture.outside].coefficients())
+        now, then = np.atleast_2d(features - self.centre), reference - self.centre
+        found = self.mixture.bent_um(self.solutions, now, then, linear_um, far_um)
+        return found if features.ndim > 1 else found[0]
+
+    def runtime(self, machine: Machine) -> LinearOnline:
+        """Return the model in use on a machine."""
+        return LinearOnline(self, machine, GaussianEstimator)
+
+    def to_json(self) -> str:
+        """Return the text of its file; numbers are exact, large matrices in single precision."""
+        return file_text(FAMILY, self)
+
+
+class GaussianEstimator(LinearEstimator):
+    """Runs a model of Gaussian processes sample by sample, see `LinearEstimator`."""
+
+    def estimate(self, state: ModelState, reference: ModelState) -> Estimation | None:
+        """Return the thermal error since the reference, see `LinearEstimator.estimate`."""
+        found = super().estimate(state, reference)
+        if found is None:
+            return None
+        assert isinstance(self.model, GaussianModel)
+        model, out = self.model, tuple(self.model.sensor_ids.index(each) for each in found.imputed)
+        now, then = self.features(state), self.features(reference)
+        far_um = (now - then) @ model.solutions[model.mixture.outside].coefficients(out, self.left_out.beside)
+        both = self.left_out.imputed(np.stack([now, then]) - model.centre, out)
+        linear_um = found.thermal_error_um[None]
+        bent_um = model.mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])
+        return replace(found, thermal_error_um=bent_um[0])
+
+
+def gaussian_model(content: bytes) -> GaussianModel:
+    """Return the model that the content of a file holds; raises ModelError."""
+    return record_of(content, GaussianModel)

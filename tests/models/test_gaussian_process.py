@@ -1,0 +1,153 @@
+"""The Gaussian process against scikit-learn's, whose kernels and linear algebra are its own."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, DotProduct, Kernel, Matern
+
+from models.records import FloatArray
+from models.thermal.training.gaussian_process import (
+    RUN_VARIANCE,
+    GaussianProcess,
+    Rows,
+    principal_coordinates,
+    squared_distances,
+)
+
+GROUPS = (np.arange(4), np.arange(4, 8), np.array([8]))
+LOGARITHMS = np.log([0.8, 0.3, 1.2, 0.5, 1.7, 0.2, 25.0, 0.1])
+COORDINATES = 3
+
+
+class OfParts(Kernel):  # type: ignore[misc]
+    """The kernel of the docstring, put together from scikit-learn's; a row is columns, coordinates, time and run."""
+
+    def __init__(self, scale: FloatArray) -> None:
+        self.scale = scale
+
+    def __call__(self, one: FloatArray, other: FloatArray | None = None, eval_gradient: bool = False) -> Any:
+        assert not eval_gradient
+        other = one if other is None else other
+        found = np.zeros((len(one), len(other)))
+        for size, group in zip(self.scale, GROUPS, strict=False):
+            found += size**2 * DotProduct(sigma_0=0.0)(one[:, group], other[:, group])
+        bend, length, residual, persists = self.scale[3:7]
+        at = slice(9, 9 + COORDINATES)
+        found += bend**2 * RBF(length)(one[:, at], other[:, at])
+        same = (one[:, -1:] == other[:, -1]).astype(float)
+        found += residual**2 * same * Matern(persists, nu=0.5)(one[:, -2:-1], other[:, -2:-1])
+        return found + RUN_VARIANCE * same
+
+    def diag(self, rows: FloatArray) -> FloatArray:
+        return np.diag(self(rows))
+
+    def is_stationary(self) -> bool:
+        return False
+
+
+def made(count: int, seed: int) -> Rows:
+    rng = np.random.default_rng(seed)
+    columns = np.cumsum(rng.normal(0.0, 0.3, (count, 9)), axis=0)
+    columns -= columns.mean(axis=0)
+    return Rows(
+        columns=columns,
+        groups=GROUPS,
+        coordinates=columns @ principal_coordinates(columns, GROUPS)[:, :COORDINATES],
+        run=np.repeat(np.arange(3), count // 3),
+        time_min=np.tile(np.arange(0.0, 4.0 * (count // 3), 4.0), 3),
+        values=np.column_stack([np.sin(columns[:, 0]) + columns[:, 8], columns[:, 1] ** 2])
+        + rng.normal(0, 0.1, (count, 2)),
+    )
+
+
+def table(rows: Rows, run: FloatArray) -> FloatArray:
+    return np.column_stack([rows.columns, rows.coordinates, rows.time_min, run])
+
+
+@pytest.fixture(scope="module")
+def rows() -> Rows:
+    return made(60, 0)
+
+
+@pytest.fixture(scope="module")
+def other(rows: Rows) -> GaussianProcessRegressor:
+    found = GaussianProcessRegressor(OfParts(np.exp(LOGARITHMS[:-1])), alpha=np.exp(2 * LOGARITHMS[-1]), optimizer=None)
+    return found.fit(table(rows, rows.run), rows.values)
+
+
+def test_the_evidence_is_that_of_scikit_learn(rows: Rows, other: GaussianProcessRegressor) -> None:
+    value, _ = GaussianProcess(rows).surprise(LOGARITHMS, np.arange(60))
+    constant = rows.values.size / 2.0 * np.log(2.0 * np.pi)
+    assert -60.0 * value - constant == pytest.approx(other.log_marginal_likelihood_value_, rel=1e-10)
+
+
+def test_mean_and_covariance_are_those_of_scikit_learn(rows: Rows, other: GaussianProcessRegressor) -> None:
+    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
+    columns = rows.columns[::7] + 0.3
+    coordinates = rows.coordinates[::7] - 0.2
+    elsewhere = np.column_stack([columns, coordinates, np.zeros(len(columns)), 100.0 + np.arange(len(columns))])
+    mean, covariance = other.predict(elsewhere, return_cov=True)
+    np.testing.assert_allclose(posterior.mean(columns, coordinates), mean, atol=1e-8)
+    own = (np.exp(2.0 * LOGARITHMS[5]) + RUN_VARIANCE) * np.eye(len(columns))  # of a run that nobody saw
+    np.testing.assert_allclose(posterior.covariance(columns, coordinates), covariance[:, :, 0] - own, atol=1e-8)
+
+
+def test_the_gradient_is_that_of_the_evidence(rows: Rows) -> None:
+    process, used = GaussianProcess(rows), np.arange(5, 55)
+    _, gradient = process.surprise(LOGARITHMS, used)
+    for place in range(len(LOGARITHMS)):
+        step = 1e-5 * (np.arange(len(LOGARITHMS)) == place)
+        change = process.surprise(LOGARITHMS + step, used)[0] - process.surprise(LOGARITHMS - step, used)[0]
+        assert gradient[place] == pytest.approx(change / 2e-5, rel=1e-5, abs=1e-8)
+
+
+def test_the_search_does_not_end_where_it_began(rows: Rows) -> None:
+    process, used = GaussianProcess(rows), np.arange(60)
+    found = process.likely(used, process.first, 40)
+    assert process.surprise(found, used)[0] < process.surprise(process.first, used)[0] - 0.1
+    for value, (low, high) in zip(found, process.bounds, strict=True):
+        assert low <= value <= high
+
+
+def test_leaving_rows_out_is_fitting_the_others(rows: Rows) -> None:
+    kept = np.flatnonzero(rows.run != 1)
+    some = Rows(
+        columns=rows.columns[kept],
+        groups=GROUPS,
+        coordinates=rows.coordinates[kept],
+        run=rows.run[kept],
+        time_min=rows.time_min[kept],
+        values=rows.values[kept],
+    )
+    one = GaussianProcess(rows).posterior(LOGARITHMS, kept)
+    two = GaussianProcess(some).posterior(LOGARITHMS, np.arange(len(kept)))
+    np.testing.assert_allclose(one.mean(rows.columns, rows.coordinates), two.mean(rows.columns, rows.coordinates))
+
+
+def test_the_directions_hold_the_covariance_of_the_weights(rows: Rows) -> None:
+    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
+    directions, remaining = posterior.directions(most=100, least=1e-12)
+    scaled = posterior.columns
+    wanted = np.linalg.inv(np.eye(9) + scaled.T @ np.linalg.solve(posterior.without_linear, scaled))
+    found = np.eye(9) - (directions * (1.0 - remaining)) @ directions.T
+    np.testing.assert_allclose(found, wanted, atol=1e-8)
+    np.testing.assert_allclose(directions.T @ directions, np.eye(directions.shape[1]), atol=1e-8)
+
+
+def test_a_whole_root_is_one_of_the_inverse_and_a_part_of_it_makes_no_deviation_smaller(rows: Rows) -> None:
+    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
+    whole, part = posterior.root(60), posterior.root(20)
+    np.testing.assert_allclose(whole @ whole.T, posterior.inverse, atol=1e-8)
+    shared = posterior.columns @ posterior.columns.T
+    assert np.all(np.square(shared @ part).sum(axis=1) <= np.square(shared @ whole).sum(axis=1) + 1e-9)
+
+
+def test_principal_coordinates_are_the_same_with_more_rows_than_columns_and_with_fewer() -> None:
+    rng = np.random.default_rng(3)
+    wide = rng.normal(size=(12, 30)) * np.geomspace(1.0, 1e-3, 30)
+    few = principal_coordinates(wide - wide.mean(axis=0), [np.arange(30)])
+    many = principal_coordinates(np.vstack([wide - wide.mean(axis=0)] * 3), [np.arange(30)])
+    np.testing.assert_allclose(np.abs(few[:, :5].T @ many[:, :5]), np.eye(5), atol=1e-6)
+    np.testing.assert_allclose(squared_distances(wide, wide)[0, 1], np.square(wide[0] - wide[1]).sum())
