@@ -162,6 +162,8 @@ def _show(found: dict[str, Any]) -> None:
             f"on line, weighed by confidence as the daemon does it: {_text(online, '.1%')} "
             f"at a mean confidence of {confidence:.2f}"
         )
+    for sentence in found["advice"]:
+        say(f"next: {sentence}")
     for fault in found["faults"]:
         after = fault["found_after_min"]
         say(

@@ -173,6 +173,8 @@ def _show(found: dict[str, Any]) -> None:
     say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
     if found["chosen"] is not None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
+    for sentence in found["advice"]:
+        say(f"next: {sentence}")
     if not held_out["channels"]:
         say("nothing could be left out, so it is not known how good this model is: record longer")
         return

@@ -294,6 +294,7 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
             for o in outcomes
             for fault in o.faults
         ],
+        "advice": list(dict.fromkeys(sentence for o in outcomes for sentence in o.choice.advice)),
         "false_alarms": len(healthy),
         "false_alarm_sensors": [of_outcome[id(o)][fault.sensor] for o, fault in healthy],
         "tests": [_test_figures(inputs, o) for o in outcomes],

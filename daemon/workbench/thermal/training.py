@@ -72,6 +72,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
         },
         "hyper_parameters": result.hyper_parameters,
         "chosen": None if result.choice is None else {"family": result.choice.family, "why": result.choice.why},
+        "advice": [] if result.choice is None else list(result.choice.advice),
         "refused": trust.refused,
         "training": [
             {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}

@@ -14,6 +14,7 @@ import numpy as np
 from models.recordings.dataset import DatasetError
 from models.thermal.features import BoolArray, Design, IntArray, Layout
 from models.thermal.model import HyperParameters
+from models.thermal.training.advice import advice
 from models.thermal.training.families import (
     CORRELATION_MIN,
     Fit,
@@ -86,6 +87,8 @@ class Choice:
     family: str
     why: str
     candidates: tuple[Candidate, ...]
+    advice: tuple[str, ...] = ()
+    """What to record next, see `advice`."""
 
 
 Member = RidgeMember | GaussianMember
@@ -130,7 +133,9 @@ class ChosenProblem:
             "speed_lags_min": list(chosen.layout.speed_lags_min),
         }
         candidates = tuple(_candidate(one) for one in (*tried, *others))
-        self.choice = Choice(family=chosen.family, why=why, candidates=candidates)
+        self.choice = Choice(
+            family=chosen.family, why=why, candidates=candidates, advice=advice(inputs, rows, self._independent)
+        )
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
