@@ -18,6 +18,7 @@ from models.thermal.estimation import Estimation, Machine
 from models.thermal.estimator import LinearEstimator, ModelState
 from models.thermal.features import IntArray, design_columns
 from models.thermal.linear import LinearModel, LinearOnline
+from models.thermal.model import LinearParameters
 from models.thermal.solution import Solution
 
 FAMILY = "gaussian"
@@ -78,7 +79,7 @@ class Bend:
         shared = along @ self.linear_points.T + self.variance * difference
         apart = np.square(change @ self.coordinates).sum(axis=1)
         before = np.square(scaled).sum(axis=1) - 2.0 * self.variance * np.expm1(-0.5 * apart)
-        known = np.square(shared @ self.root).sum(axis=1)
+        known = np.square(shared.astype(np.float32) @ self.root, dtype=np.float64).sum(axis=1)
         return difference @ self.weights_um, np.sqrt(np.maximum(before - known, 0.0))
 
 
@@ -192,6 +193,17 @@ class GaussianModel(LinearModel):
 class GaussianEstimator(LinearEstimator):
     """Runs a model of Gaussian processes sample by sample, see `LinearEstimator`."""
 
+    def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:
+        super().__init__(model, components)
+        self._far: tuple[tuple[int, ...], FloatArray] | None = None
+
+    def _far_coefficients(self, model: GaussianModel, out: tuple[int, ...]) -> FloatArray:
+        """Return the coefficients of the ridge that counts far out, of the latest set of sensors left out."""
+        if self._far is None or self._far[0] != out:
+            ridge = model.solutions[model.mixture.outside]
+            self._far = out, ridge.coefficients(out, self.left_out.beside)
+        return self._far[1]
+
     def estimate(self, state: ModelState, reference: ModelState) -> Estimation | None:
         """Return the thermal error since the reference, see `LinearEstimator.estimate`."""
         found = super().estimate(state, reference)
@@ -200,7 +212,7 @@ class GaussianEstimator(LinearEstimator):
         assert isinstance(self.model, GaussianModel)
         model, out = self.model, tuple(self.model.sensor_ids.index(each) for each in found.imputed)
         now, then = self.features(state), self.features(reference)
-        far_um = (now - then) @ model.solutions[model.mixture.outside].coefficients(out, self.left_out.beside)
+        far_um = (now - then) @ self._far_coefficients(model, out)
         both = self.left_out.imputed(np.stack([now, then]) - model.centre, out)
         linear_um = found.thermal_error_um[None]
         bent_um = model.mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])

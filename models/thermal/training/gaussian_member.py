@@ -16,14 +16,12 @@ from models.thermal.training.left_out_errors import LeftOutErrors, left_out_erro
 
 MOST_ROWS = 600
 """So many rows, evenly spread over the training rows, are fitted on: neighbouring rows say nearly the same."""
+STEPS = 60
+"""Iterations of the search for the hyper-parameters."""
 FEW_ROWS = 300
-"""The search for the hyper-parameters begins on no more than about so many of them: an eighth of the work."""
-STEPS = 50
-"""Iterations of that search."""
-STEPS_ON_ALL = 8
-"""Iterations that go on from there on all."""
+"""Without a fold it goes on on no more than about so many of them: an eighth of the work."""
 STEPS_WITHOUT_FOLD = 6
-"""Iterations on the few without a fold, so that what is left out has no say in them."""
+"""Iterations without a fold, so that what is left out has no say in them."""
 MOST_DIRECTIONS = 160
 """So many directions of the linear part are kept for leaving sensors out and for the deviation."""
 LEAST_KNOWN = 1e-3
@@ -55,15 +53,15 @@ class GaussianMember:
         self._centre = inputs.features[rows].mean(axis=0)
         self._chosen = spread_rows(rows, fold, inputs.run)
         self._fold = fold[self._chosen]
-        columns = design_columns(inputs.features - self._centre, inputs.layout, self._design)
-        spread = columns[rows].std(axis=0)
-        moves = spread > 1e-9 * np.maximum(1.0, np.abs(columns[rows]).max(axis=0))
+        columns = design_columns(inputs.features[self._chosen] - self._centre, inputs.layout, self._design)
+        spread = columns.std(axis=0)
+        moves = spread > 1e-9 * np.maximum(1.0, np.abs(self._centre))
         self._groups = tuple(group for each in _groups(inputs.layout) if len(group := each[moves[each]]))
         sizes = np.ones(inputs.layout.columns)
         for group in self._groups:
             sizes[group] = np.sqrt(len(group))
         self._gain = np.where(moves, 1.0 / (np.where(moves, spread, 1.0) * sizes), 0.0)
-        scaled = columns[self._chosen] * self._gain
+        scaled = columns * self._gain
         self._along = principal_coordinates(scaled, self._groups)
         values = inputs.cleansed_um[self._chosen]
         self._spread_um = _spread_within_runs(values, inputs.run[self._chosen])
@@ -78,9 +76,7 @@ class GaussianMember:
         process = GaussianProcess(self._rows)
         everything = np.arange(len(self._chosen))
         self._few = everything[:: 1 + len(everything) // FEW_ROWS]
-        self._logarithms = process.likely(self._few, process.first, STEPS)
-        if len(self._few) < len(everything):
-            self._logarithms = process.likely(everything, self._logarithms, STEPS_ON_ALL)
+        self._logarithms = process.likely(everything, process.first, STEPS)
         self._pieces: dict[frozenset[int], Piece] = {}
         self.errors: LeftOutErrors | None = None
         self.deviation_limit = 1.0

@@ -57,15 +57,20 @@ class RidgeProblem:
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design) -> None:
         self._layout, self._design = inputs.layout, design
         columns = design_columns(inputs.features, inputs.layout, design)
-        spread = columns[rows].std(axis=0)
-        moves = spread > 1e-9 * np.maximum(1.0, np.abs(columns[rows]).max(axis=0))
+        # Hundreds of sensors with all their lags: no more copies at a time than must be.
+        largest = np.maximum(
+            columns.max(axis=0, where=rows[:, None], initial=-np.inf),
+            -columns.min(axis=0, where=rows[:, None], initial=np.inf),
+        )
+        scaled = columns - columns.mean(axis=0, where=rows[:, None])
+        del columns
+        spread = np.sqrt(np.einsum("i,ij,ij->j", rows.astype(np.float64), scaled, scaled) / max(int(rows.sum()), 1))
+        moves = spread > 1e-9 * np.maximum(1.0, largest)
         self._gain = np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
-        scaled = columns - columns[rows].mean(axis=0)
-        del columns  # hundreds of sensors with all their lags: no more copies at a time than must be
         scaled *= self._gain
         self._basis: FloatArray | None = None
         if scaled.shape[1] > MOST_COLUMNS:
-            self._basis = _leading_directions(scaled[rows])
+            self._basis = _leading_directions(scaled, np.flatnonzero(rows))
             scaled = scaled @ self._basis
         self._pieces = _pieces(inputs, rows, fold, design, scaled)
 
@@ -96,12 +101,12 @@ class RidgeProblem:
         return found
 
 
-def _leading_directions(scaled: FloatArray) -> FloatArray:
+def _leading_directions(scaled: FloatArray, rows: IntArray) -> FloatArray:
     """Return the directions along which rows differ most, shape (d, at most `MOST_COLUMNS`).
 
-    `scaled`, shape (n, d): standardised columns about their mean, more than there are directions.
+    `scaled`, shape (n, d): standardised columns about their mean. `rows`: those that tell.
     """
-    some = scaled[:: 1 + len(scaled) // DIRECTION_ROWS]
+    some = scaled[rows[:: 1 + len(rows) // DIRECTION_ROWS]]
     eigenvalues, vectors = np.linalg.eigh(some @ some.T)
     kept = np.argsort(eigenvalues)[::-1][: min(MOST_COLUMNS, some.shape[1])]
     kept = kept[eigenvalues[kept] > 1e-10 * max(float(eigenvalues[-1]), 1e-300)]
