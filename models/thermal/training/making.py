@@ -86,7 +86,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         training=fitted.training,
         created=fitted.created,
         axis_positions=inputs.axis_positions,
-        start=fit_start(inputs, rows, fit.coefficients),
+        start=fit_start(inputs, rows, fit.coefficients) if inputs.layout.lags_min else None,
         test_vectors=tuple(
             TestVector(
                 features=features[row].copy(),
