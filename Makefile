@@ -51,6 +51,7 @@ docs: $(VENV)/.installed
 	$(BIN)/python -P -m config.reference > docs/reference/configuration.md
 	$(BIN)/python -P -m config.machine.spindle_reference > docs/reference/spindle-file.md
 	$(BIN)/python -P -m daemon.cli.reference > docs/reference/commands.md
+	$(BIN)/python -P -m daemon.monitor.web.reference > docs/reference/api.md
 	$(BIN)/python -P docs/reference/render_messages.py > docs/reference/messages.md
 
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.

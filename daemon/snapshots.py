@@ -17,6 +17,16 @@ from models.records import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Contributions:
+    """What each sensor, with its lags, adds to the estimate since the reference; speed and drift are in none."""
+
+    sensor_ids: tuple[int, ...]
+    channels: tuple[str, ...]
+    um: FloatArray
+    """Shape (n_sensors, n_channels) [um]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalSnapshot:
     """The thermal task: what arrived, what counts, what is estimated."""
 
@@ -28,6 +38,8 @@ class ThermalSnapshot:
     cycles_incomplete: int
     estimates: int
     """Estimates that have been made."""
+    contributions: Contributions | None = None
+    """None before an estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

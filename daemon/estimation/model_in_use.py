@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
+from daemon.snapshots import Contributions
 from daemon.telemetry.metrics import give_memory_back
 from models.records import FloatArray, Reference
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
@@ -116,6 +117,13 @@ class ModelInUse:
         degc = reference.degc.copy()
         degc[self.places] = counted
         return replace(reference, degc=degc)
+
+    def contributions(self) -> Contributions | None:
+        """Return what each sensor adds to the latest estimate, None before one."""
+        found = self._online.contributions_um()
+        if found is None:
+            return None
+        return Contributions(sensor_ids=self.model.sensor_ids, channels=self.model.channels, um=found)
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
     """Return what has arrived and what is estimated now."""
+    online = thermal._online
     return ThermalSnapshot(
         temperatures=thermal.latest,
         estimate=thermal.latest_estimate,
@@ -18,4 +19,5 @@ def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
         cycles_received=thermal.cycles_received,
         cycles_incomplete=thermal.cycles_incomplete,
         estimates=thermal.estimates,
+        contributions=online.contributions() if online is not None and thermal.latest_estimate is not None else None,
     )

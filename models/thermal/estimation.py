@@ -98,6 +98,10 @@ class OnlineModel(Protocol):
         """
         ...
 
+    def contributions_um(self) -> FloatArray | None:
+        """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels); None before one."""
+        ...
+
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
         ...

@@ -45,6 +45,7 @@ class LinearOnline:
         self._left_out: dict[int, str] = {}
         self._speed_rpm = float("nan")
         self._excluded: tuple[int, ...] = ()
+        self._latest: ModelState | None = None
 
     @property
     def history_min(self) -> float:
@@ -151,11 +152,18 @@ class LinearOnline:
             self._anew |= set(back)
             anew = tuple(self.model.sensor_ids[i] for i in back)
         self._excluded = excluded_sensors(state, self._reference.state)
+        self._latest = state
         return estimate_since(self._estimator, state, self._reference), anew
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
         return self._estimator.left_out.level_um(uncertainty_k, self._excluded)
+
+    def contributions_um(self) -> FloatArray | None:
+        """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels)."""
+        if self._latest is None or self._reference is None:
+            return None
+        return contributions_um(self._estimator, self._latest, self._reference.state)
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""
@@ -189,6 +197,17 @@ class LinearOnline:
         out = self._state.watch.excluded
         self._state = readmitted(self._state, out)
         return tuple(self.model.sensor_ids[i] for i in out)
+
+
+def contributions_um(estimator: LinearEstimator, state: ModelState, reference: ModelState) -> FloatArray:
+    """Return how much of the thermal error since the reference comes with each sensor and its lags [um].
+
+    Result of shape (n_sensors, n_channels); what speed and drift add is in none of them.
+    """
+    change, layout = estimator.features(state) - estimator.features(reference), estimator.model.layout
+    parts = change[:, None] * estimator.left_out.coefficients(excluded_sensors(state, reference))
+    of_temperatures = parts[: layout.temperature_columns]
+    return np.asarray(of_temperatures.reshape(-1, layout.sensors, of_temperatures.shape[1]).sum(axis=0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

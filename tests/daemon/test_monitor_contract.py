@@ -7,6 +7,8 @@ from pathlib import Path
 
 from monitor_bench import accounts_file, monitor
 
+from daemon.monitor.web.reference import reference
+
 EXAMPLES = 10
 """Of each operation in the fuzzing phase, beside what the coverage phase makes of every bound."""
 NOT_ASKED = ("/api/v1/events", "/api/v1/export")
@@ -52,6 +54,11 @@ async def test_every_answer_is_as_the_openapi_document_says(tmp_path: Path) -> N
         words = output.decode("utf-8", "replace")
         assert process.returncode == 0, words[-6000:]
         assert int(re.search(r"(\d+) generated", words)[1]) > 200
+
+
+def test_the_reference_page_is_made_from_the_code() -> None:
+    page = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
+    assert page.read_text("utf-8") == reference(), "run `make docs`"
 
 
 async def turn_for_ever(rig) -> None:

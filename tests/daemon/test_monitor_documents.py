@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,8 @@ from monitor_bench import monitor
 
 from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import ThermalTask
-from daemon.snapshots import LinkSnapshot
+from daemon.monitor.web.estimate import estimate_document
+from daemon.snapshots import Contributions, LinkSnapshot
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle, Trace
 
@@ -173,3 +175,24 @@ async def test_the_present_is_in_the_metrics(bench):
     assert 'toolpoint_temperature_celsius{label="A"}' in text
     assert 'toolpoint_compensation_bound_micrometres{axis="z"} 30.0' in text
     assert "NaN" not in text
+
+
+async def test_the_estimate_says_which_sensors_carry_it_and_what_is_measured_beside_it(bench):
+    rig = bench.rig
+    um = np.array([[1.0, -2.0], [0.5, 3.0]])
+    thermal = replace(
+        rig.snapshots.thermal,
+        estimate=rig.estimate(2.0, -3.0),
+        contributions=Contributions(sensor_ids=(1, 11), channels=("Y1", "Z1"), um=um),
+    )
+    rig.snapshots.thermal = thermal
+    found = (await bench.browser().get("/api/v1/estimate")).json
+    z = found["channels"]["Z1"]
+    assert z["thermal_error_um"] == -3.0 and z["axes"] == ["z"] and z["measured_um"] is None
+    assert [(each["sensor"], each["um"]) for each in z["contributions"]] == [(11, 3.0), (1, -2.0)]
+    assert [each["source"] for each in found["references"]] == ["O1000 N100"]
+    then_um, now_um = {"Z1": 5.0}, {"Z1": 4.0}
+    z = estimate_document(rig.configuration, rig.snapshots, then_um, now_um)["channels"]["Z1"]
+    applied_um = rig.applied["z"] - rig.snapshots.control.baseline_um[2]
+    assert z["measured_um"] == pytest.approx(-1.0 - applied_um, abs=1e-6), "its sensor feels what is applied"
+    assert z["residual_um"] == pytest.approx(z["measured_um"] + 3.0, abs=1e-6)

@@ -84,13 +84,18 @@ def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASG
     app.state.live = parts.live
     app.state.recorded = Recorded(parts.configuration)
     app.state.pages, app.state.downloads = Pages(), Downloads()
-    for part in (api_now, api_history, api_actions):
-        app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
-    app.include_router(_outside)
+    routed(app).include_router(_outside)
     paths = openapi_document(app)["paths"]
     app.state.methods = {path: ", ".join(sorted(method.upper() for method in taken)) for path, taken in paths.items()}
     _take_refusals(app)
     return Gate(app, names)
+
+
+def routed(app: FastAPI) -> FastAPI:
+    """Add the routes of the API."""
+    for part in (api_now, api_history, api_actions):
+        app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
+    return app
 
 
 def _take_refusals(app: FastAPI) -> None:

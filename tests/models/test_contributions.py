@@ -1,0 +1,45 @@
+"""What each sensor adds to an estimate: together with drift it is the estimate, and nothing without a reference."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from small_model import model
+
+from models.thermal.estimation import Machine, OnlineReference
+
+MODEL = model()
+SENSORS = len(MODEL.sensor_ids)
+
+
+@given(
+    degc=arrays(np.float64, SENSORS, elements=st.floats(15.0, 30.0)),
+    then=arrays(np.float64, SENSORS, elements=st.floats(15.0, 30.0)),
+    minutes=st.floats(1.0, 600.0),
+)
+def test_contributions_and_drift_are_the_estimate(degc, then, minutes):
+    online = MODEL.runtime(Machine(components={}))
+    assert online.contributions_um() is None
+    online.on_sample(0.0, then, float("nan"))
+    online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=then))
+    online.on_sample(minutes, degc, float("nan"))
+    estimate, _ = online.estimate(minutes, degc, np.zeros(SENSORS, dtype=bool))
+    found = online.contributions_um()
+    assert found.shape == (SENSORS, len(MODEL.channels))
+    np.testing.assert_allclose(
+        found.sum(axis=0) + minutes * MODEL.drift_um_per_min, estimate.thermal_error_um, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_a_sensor_that_does_not_count_adds_nothing():
+    online = MODEL.runtime(Machine(components={}))
+    then = np.full(SENSORS, 20.0)
+    online.on_sample(0.0, then, float("nan"))
+    online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=then))
+    now = then + 1.0
+    now[0] = np.nan
+    online.on_sample(1.0, now, float("nan"))
+    absent = np.zeros(SENSORS, dtype=bool)
+    absent[0] = True
+    online.estimate(1.0, now, absent)
+    assert not online.contributions_um()[0].any()
