@@ -163,7 +163,7 @@ async def test_many_lost_writes_do_not_widen_what_is_accepted(desk):
             await desk.write(session, z_um)
         session = desk.session(session.known)
         assert await session.poll() == []
-        assert all(len(values) == 1 for values in session.known.values())
+        assert all(len(values) <= 1 for values in session.known.values()), "none: what was vacant"
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, None])
