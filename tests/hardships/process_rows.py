@@ -141,7 +141,7 @@ def half_sent(rig: Rig, row: Row, count: int) -> None:
                 if up is not None:
                     row.notes["link rebuilt after s"] = round(max(up, row.notes.get("link rebuilt after s", 0.0)), 2)
                 used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
-                row.check("most descriptors stay free", used < DESCRIPTORS / 4, used)
+                row.check("most descriptors stay free", used < DESCRIPTORS / 2, used)
             rig.back(row, time.monotonic())
             size = rig.check_log(row, offset)
             row.notes["log bytes"] = max(size, row.notes.get("log bytes", 0))
@@ -304,10 +304,12 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
         }
         row.check("memory stays within 24 MiB of what it was", max(rss_mib) - rss_mib[0] <= 24.0, max(rss_mib))
         row.check("it says that bytes are dropped", bool(said) or rate < FLOOD_KB_PER_S, rate)
-    pulled_s = time.monotonic()
+    pulled_s, flooded = time.monotonic(), rig.status()["history"]["acknowledged"].get("fixed", 0)
     rig.wait("the loss", lambda status: link(status, "latsis fixed")["losses"] > 0, PATIENCE_S)
     rig.wait("the line", lambda status: link(status, "latsis fixed")["up"], PATIENCE_S)
     rig.back(row, pulled_s)
+    # A line that is opened again numbers its cycles anew: compare within the new numbers alone.
+    rig.wait("its new numbers", lambda status: status["history"]["acknowledged"]["fixed"] < flooded, PATIENCE_S)
     events = [entry["event"] for entry in rig.entries(offset) if entry.get("link") == "latsis fixed"]
     row.check("loss and return of the line are logged", events[-2:] == ["link.lost", "link.up"], events[-4:])
     size = rig.check_log(row, offset)

@@ -49,7 +49,7 @@ WORK = (
     Happening(kind=Incident.OTHER_POLICY, at_s=3060.0, duration_s=5.0, target=0),
 )
 """A part from its positioning to the next one, on which the program probes and changes tools by itself."""
-WORK_END_S = 3450.0
+WORK_END_S = 3510.0
 IN_WORK = {
     "within_1_um_of_the_twin",
     "nonsense_is_refused",

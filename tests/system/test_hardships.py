@@ -1,6 +1,7 @@
 """Each hardship a few times on real wires; `make hardships` plays them at length."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -42,6 +43,7 @@ def test_a_violation_ends_with_status_one_and_is_named() -> None:
         "process_rows.second_daemon = lambda rig, row, count: row.check('this holds', False);"
         f"runpy.run_path({str(RUN)!r}, run_name='__main__')"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    here = {**os.environ, "TOOLPOINT_HARDSHIPS_OWN_MOUNTS": "1"}  # a new process would not know the program above
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, env=here)
     assert done.returncode == 1
     assert "not so: this holds" in done.stderr

@@ -99,7 +99,7 @@ WORKS: dict[int, tuple[int | None, str | None, str | None]] = {
     44: (1, None, None),
 }
 """What happens at which safe point of a part: tool into the spindle, axis of a tool setting, axis of a probe."""
-RETREAT_S = 240.0
+RETREAT_S = 300.0
 
 
 def campaign_program() -> PartProgram:
