@@ -102,7 +102,7 @@ class ThermalError {
       h("dt", {}, "imputed"), h("dd", {}, estimate.imputed.length ? `sensors ${estimate.imputed.join(", ")}` : "no sensor"),
       h("dt", {}, "model"), h("dd", {}, estimate.model_id ?? NONE))));
     const parts = one?.contributions;
-    put(this.parts, parts ? card("Which sensors contribute how much", contributions(parts))
+    put(this.parts, parts ? card("Which sensors contribute how much", h("div", { class: "scroll", tabindex: "0" }, contributions(parts)))
       : card("Which sensors contribute how much", h("p", { class: "dim" }, one ? "This kind of model does not say." : "There is no estimate yet.")));
     const marks = [...estimate.references].reverse();
     put(this.marks, card("Reference marks, last 24 h", marks.length
