@@ -20,6 +20,9 @@ _TIME = re.compile(r"\b(time|zeit|uhrzeit|timestamp|zeitstempel|datetime|utc|clo
 _SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed")
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
+_MM = re.compile(r"\bmm\b|_mm$")
+_MOVES = re.compile(r"displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]")
+"""Beside millimetres a displacement says so; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(
     r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|°\s*f\b|\bdegf\b|\bnm\b|\bl/min\b|\bkelvin\b"
 )
@@ -83,6 +86,8 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     for kind in ("temperatures", "displacements"):
         if found := [name for name, its in kinds.items() if its == kind]:
             keys[kind] = found
+    if in_mm := [name for name in keys.get("displacements", ()) if _MM.search(described[name])]:
+        keys["displacement_units"] = dict.fromkeys(in_mm, "mm")
     if any("," in text for name in numbers for text in columns[name]):
         keys["decimal"] = ","
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}
@@ -110,6 +115,8 @@ def _kind(said: str) -> str | None:
     if _DEGC.search(said):
         return "temperatures"
     words = re.sub(r"[_\W]+", " ", said).strip()
+    if _MM.search(said):
+        return "displacements" if _MOVES.search(words) else None
     if _OTHER_UNIT.search(said):
         return None
     if _TEMPERATURE.search(words):

@@ -1,6 +1,7 @@
 """Which columns of a recording are time, spindle speed, temperatures and displacements."""
 
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,8 @@ from pydantic import Field, model_validator
 
 from config.loader import load_yaml_model
 from config.schema.base import KeyProblems, Seconds, Section
+
+UM_PER_UNIT = {"um": 1.0, "mm": 1000.0}
 
 
 class RecordingMap(Section):
@@ -36,6 +39,13 @@ class RecordingMap(Section):
     )
     displacements: list[str] = Field(
         min_length=1, description="columns that hold displacements [um]: names or patterns such as c*"
+    )
+    displacement_units: dict[str, Literal["um", "mm"]] | None = Field(
+        None, description="unit of displacement columns by name or pattern; micrometres where it says nothing"
+    )
+    displacement_names: dict[str, str] | None = Field(
+        None,
+        description="what the channel of a displacement column is called; as the column where it says nothing",
     )
     axis_positions: list[str] | None = Field(
         None, min_length=1, description="columns that hold axis positions [mm], if there are any: names or patterns"
@@ -87,6 +97,10 @@ class Columns(Section):
     temperatures: list[int]
     axis_positions: list[int]
     displacements: list[int]
+    um_per_unit: list[float]
+    """Of each displacement."""
+    channels: list[str]
+    """What each displacement is called."""
 
 
 def load_recording_map(path: Path) -> RecordingMap:
@@ -128,7 +142,32 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
         temperatures=temperatures,
         axis_positions=positions,
         displacements=displacements,
+        um_per_unit=_um_per_unit(recording_map.displacement_units or {}, header, displacements),
+        channels=_channels(recording_map.displacement_names or {}, header, displacements),
     )
+
+
+def _um_per_unit(units: Mapping[str, str], header: Sequence[str], displacements: Sequence[int]) -> list[float]:
+    found = dict.fromkeys(displacements, 1.0)
+    for pattern, unit in units.items():
+        matches = set(_matches(pattern, header)) & set(displacements)
+        if not matches:
+            names = _listed(header[i] for i in displacements)
+            raise ColumnError("displacement_units", f"no displacement column matches {pattern!r}; there are {names}")
+        found |= dict.fromkeys(matches, UM_PER_UNIT[unit])
+    return list(found.values())
+
+
+def _channels(names: Mapping[str, str], header: Sequence[str], displacements: Sequence[int]) -> list[str]:
+    columns = [header[i] for i in displacements]
+    if unknown := sorted(set(names) - set(columns)):
+        raise ColumnError(
+            "displacement_names", f"{unknown[0]!r} is no displacement column; there are {_listed(columns)}"
+        )
+    found = [names.get(column, column) for column in columns]
+    if twice := sorted({name for name in found if found.count(name) > 1}):
+        raise ColumnError("displacement_names", f"two columns would be called {twice[0]!r}; call each otherwise")
+    return found
 
 
 def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, list[str]]:
@@ -146,6 +185,7 @@ def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[s
         recording_map.model_copy(
             update={
                 **present,
+                **of_displacements(recording_map, header),
                 "speed": next(iter(present["speed"]), None),
                 "axis_positions": present["axis_positions"] or None,
             }
@@ -157,6 +197,15 @@ def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[s
         for kind in ("temperatures", "axis_positions", "displacements")
     }
     return {"speed": present["speed"], **found}
+
+
+def of_displacements(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, dict[str, str] | None]:
+    """Return units and names of displacement columns as far as a file with this header has the columns."""
+    units, names = recording_map.displacement_units or {}, recording_map.displacement_names or {}
+    return {
+        "displacement_units": {pattern: unit for pattern, unit in units.items() if _matches(pattern, header)} or None,
+        "displacement_names": {column: name for column, name in names.items() if column in header} or None,
+    }
 
 
 def _matches(pattern: str, header: Sequence[str]) -> list[int]:
@@ -190,6 +239,7 @@ _TIME_NAMES = {"t": "s", "time": "s", "time_s": "s", "utc_s": "s", "time_min": "
 _SPEED_NAMES = ("rpm", "speed", "speed_rpm", "spindle_speed_rpm")
 _MAP_IT = "give a map, which `toolpoint thermal train --map-out map.yaml` proposes"
 _TEMPERATURE_PATTERNS = ("[tT][0-9]*",)
+_CHANNEL_WITH_UNIT = re.compile(r"([XYZ]|c)[0-9]+_um")
 _DISPLACEMENT_PATTERNS = ("c[0-9]*", "[XYZ][0-9]*", "*_um")
 
 
@@ -197,7 +247,8 @@ def usual_map(header: Sequence[str]) -> RecordingMap:
     """Return the map of a recording whose columns carry the usual names.
 
     Usual are t, time, time_s or utc_s [s], time_min, time_h, utc (ISO 8601); rpm or speed_rpm;
-    t1 or T1 and so on for temperatures; c1, Y1, Z2 or anything ending in _um for displacements.
+    t1 or T1 and so on for temperatures; c1, Y1, Z2 or anything ending in _um for displacements, of
+    which Z1_um is the channel Z1, as the monitor writes it.
     Raises `ColumnError` when a kind is not there under a usual name.
     """
     time = next((name for name in header if name in _TIME_NAMES), None)
@@ -215,9 +266,17 @@ def usual_map(header: Sequence[str]) -> RecordingMap:
             "time": time,
             "time_unit": _TIME_NAMES[time],
             "speed": next((name for name in header if name in _SPEED_NAMES), None),
+            "displacement_names": _without_unit(found["displacements"], header) or None,
             **found,
         }
     )
+
+
+def _without_unit(patterns: Sequence[str], header: Sequence[str]) -> dict[str, str]:
+    """Return the channels of columns such as Z1_um, which would carry a usual name without their unit."""
+    columns = [name for name in header if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    named = {name: name.removesuffix("_um") for name in columns if _CHANNEL_WITH_UNIT.fullmatch(name)}
+    return {column: channel for column, channel in named.items() if channel not in header}
 
 
 def _present(patterns: Sequence[str], header: Sequence[str]) -> list[str]:

@@ -117,8 +117,8 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             temperature_names=tuple(header[i] for i in inputs),
             axis_positions=tuple(header[i] for i in columns.axis_positions),
             temperatures_degc=table[:, first_temperature:first_displacement].copy(),
-            displacement_names=tuple(header[i] for i in columns.displacements),
-            displacements_um=table[:, first_displacement:].copy(),
+            displacement_names=tuple(columns.channels),
+            displacements_um=table[:, first_displacement:] * columns.um_per_unit,
         )
     except DatasetError as error:
         raise RecordingFileError(f"{path}: {error}") from error

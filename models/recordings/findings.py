@@ -215,7 +215,7 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
         name = max(spans_um, key=lambda channel: spans_um[channel])
         sentence = (
             f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
-            "that looks like millimetres; multiply by 1000"
+            "that looks like millimetres; say so in the map: displacement_units"
         )
         yield _error(name, None, sentence)
 

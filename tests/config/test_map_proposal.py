@@ -57,6 +57,14 @@ def test_a_row_of_units_says_what_the_columns_are() -> None:
     )
 
 
+def test_a_displacement_in_millimetres_says_so_and_an_axis_position_is_none() -> None:
+    header = ["time_s", "T1", "Verlagerung Z [mm]", "dx_mm", "X [mm]", "Y [um]"]
+    found = propose_map(header, rows("0", "1", fields=6))
+    assert found.left_out == ("X [mm]",)
+    columns = resolve_columns(found.recording_map, header)
+    assert (columns.displacements, columns.um_per_unit) == ([2, 3, 5], [1000.0, 1000.0, 1.0])
+
+
 def test_what_no_name_tells_is_lacking_and_never_guessed() -> None:
     found = propose_map(["time", "foo", "power [kW]", "z [mm]"], rows("0", "1", fields=4))
     assert found.lacking == ("temperatures", "displacements")

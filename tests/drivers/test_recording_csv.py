@@ -47,6 +47,29 @@ def test_without_a_map_the_usual_names_are_understood(tmp_path: Path) -> None:
     assert "time: no column carries a usual name" in refusal(tmp_path, "clock,t1,c1\n0,20,1\n", None)
 
 
+def test_millimetres_and_names_of_channels_are_what_the_map_says(tmp_path: Path) -> None:
+    content = "t,dz [mm],dy [mm],c1,t1\n0,0.001,0.002,0.5,20\n15,,-0.003,0.75,21\n"
+    keys = {"time": "t", "temperatures": ["t1"], "displacements": ["dz [mm]", "dy [mm]", "c1"]}
+    units, names = {"dz [mm]": "mm", "dy*": "mm"}, {"dz [mm]": "Z1"}
+    read = read_recording(
+        written(tmp_path, content),
+        RecordingMap.model_validate(keys | {"displacement_units": units, "displacement_names": names}),
+    )
+    assert read.displacement_names == ("Z1", "dy [mm]", "c1")
+    np.testing.assert_allclose(read.displacements_um, [[1.0, 2.0, 0.5], [np.nan, -3.0, 0.75]])
+    for key, value, sentence in (
+        ("displacement_units", {"t1": "mm"}, "displacement_units: no displacement column matches 't1'"),
+        ("displacement_names", {"t1": "Z1"}, "displacement_names: 't1' is no displacement column"),
+        ("displacement_names", {"dz [mm]": "c1"}, "displacement_names: two columns would be called 'c1'"),
+    ):
+        assert sentence in refusal(tmp_path, content, RecordingMap.model_validate(keys | {key: value}))
+
+
+def test_a_usual_name_with_its_unit_is_the_channel_without(tmp_path: Path) -> None:
+    read = read_recording(written(tmp_path, "utc_s,t1,Z1_um,nose_um,Y1,Y1_um\n0,20,1,2,3,4\n"))
+    assert read.displacement_names == ("Z1", "nose_um", "Y1", "Y1_um")
+
+
 @pytest.mark.parametrize(
     "content",
     [
