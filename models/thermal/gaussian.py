@@ -15,10 +15,11 @@ import numpy as np
 from models.model_file import ModelError, Numbers, Packed, file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine
-from models.thermal.estimator import LinearEstimator, ModelState
+from models.thermal.estimator import LinearEstimator
 from models.thermal.features import IntArray, design_columns
 from models.thermal.linear import LinearModel, LinearOnline
 from models.thermal.model import LinearParameters
+from models.thermal.model_state import ModelState
 from models.thermal.solution import Solution
 
 FAMILY = "gaussian"

@@ -1,16 +1,12 @@
 """How much of the past that its lags stand for a model in use knows, from one sample to the next."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from models.records import FloatArray
 from models.thermal.features import BoolArray
 from models.thermal.model import LinearParameters
+from models.thermal.model_state import ModelState
 from models.thermal.start import NORMAL_95, grown_unknown
-
-if TYPE_CHECKING:
-    from models.thermal.estimator import ModelState
 
 
 class KnownHistory:
@@ -31,7 +27,7 @@ class KnownHistory:
         return np.where(self.of_speed & ~np.isfinite(speed_rpm), 1.0, share)
 
     def after(
-        self, state: "ModelState", time_min: float, degc: FloatArray, speed_known: bool
+        self, state: ModelState, time_min: float, degc: FloatArray, speed_known: bool
     ) -> tuple[FloatArray, BoolArray]:
         """Return the share of each lag that is unknown after a sample, and which lags begin anew for it.
 
@@ -46,7 +42,7 @@ class KnownHistory:
         rests = (share < unknown) & (~self.of_speed | speed_known) if share < 1.0 else np.zeros_like(self.of_speed)
         return np.where(rests, share, unknown), rests
 
-    def _at_rest(self, state: "ModelState", time_min: float, degc: FloatArray) -> float:
+    def _at_rest(self, state: ModelState, time_min: float, degc: FloatArray) -> float:
         """Return what is unknown of lags that begin anew after a silence of all sensors; 1 where that is no choice."""
         latest_min = float(np.max(state.known_min))
         if self._start is None or time_min - latest_min <= self._bridge_min:
@@ -55,11 +51,11 @@ class KnownHistory:
             return 1.0
         return self._start.unknown_at_start(degc)
 
-    def worth(self, state: "ModelState") -> float:
+    def worth(self, state: ModelState) -> float:
         """Return what a reference now would be worth, 0..1."""
         return 0.0 if self._speed_is_gone(state) else self._known(self._unknown(state, state.time_min))
 
-    def since(self, state: "ModelState", reference: "ModelState") -> tuple[float, FloatArray]:
+    def since(self, state: ModelState, reference: ModelState) -> tuple[float, FloatArray]:
         """Return how far the estimate since a reference may be followed, 0..1, and what widens its band.
 
         Result: the latter as the variance over the square of the band inside the domain, shape (n_channels,).
@@ -75,7 +71,7 @@ class KnownHistory:
         unsure_um2 = NORMAL_95**2 * (self._start.variance_um2(then - left) + self._start.variance_um2(later))
         return known, np.divide(unsure_um2, np.square(self._band_um), out=none, where=self._band_um > 0.0)
 
-    def _speed_is_gone(self, state: "ModelState") -> bool:
+    def _speed_is_gone(self, state: ModelState) -> bool:
         """Whether spindle speed, which the model needs, is not known for longer than is bridged."""
         return bool(self.of_speed.any()) and state.time_min - state.speed_known_min > self._bridge_min
 
@@ -90,7 +86,7 @@ class KnownHistory:
             return float(np.clip(1.0 - max(share.max() for share in unknown), 0.0, 1.0))
         return self._start.known(np.sum([self._start.variance_um2(share) for share in unknown], axis=0))
 
-    def _unknown(self, state: "ModelState", time_min: float) -> FloatArray:
+    def _unknown(self, state: ModelState, time_min: float) -> FloatArray:
         """Return the share of each lag that is unknown at a time, shape (n_lags,)."""
         since_min = time_min - float(np.max(state.known_min))
         of_degc = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)

@@ -16,9 +16,10 @@ import numpy.typing as npt
 from models.model_file import file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
-from models.thermal.estimator import LinearEstimator, ModelState, excluded_sensors, fault_signs, readmitted, with_faults
+from models.thermal.estimator import LinearEstimator, excluded_sensors, fault_signs, readmitted, with_faults
 from models.thermal.features import feature_table
 from models.thermal.model import LinearParameters
+from models.thermal.model_state import ModelState
 from models.thermal.rebase import StateReference, estimate_since, rebased, resumed, returning, state_reference
 from models.thermal.watch import MISSING
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
-from models.thermal.estimator import LinearEstimator, ModelState, excluded_sensors
+from models.thermal.estimator import LinearEstimator, excluded_sensors
+from models.thermal.model_state import ModelState
 from models.thermal.watch import MISSING
 
 

@@ -22,7 +22,7 @@ from wires import Wires, check_audit, on_wires
 
 from config.loader import load_configuration
 from daemon.history import HistoryReader
-from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
+from daemon.monitor.control_socket import DaemonUnreachableError, RequestError
 from daemon.simulation.processes import free_port
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.records import WriteOutcome
@@ -119,21 +119,6 @@ class Rig(Wires):
                 if entry["event"] == "daemon.ready":
                     return datetime.fromisoformat(entry["timestamp"]).timestamp() - self._spawned_utc_s
             time.sleep(0.01)
-
-    def connect(self) -> None:
-        """Connect to the daemon's socket; it may be busy, or starting."""
-        with contextlib.suppress(AttributeError):
-            self.running.client.close()
-        end_s = time.monotonic() + PATIENCE_S
-        while True:
-            try:
-                self.running.client = ControlClient(self.configuration.service.socket)
-                self.running.client.ask("status")
-                return
-            except DaemonUnreachableError:
-                assert self.running.daemon.poll() is None, f"the daemon ended: {self.tail()}"
-                assert time.monotonic() < end_s, f"the daemon does not answer: {self.tail()}"
-                time.sleep(0.01)
 
     def status(self) -> dict[str, Any]:
         try:

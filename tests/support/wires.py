@@ -88,6 +88,12 @@ class Wires:
                 stderr=log,
                 preexec_fn=preexec_fn,  # noqa: PLW1509 - it only sets signals
             )
+        self.connect()
+
+    def connect(self) -> None:
+        """Connect to the daemon's socket anew; it may be busy, or starting."""
+        with contextlib.suppress(AttributeError):
+            self.running.client.close()
         end_s = time.monotonic() + FOREVER_S
         while True:
             try:
@@ -95,9 +101,10 @@ class Wires:
                 self.running.client.ask("status")
                 return
             except DaemonUnreachableError:
-                assert self.running.daemon.poll() is None, "the daemon ended"
-                assert time.monotonic() < end_s, "the daemon does not answer"
-                time.sleep(0.02)
+                log = (self.directory / "daemon.log").read_text("utf-8", "replace")[-600:]
+                assert self.running.daemon.poll() is None, f"the daemon ended: {log}"
+                assert time.monotonic() < end_s, f"the daemon does not answer: {log}"
+                time.sleep(0.01)
 
     def kill_daemon(self) -> None:
         self.running.daemon.kill()
