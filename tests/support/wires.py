@@ -27,6 +27,21 @@ FIRST_REFERENCE_S = 150.0
 """Simulated time of the first work positioning [s]."""
 
 
+def client_of(daemon: subprocess.Popen[Any], socket: Path, patience_s: float, log: Path | None = None) -> ControlClient:
+    """Return a connection to a daemon that is starting: its socket is there before somebody answers on it."""
+    end_s = time.monotonic() + patience_s
+    while True:
+        try:
+            client = ControlClient(socket)
+            client.ask("status")
+            return client
+        except DaemonUnreachableError:
+            said = log.read_text("utf-8", "replace")[-600:] if log is not None else ""
+            assert daemon.poll() is None, f"the daemon ended: {said}"
+            assert time.monotonic() < end_s, f"the daemon does not answer: {said}"
+            time.sleep(0.02)
+
+
 class Wires:
     """One simulation whose daemon a test may end and start again."""
 
@@ -94,17 +109,8 @@ class Wires:
         """Connect to the daemon's socket anew; it may be busy, or starting."""
         with contextlib.suppress(AttributeError):
             self.running.client.close()
-        end_s = time.monotonic() + FOREVER_S
-        while True:
-            try:
-                self.running.client = ControlClient(self.configuration.service.socket)
-                self.running.client.ask("status")
-                return
-            except DaemonUnreachableError:
-                log = (self.directory / "daemon.log").read_text("utf-8", "replace")[-600:]
-                assert self.running.daemon.poll() is None, f"the daemon ended: {log}"
-                assert time.monotonic() < end_s, f"the daemon does not answer: {log}"
-                time.sleep(0.01)
+        log = self.directory / "daemon.log"
+        self.running.client = client_of(self.running.daemon, self.configuration.service.socket, FOREVER_S, log)
 
     def kill_daemon(self) -> None:
         self.running.daemon.kill()

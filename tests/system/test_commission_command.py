@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from pace import bearable
 from terminal import Terminal
+from wires import client_of
 
 from config.records.commissioning import load_commissioning
 from daemon.cli.simulate.demo import demo_machine
-from daemon.monitor.control_socket import ControlClient
 from daemon.simulation.processes import write_simulation_configuration
 
 TOOLPOINT = [sys.executable, "-P", "-m", "daemon.cli"]
@@ -147,10 +147,7 @@ def test_the_daemon_takes_the_record_and_the_block_and_keeps_the_command_away(
     )
     try:
         end_s = time.monotonic() + PATIENCE_S
-        while not standing.configuration.service.socket.is_socket():
-            assert daemon.poll() is None and time.monotonic() < end_s
-            time.sleep(0.05)
-        client = ControlClient(standing.configuration.service.socket)
+        client = client_of(daemon, standing.configuration.service.socket, PATIENCE_S)
         while client.ask("status")["output"]["since_s"] is None:
             assert time.monotonic() < end_s
             time.sleep(0.05)
