@@ -1,4 +1,4 @@
-"""Build hook: puts what the pages of the monitor use of others (uPlot) beside them, in wheel, sdist, editable install.
+"""Build hook: puts what lies elsewhere beside the monitor's pages (uPlot, the table of messages), in every build.
 
 Node and npm come as a wheel, for the build alone. npm installs by the lock file, which holds versions and integrity
 hashes, and runs no scripts. What is there already and belongs to this lock file is left, so that a source distribution
@@ -22,6 +22,8 @@ FILES = {
     "uplot/LICENSE": "uPlot-LICENSE.txt",
 }
 """File of a package -> its name beside the pages."""
+OWN = {"docs/reference/messages.md": "messages.md"}
+"""File of this repository -> its name beside the pages."""
 INPUTS = ("package.json", "package-lock.json", ".npmrc")
 STAMP = "made-from.sha256"
 """Holds the hash of the lock file that the files were installed by."""
@@ -40,6 +42,9 @@ class PagesHook(BuildHookInterface[Any]):
 def put_files(root: Path) -> None:
     """Install the files into the tree of sources; raises SystemExit with npm's own words when it cannot."""
     place = root / PLACE
+    place.mkdir(parents=True, exist_ok=True)
+    for source, target in OWN.items():
+        shutil.copyfile(root / source, place / target)
     made_from = hashlib.sha256((root / "package-lock.json").read_bytes()).hexdigest()
     stamp = place / STAMP
     whole = all((place / name).is_file() for name in FILES.values())
@@ -50,7 +55,6 @@ def put_files(root: Path) -> None:
         for file in INPUTS:
             shutil.copy(root / file, folder)
         install_packages(folder, "--omit=dev")
-        place.mkdir(parents=True, exist_ok=True)
         for source, target in FILES.items():
             shutil.copyfile(folder / "node_modules" / source, place / target)
     stamp.write_text(made_from, encoding="ascii")

@@ -1,6 +1,9 @@
 """Puts the monitor together: what it shows of the models beside what the snapshots and the store hold."""
 
 import asyncio
+import json
+import os
+import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict
 from functools import partial
@@ -15,12 +18,11 @@ from daemon.monitor.web.application import MonitorParts
 from daemon.monitor.web.documents import Documents
 from daemon.monitor.web.live import Live
 from daemon.monitor.web.metrics import PresentMetrics
+from daemon.monitor.web.problems import ProblemError
 from daemon.monitor.web.serving import serve_monitor
 from daemon.snapshots import SnapshotBoard
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
-from models.json_values import plain
-from models.model_file import ModelError, parse
 
 
 def monitor_service(
@@ -43,71 +45,81 @@ def monitor_service(
         documents=documents,
         live=Live(documents, board),
         report=history.event,
-        models=partial(_models, configuration, board),
+        models=ModelsOnDisk(configuration, board).document,
     )
     return partial(serve_monitor, parts)
 
 
 NOTE = (
     "a person releases a candidate with `toolpoint model release`, which checks it again, and goes back with "
-    "`toolpoint model rollback`; `toolpoint model proposals` says what stands against each"
+    "`toolpoint model rollback`; `toolpoint model list` shows the same as this page"
 )
-MOST_READ = 4 << 20
-"""A larger file is no candidate that is read for the page [byte]."""
+DESCRIBER = (sys.executable, "-P", "-m", "daemon.model_release.describing")
+"""Starts the process that reads the models: reading a large one would keep this process from everything else."""
+PATIENCE_S = 60.0
+Stamp = tuple[tuple[str, int, int], ...]
 
 
-async def _models(configuration: Configuration, board: SnapshotBoard) -> dict[str, Any]:
-    """Return models in force, releases and candidates."""
-    releases, candidates = await asyncio.to_thread(_on_disk, configuration)
-    thermal, bearings = board.model, board.bearing_model
-    return {
-        "thermal": None if thermal is None else asdict(thermal),
-        "bearings": None if bearings is None else asdict(bearings),
-        "releases": releases,
-        "candidates": candidates,
-        "note": NOTE,
-    }
+class ModelsOnDisk:
+    """What the files of releases and candidates say; they are read again when one of them has changed."""
 
+    def __init__(self, configuration: Configuration, board: SnapshotBoard) -> None:
+        self._configuration, self._board = configuration, board
+        self._one_at_a_time = asyncio.Lock()
+        self._known: tuple[Stamp, dict[str, Any]] | None = None
 
-def _on_disk(configuration: Configuration) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the releases, the newest first, and the candidates, as their files describe them."""
-    path = configuration.compensation.model_file
-    records = [] if path is None else ReleaseRepository(path).records()
-    releases = [
-        {
-            "release": record.number,
-            "model_id": record.model_id,
-            "action": record.action,
-            "released_by": record.person,
-            "released": record.released,
-            "note": record.note,
-            "checks": list(record.checks),
-            "sha256": record.sha256,
+    async def document(self) -> dict[str, Any]:
+        """Return models in force, releases and candidates; raises ProblemError when they cannot be read."""
+        async with self._one_at_a_time:
+            stamp = await asyncio.to_thread(self._stamp)
+            if self._known is None or self._known[0] != stamp:
+                self._known = stamp, await self._described()
+        found, thermal, bearings = self._known[1], self._board.model, self._board.bearing_model
+        own = thermal is not None and thermal.sha256 == found["in_force"]["sha256"]
+        scores, hidden = found["in_force"]["scores"] if own else None, found["hidden"]
+        return {
+            "thermal": None if thermal is None else asdict(thermal) | {"scores": scores},
+            "bearings": None if bearings is None else asdict(bearings),
+            "releases": found["releases"],
+            "candidates": found["candidates"],
+            "note": f"{hidden}; {NOTE}" if hidden else NOTE,
         }
-        for record in reversed(records)
-    ]
+
+    def _stamp(self) -> Stamp:
+        """Return names, times and sizes of all that is described."""
+        path = self._configuration.compensation.model_file
+        folders = [proposals_folder(self._configuration)]
+        folders += [] if path is None else [ReleaseRepository(path).releases]
+        found = [each for folder in folders if folder.is_dir() for each in sorted(folder.iterdir())]
+        found += [] if path is None else [path]
+        return tuple((str(each), status.st_mtime_ns, status.st_size) for each in found if (status := _status(each)))
+
+    async def _described(self) -> dict[str, Any]:
+        process = await asyncio.create_subprocess_exec(
+            *DESCRIBER,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                output, words = await process.communicate(self._configuration.model_dump_json().encode())
+        except TimeoutError:
+            raise ProblemError(503, f"the models were not read within {PATIENCE_S:g} s; try again") from None
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+        if process.returncode != 0:
+            said = words.decode("utf-8", "replace").strip().splitlines()
+            raise ProblemError(503, f"the models cannot be read: {said[-1] if said else process.returncode}")
+        found = json.loads(output)
+        assert isinstance(found, dict)
+        return found
+
+
+def _status(path: Path) -> os.stat_result | None:
     try:
-        paths = sorted(each for each in proposals_folder(configuration).glob("*.json") if each.is_file())
-        candidates = [_candidate(each) for each in paths if each.stat().st_size <= MOST_READ]
+        return path.stat()
     except OSError:
-        candidates = []
-    return releases, plain(candidates)
-
-
-def _candidate(path: Path) -> dict[str, Any]:
-    """Return what a candidate's file says of it; the release checks all of it again."""
-    try:
-        content = parse(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ModelError) as error:
-        return {"file": path.name, "problem": f"cannot be read ({error})"}
-    band = content.get("band_um")
-    return {
-        "file": path.name,
-        "model_id": content.get("model_id"),
-        "kind": content.get("kind"),
-        "channels": content.get("channels"),
-        "band_um": band,
-        "created": content.get("created"),
-        "recordings": [each.get("name") for each in content.get("training", []) if isinstance(each, dict)],
-        "do_no_harm": content.get("refused") or "its training holds nothing against it",
-    }
+        return None

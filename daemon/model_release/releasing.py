@@ -42,6 +42,8 @@ class Proposal:
     sha256: str
     inhibit: str
     """Why it would be refused now, '' when it would not."""
+    model: ThermalModel | None
+    """None where its file cannot be read as one."""
 
 
 def person_now() -> str:
@@ -209,7 +211,8 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
         if model is not None:
             inhibit = gate_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
-        found.append((changed_s, Proposal(path=path, model_id=name, sha256=sha256_of(content), inhibit=inhibit)))
+        proposal = Proposal(path=path, model_id=name, sha256=sha256_of(content), inhibit=inhibit, model=model)
+        found.append((changed_s, proposal))
     return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
 
 

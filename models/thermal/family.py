@@ -11,6 +11,7 @@ from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineModel
 from models.thermal.gaussian import gaussian_model
 from models.thermal.linear import LinearModel, linear_model
+from models.thermal.model import HyperParameters
 
 
 class ThermalModel(Protocol):
@@ -54,6 +55,16 @@ class ThermalModel(Protocol):
     @property
     def refused(self) -> str | None:
         """Why its training refused it; None when it may be activated."""
+        ...
+
+    @property
+    def hyper_parameters(self) -> HyperParameters:
+        """How it was fitted, by name; `held_out_relative_rmse` where something was held out."""
+        ...
+
+    @property
+    def created(self) -> str:
+        """Date and time of the fit, ISO 8601."""
         ...
 
     @property

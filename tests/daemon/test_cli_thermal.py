@@ -59,7 +59,11 @@ def test_every_option_reaches_the_model(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     model = model_from_json(output.read_text(), str(output))
     assert isinstance(model, LinearModel) and model.kind == "ridge"
-    assert model.hyper_parameters == {"interval_min": 4.0, "intercept": True, "ridge_k2": 0.5}
+    score = model.hyper_parameters["held_out_relative_rmse"]
+    assert model.hyper_parameters == {
+        "interval_min": 4.0, "intercept": True, "ridge_k2": 0.5, "held_out_relative_rmse": score,
+    }  # fmt: skip
+    assert 0.0 < score < 1.0
     assert (model.channels, model.sensor_names) == (("c2",), ("T4", "T2"))
     assert (model.training[0].from_hours, model.training[0].rows) == (1.0, 120)
     assert model.drift_um_per_min[0] != 0.0

@@ -98,6 +98,12 @@ async def test_series_hold_what_was_recorded(bench):
         ("export?what=secrets", 422, "query parameter what"),
         ("export?what=recording", 404, "no axis of this machine follows a channel that is measured"),
         ("export?what=temperatures&from=10&to=20", 404, "no temperatures were recorded in that time"),
+        (
+            "series?name=temperature.1&form=10",
+            422,
+            "'form' is not known to /api/v1/series; it takes from, name, points, to",
+        ),
+        ("status?verbose=1", 422, "it takes none"),
         ("nothing", 404, "there is nothing at"),
     ],
 )

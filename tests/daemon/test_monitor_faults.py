@@ -56,17 +56,37 @@ async def test_a_head_sent_letter_by_letter_ends_too(tmp_path, monkeypatch):
         assert await status_now(bench) == 200
 
 
-async def test_a_body_that_does_not_arrive_or_never_ends_is_cut_off(tmp_path, monkeypatch):
-    monkeypatch.setattr(gate, "RECEIVE_S", 0.05)
-    begun = b"POST /api/v1/session HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+@pytest.mark.parametrize("path", [b"/api/v1/session", b"/api/v1/enable", b"/api/v1/nothing", b"/metrics", b"/"])
+@pytest.mark.parametrize(
+    ("rest", "status", "sentence"),
+    [
+        (b"Content-Length: 100\r\n\r\n{", 408, "has not arrived within 0.05 s"),
+        (b"Content-Length: 99999999\r\n\r\n" + b" " * 70_000, 413, "longer than 65536 byte"),
+        (b"Transfer-Encoding: chunked\r\n\r\n" + (b"1000\r\n" + b" " * 4096 + b"\r\n") * 17, 413, "longer than"),
+    ],
+)
+async def test_a_body_that_does_not_arrive_or_is_too_long_is_refused(
+    tmp_path, monkeypatch, path, rest, status, sentence
+):
+    if status == 408:
+        monkeypatch.setattr(gate, "RECEIVE_S", 0.05)
+    begun = b"POST %b HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n" % path
     async with monitor(tmp_path) as bench, asyncio.timeout(60):
-        for rest in (b"Content-Length: 100\r\n\r\n{", b"Content-Length: 99999999\r\n\r\n" + b" " * 200_000):
-            reader, writer = await connected(bench.port)
-            writer.write(begun + rest)
-            with contextlib.suppress(ConnectionError):
-                assert not (await reader.read()).startswith(b"HTTP/1.1 200")
-            writer.close()
+        reader, writer = await connected(bench.port)
+        writer.write(begun + rest)
+        assert sentence in (await refusal(reader, status))["detail"]
+        writer.close()
         assert await status_now(bench) == 200
+
+
+async def refusal(reader, status):
+    """Return the problem details of an answer after which the connection ends."""
+    head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 %d " % status), head
+    assert b"content-type: application/problem+json" in head.lower() and b"content-security-policy" in head.lower()
+    found = json.loads(body)
+    assert found["status"] == status and found["title"]
+    return found
 
 
 async def test_a_viewer_who_takes_nothing_is_cut_off_and_the_others_go_on(tmp_path, monkeypatch):
@@ -190,3 +210,22 @@ async def test_what_is_no_http_or_none_of_ours_is_answered_with_4xx_or_ended(tmp
             assert not answer or answer.startswith(b"HTTP/1.1 4"), answer
         writer.close()
         assert await status_now(bench) == 200
+
+
+@pytest.mark.parametrize("sent", [b"\x16\x03\x01\x02\r\n\r\n", b"GET /" + b"x" * 20_000 + b" HTTP/1.1\r\n\r\n"])
+async def test_what_is_no_http_is_refused_with_a_sentence(tmp_path, sent):
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(sent)
+        assert "no HTTP request, or its head is longer than 16384 byte" in (await refusal(reader, 400))["detail"]
+        writer.close()
+
+
+async def test_a_method_that_a_place_does_not_take_is_refused_with_a_sentence(tmp_path):
+    async with monitor(tmp_path) as bench:
+        for path in ("/", "/metrics", "/healthz", "/openapi.json", "/style.css", "/api/v1/status", "/api/v1/nothing"):
+            for method in ("POST", "PUT", "DELETE", "PATCH", "TRACE"):
+                answer = await bench.browser().ask(method, path)
+                assert answer.status in (404, 405) and path in answer.detail, (method, path)
+        answer = await bench.browser().get("/api/v1/enable")
+        assert answer.status == 405 and answer.headers["allow"] == "POST" and "does not take GET" in answer.detail

@@ -21,6 +21,7 @@ from daemon.monitor.web.documents import Documents
 from daemon.monitor.web.live import Live
 from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
+from daemon.monitoring import ModelsOnDisk
 
 PASSWORD = "long enough a password"
 PATIENCE_S = 60.0
@@ -131,10 +132,6 @@ class MonitorBench:
             return [(each.text, each.person) for each in reader.events(0.0, 1e11) if each.kind == "access"]
 
 
-async def no_models() -> dict[str, Any]:
-    return {"thermal": None, "bearings": None, "releases": [], "candidates": [], "note": ""}
-
-
 def parts_of(rig: Rig, configuration: Configuration) -> MonitorParts:
     documents = Documents(configuration, rig.clock, rig.snapshots, rig.telemetry)
     rig.telemetry.registry.register(PresentMetrics(configuration, rig.snapshots, documents))
@@ -147,7 +144,7 @@ def parts_of(rig: Rig, configuration: Configuration) -> MonitorParts:
         documents=documents,
         live=Live(documents, rig.snapshots),
         report=rig.history.event,
-        models=no_models,
+        models=ModelsOnDisk(configuration, rig.snapshots).document,
     )
 
 

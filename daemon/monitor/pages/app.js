@@ -1,12 +1,13 @@
 // The frame of every page: navigation, age, stale, theme, who is logged in, and questions before anything acts.
 
 import { h, put, clock, duration } from "./dom.js";
-import { PAGES, STATES } from "./words.js";
+import { PAGES, MESSAGES } from "./words.js";
 import { live, STALE_S } from "./live.js";
 import { act, who, Refused } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
-const MODULES = Object.fromEntries(PAGES.map(([name]) => [name, () => import(`./parts/${name}.js`)]));
+const ALL = [...PAGES, MESSAGES];
+const MODULES = Object.fromEntries(ALL.map(([name]) => [name, () => import(`./parts/${name}.js`)]));
 let shown = null;
 let person = null;
 
@@ -21,6 +22,8 @@ function navigation() {
   const name = wanted();
   $("pages").replaceChildren(...PAGES.map(([page, words]) =>
     h("a", { href: `#/${page}`, "aria-current": page === name ? "page" : false }, words)));
+  const here = $("pages").querySelector("[aria-current]");
+  if (here) $("pages").scrollLeft = here.offsetLeft - $("pages").offsetLeft - ($("pages").clientWidth - here.offsetWidth) / 2; // a narrow screen scrolls them
 }
 
 async function show() {
@@ -46,7 +49,7 @@ async function show() {
 }
 
 function title() {
-  const words = PAGES.find(([page]) => page === wanted())?.[1];
+  const words = ALL.find(([page]) => page === wanted())?.[1];
   const { status } = live;
   document.title = status ? `${live.stale ? "(old) " : ""}${status.state} · ${words} · ${status.machine}` : `${words} · Toolpoint`;
 }
@@ -57,7 +60,7 @@ live.addEventListener("status", ({ detail: status }) => {
   $("machine").textContent = status.machine;
   put($("foot"), `Toolpoint ${status.version ?? ""}`,
     status.clock_speed !== 1 ? ` · a simulation, ${status.clock_speed} times as fast as the clock on the wall` : "",
-    ` · the machine's time is ${clock(status.time, { date: true })} · `, h("a", { href: "/openapi.json" }, "API"), " · ", h("a", { href: "/metrics" }, "metrics"));
+    ` · the machine's time is ${clock(status.time, { date: true })} · `, h("a", { href: "#/messages" }, "messages"), " · ", h("a", { href: "/openapi.json" }, "API"), " · ", h("a", { href: "/metrics" }, "metrics"));
   shown?.status?.(status);
   title();
 });

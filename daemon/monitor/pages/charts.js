@@ -95,7 +95,7 @@ export class Chart {
       scales: { x: { time }, ...range },
       axes: [{ ...axis(time ? null : options.x.label, time ? base * 2.4 : base * 1.8), space: base * (time ? 5 : 4),
         values: time ? TIMES : undefined },
-        { ...axis(options.unit, base * 3.4), incrs: undefined }],
+        { ...axis(options.unit, base * 3.4), values: options.log ? undefined : ticks }],
       series: [{}, ...options.series.map((one) => this.line(one))],
       bands: (options.bands ?? []).map((band) => ({ series: [band.upper, band.lower], fill: css(band.colour) })),
       hooks: {
@@ -208,6 +208,14 @@ export class Chart {
     plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
     this.options.zoom(from, to);
   }
+}
+
+// Numbers at an axis, as many digits as they differ by, with a minus that is one.
+function ticks(plot, values) {
+  const known = values.filter((value) => value !== null);
+  let digits = 0;
+  while (digits < 4 && known.some((value) => Math.abs(value * 10 ** digits - Math.round(value * 10 ** digits)) > 1e-6)) digits += 1;
+  return values.map((value) => (value === null ? null : number(value, digits)));
 }
 
 // Axis words of times, 24 hours: [step, words, _, _, words at midnight, ...].

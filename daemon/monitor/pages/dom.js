@@ -21,9 +21,11 @@ function fill(element, attributes, children) {
   return element;
 }
 
-// Replace what an element holds, unless nothing differs: what is read out, selected or focused stays so.
+// Replace what an element holds, unless nothing differs: what is read out, selected, opened or focused stays so.
 export function put(element, ...children) {
   const fresh = h("div", {}, ...children);
+  const opened = [...element.querySelectorAll("details")].map((one) => one.open);
+  fresh.querySelectorAll("details").forEach((one, place) => { one.open = opened[place] ?? false; });
   if (fresh.innerHTML === element.innerHTML) return;
   const focused = element.contains(document.activeElement) ? document.activeElement.id : "";
   element.replaceChildren(...fresh.childNodes);

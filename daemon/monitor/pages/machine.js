@@ -5,7 +5,7 @@ import { s } from "./dom.js";
 // Where a component stands, by the words of its name: [pattern, x, y, width, height] on a sheet of 1000 x 600,
 // seen from the side. What no pattern knows goes on a shelf at the right.
 const PLACES = [
-  [/ambient|room|air/i, 20, 14, 470, 66],
+  [/ambient|room|air/i, 70, 14, 420, 66],
   [/spindle|ram|head|quill/i, 70, 96, 170, 270],
   [/slid|carriage/i, 256, 96, 150, 190],
   [/saddle|cross/i, 422, 96, 150, 330],

@@ -28,6 +28,9 @@ export const PAGES = [
   ["models", "Models"],
 ];
 
+// Not in the navigation: the state links to it.
+export const MESSAGES = ["messages", "Messages"];
+
 export const RANGES = [
   [600, "10 min"], [3600, "1 h"], [28800, "8 h"], [86400, "24 h"],
   [604800, "7 days"], [2592000, "30 days"], [31536000, "1 year"],

@@ -91,7 +91,7 @@ async def models(request: Request, person: Viewer) -> Response:
 
 @router.get(
     "/dynamics",
-    response_model=dict[str, Any],
+    response_model=schemas.Dynamics,
     responses={404: {"model": Problem, "description": "not configured; the sentence says how to get it"}},
 )
 async def dynamics(request: Request, person: Viewer) -> Response:

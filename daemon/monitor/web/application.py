@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from fastapi import APIRouter, FastAPI, Request
+from fastapi import APIRouter, Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
@@ -54,6 +54,8 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
     for status, text in (
         (401, "nobody is logged in"),
         (403, "host, origin, token or role do not allow it"),
+        (408, "the body has not arrived in time"),
+        (413, "the body is too long"),
         (422, "the request is not as described here"),
         (429, "too many wrong passwords"),
         (503, "not now"),
@@ -94,8 +96,16 @@ def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASG
 def routed(app: FastAPI) -> FastAPI:
     """Add the routes of the API."""
     for part in (api_now, api_history, api_actions):
-        app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS)
+        app.include_router(part.router, prefix="/api/v1", responses=PROBLEMS, dependencies=[Depends(_only_known)])
     return app
+
+
+def _only_known(request: Request) -> None:
+    """Raise ProblemError for a query parameter that the route does not take: a mistyped one is not passed over."""
+    known = {each.alias for each in request.scope["route"].dependant.query_params}
+    if unknown := next((name for name in request.query_params if name not in known), None):
+        takes = f"it takes {', '.join(sorted(known))}" if known else "it takes none"
+        raise ProblemError(422, f"query parameter {unknown[:80]!r} is not known to {request.url.path}; {takes}")
 
 
 def _take_refusals(app: FastAPI) -> None:

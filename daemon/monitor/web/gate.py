@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Collection
-from functools import partial
+from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daemon.monitor.web.access import is_local_name
-from daemon.monitor.web.problems import problem_response
+from daemon.monitor.web.problems import ProblemError, problem_response
 
 log = structlog.get_logger(__name__)
 
@@ -20,7 +20,8 @@ RECEIVE_S = 10.0
 SEND_S = 10.0
 """Each piece of an answer must have been taken within this [s]."""
 MOST_BODY = 65536
-"""A longer body is refused [byte]."""
+"""A longer body is refused, and the connection ended: the rest of it is not read [byte]."""
+CLOSE = {"connection": "close"}
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
@@ -66,7 +67,11 @@ class Gate:
             if refused:
                 await problem_response(403, refused)(scope, receive, timed_send)
                 return
-            await self._app(scope, _bounded(receive, partial(_abort, scope)), timed_send)
+            body = await _body(receive)
+            await self._app(scope, _of(body, receive), timed_send)
+        except ProblemError as error:
+            with suppress(TooSlowError):
+                await problem_response(error.status, error.detail, error.headers)(scope, receive, timed_send)
         except TooSlowError:
             _abort(scope)
         except Exception:
@@ -109,25 +114,35 @@ async def within(seconds: float, work: Awaitable[None]) -> None:
         raise TooSlowError from None
 
 
-def _bounded(receive: Receive, abort: Callable[[], None]) -> Receive:
-    """Return a `receive` whose body must arrive in time and is of bounded length; else the connection is ended."""
-    complete, size = False, 0
-
-    async def bounded() -> Message:
-        nonlocal complete, size
-        if complete:
-            return await receive()  # waits for the end of the connection
-        try:
-            async with asyncio.timeout(RECEIVE_S):
+async def _body(receive: Receive) -> bytes:
+    """Return the whole body of a request; raises ProblemError when it is too long, or does not arrive in time."""
+    body, more = b"", True
+    try:
+        async with asyncio.timeout(RECEIVE_S):
+            while more:
                 message = await receive()
-        except TimeoutError:
-            abort()
-            raise TooSlowError from None
-        size += len(message.get("body", b""))
-        if size > MOST_BODY:
-            abort()
-            raise TooSlowError
-        complete = not message.get("more_body", False)
-        return message
+                if message["type"] == "http.disconnect":
+                    raise TooSlowError
+                body += message.get("body", b"")
+                more = message.get("more_body", False)
+                if len(body) > MOST_BODY:
+                    raise ProblemError(
+                        413, f"the body is longer than {MOST_BODY} byte; no request of this API is", CLOSE
+                    )
+    except TimeoutError:
+        raise ProblemError(408, f"the body has not arrived within {RECEIVE_S:g} s; send it again", CLOSE) from None
+    return body
 
-    return bounded
+
+def _of(body: bytes, receive: Receive) -> Receive:
+    """Return a `receive` that hands over a body that is here, and then waits for the end of the connection."""
+    handed = False
+
+    async def receive_body() -> Message:
+        nonlocal handed
+        if handed:
+            return await receive()
+        handed = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return receive_body

@@ -12,8 +12,14 @@ from starlette.responses import Response
 
 FOLDER = Path(__file__).parent.parent / "pages"
 START = "index.html"
-TYPES = {".js": "text/javascript", ".html": "text/html", ".css": "text/css", ".svg": "image/svg+xml"}
-COMPRESSED = frozenset({".js", ".html", ".css", ".svg", ".json", ".txt", ".webmanifest"})
+TYPES = {
+    ".js": "text/javascript",
+    ".html": "text/html",
+    ".css": "text/css",
+    ".svg": "image/svg+xml",
+    ".md": "text/markdown",
+}
+COMPRESSED = frozenset({".js", ".html", ".css", ".svg", ".json", ".txt", ".md", ".webmanifest"})
 MOST_KEPT = 4 << 20
 """A larger folder of pages is none of ours [byte]."""
 

@@ -1,7 +1,7 @@
 """The documents of the API as its OpenAPI document describes them; units stand in the names of the keys."""
 
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -323,13 +323,107 @@ class Latency(Document):
     histograms: dict[str, Distribution] = Field(description="of the latest delays, by stage")
 
 
-class Models(Document):
-    """Models in force, candidates, scores."""
+class WorkingPoint(Document):
+    """Where the spindle cuts."""
 
-    thermal: dict[str, Any] | None
-    bearings: dict[str, Any] | None
-    releases: list[dict[str, Any]]
-    candidates: list[dict[str, Any]]
+    speed_rpm: float | None
+    depth_mm: float | None = Field(description="the depth that the plan must allow; null before a plan")
+    limiting_depth_mm: float | None = Field(description="what is stable there; null where it is not known")
+
+
+class Lobes(Document):
+    """The border of stability."""
+
+    speed_rpm: list[float]
+    limiting_depth_mm: list[float | None] = Field(description="null where no lobe limits it")
+
+
+class Response(Document):
+    """The tool point's frequency response."""
+
+    frequency_hz: list[float]
+    magnitude_um_per_n: dict[str, list[float]] = Field(description="by axis")
+
+
+class Resonance(Document):
+    """The resonance that the plans were made for, over time."""
+
+    t: list[float]
+    hz: dict[str, list[float | None]] = Field(description="by axis")
+
+
+class Dynamics(Document):
+    """What the operation under way was planned from; the curves come with its first plan."""
+
+    operation: str | None
+    state: str
+    why: str
+    working_point: WorkingPoint
+    lobes: Lobes | None = None
+    response: Response | None = None
+    resonance: Resonance | None = None
+
+
+class BandScore(Document):
+    """How wide the band of one channel is, beside what a release takes."""
+
+    channel: str
+    band_um: float | None = Field(description="half width of the band on what was held out; null: nothing was")
+    widest_um: float | None = Field(description="a wider band is not released; null: no axis follows the channel")
+
+
+class Scores(Document):
+    """What a model's training says of it."""
+
+    kind: str
+    created: str
+    recordings: list[str] = Field(description="what it was trained on")
+    hours: float
+    error_left: float | None = Field(
+        description="RMSE with the model / without, on what was held out, mean of the channels: 1 and more would do "
+        "harm; null: the file does not say"
+    )
+    refused: str = Field(description="why its own training refuses it; empty when it does not")
+    bands: list[BandScore]
+
+
+class ThermalModelStatus(ModelStatus):
+    """The thermal model in force."""
+
+    scores: Scores | None
+
+
+class Release(Document):
+    """One release."""
+
+    release: int
+    model_id: str
+    action: Literal["release", "rollback"]
+    released_by: str
+    released: str
+    note: str
+    checks: list[str] = Field(description="what was checked and found good")
+    sha256: str
+
+
+class Candidate(Document):
+    """A model that waits among the proposals."""
+
+    file: str
+    model_id: str
+    sha256: str
+    released_as: int | None = Field(description="number of the release that holds this file")
+    against: str = Field(description="why a release would refuse it now; empty when nothing stands against it")
+    scores: Scores | None = Field(description="null: the file cannot be read as a model of this machine")
+
+
+class Models(Document):
+    """Models in force, releases, candidates, scores."""
+
+    thermal: ThermalModelStatus | None
+    bearings: ModelStatus | None
+    releases: list[Release] = Field(description="the newest first")
+    candidates: list[Candidate] = Field(description="the newest first")
     note: str
 
 

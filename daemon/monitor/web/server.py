@@ -7,12 +7,15 @@ import ssl
 from collections.abc import Callable
 from pathlib import Path
 
+import h11
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.web.gate import CLOSE, HEADERS
+from daemon.monitor.web.problems import problem_response
 
 HEAD_S = 10.0
 """A request's head must have arrived within this [s]."""
@@ -24,6 +27,7 @@ WAITING_CONNECTIONS = 128
 MOST_CONNECTIONS = 256
 """So many are open at a time: the pages of 50 viewers."""
 SHARE_OF_DESCRIPTORS = 4
+HEADER_LINES = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
 LONGEST_HEAD = 16384
 """A longer head of a request is refused [byte]."""
 
@@ -47,6 +51,19 @@ class _Connection(H11Protocol):
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         self._look()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, or longer than we read; `msg` is none of a person's words."""
+        refused = problem_response(
+            400, f"this is no HTTP request, or its head is longer than {LONGEST_HEAD} byte", CLOSE
+        )
+        for event in (
+            h11.Response(status_code=400, headers=[*HEADER_LINES, *refused.raw_headers]),
+            h11.Data(data=bytes(refused.body)),
+            h11.EndOfMessage(),
+        ):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
 
     def on_response_complete(self) -> None:
         super().on_response_complete()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def train_family(
             rows=rows,
             fit=fit,
             trust=trust,
-            hyper_parameters=problem.hyper_parameters,
+            hyper_parameters=problem.hyper_parameters | _score(trust),
             training=tuple(training_data(recording) for recording in used),
             sensor_ids=_ids(recordings[0].temperature_names, kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),
@@ -120,6 +121,12 @@ def train_family(
         warnings=warnings,
         choice=problem.choice if isinstance(problem, ChosenProblem) else None,
     )
+
+
+def _score(trust: Trust) -> HyperParameters:
+    """Return what a candidate is compared by: RMSE with / without the model on what was left out, mean of channels."""
+    score = trust.held_out_relative_rmse
+    return {"held_out_relative_rmse": round(score, 4)} if isfinite(score) else {}
 
 
 def _ids(all_names: Sequence[str], kept: Sequence[str]) -> tuple[int, ...]:

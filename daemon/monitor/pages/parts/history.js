@@ -11,7 +11,7 @@ export async function page(place, context) {
   const view = new History(context);
   place.append(h("h1", { class: "hidden" }, "History"), view.element);
   await view.load();
-  view.timer = setInterval(() => view.follow && view.load(), 5000);
+  view.timer = setInterval(() => view.follow && !view.list.querySelector("details[open]") && view.load(), 5000);
   return view;
 }
 
@@ -55,9 +55,9 @@ class History {
     const head = ["time", "outcome", "state", "reason", "requested [µm]", "written [µm]", "applied [µm]", "macros: old → new", "model", "delay"];
     const rows = writes.map((write) => {
       const [kind, words] = OUTCOMES[write.outcome] ?? ["", write.outcome];
-      return [clock(write.time, { date: true }), h("span", { class: `tag ${kind}` }, words), write.state ?? NONE,
+      return [h("span", { title: clock(write.time, { date: true }) }, clock(write.time, { date: this.range_s > 86400 })), h("span", { class: `tag ${kind}` }, words), write.state ?? NONE,
         h("span", {}, write.reason || write.cause, write.person ? h("span", { class: "dim" }, ` (${write.person})`) : "", write.detail ? h("span", { class: "said" }, ` ${write.detail}`) : ""),
-        vector(write.requested_um), vector(write.compensation_um), vector(write.applied_um), macros(write), write.model_id ?? NONE, seconds(write.delay_s.verified ?? write.delay_s.read_back ?? null)];
+        ...[write.requested_um, write.compensation_um, write.applied_um].map((values) => vector(values, moved(write))), macros(write), write.model_id ?? NONE, seconds(write.delay_s.verified ?? write.delay_s.read_back ?? null)];
     });
     const scroll = this.list.querySelector(".scroll")?.scrollTop ?? 0;
     this.list.replaceChildren(h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Writes" }, h("table", { class: "writes" }, h("thead", {}, h("tr", {}, head.map((word) => h("th", { scope: "col" }, word)))),
@@ -72,7 +72,14 @@ class History {
   }
 }
 
-const vector = (values) => Object.entries(values ?? {}).filter(([, value]) => value !== null).map(([axis, value]) => `${axis.toUpperCase()} ${signed(value)}`).join("  ") || NONE;
+// Axes of which anything is asked for, written or applied; all of them where nothing is.
+function moved(write) {
+  const kinds = [write.requested_um, write.compensation_um, write.applied_um].map((values) => values ?? {});
+  const names = [...new Set(kinds.flatMap(Object.keys))], found = names.filter((axis) => kinds.some((values) => values[axis]));
+  return found.length ? found : names;
+}
+
+const vector = (values, axes) => Object.entries(values ?? {}).filter(([axis, value]) => value !== null && axes.includes(axis)).map(([axis, value]) => `${axis.toUpperCase()} ${signed(value)}`).join("  ") || NONE;
 
 function macros(write) {
   return h("details", {}, h("summary", {}, write.macros.length === 1 ? `#${write.macros[0][0]}` : `${write.macros.length} variables`), h("ul", { class: "plain" }, write.macros.map(([number, value], index) =>

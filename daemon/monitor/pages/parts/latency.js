@@ -14,7 +14,7 @@ const STAGES = [
 
 export async function page(place) {
   const charts = h("div", { class: "grid" }), numbers = h("div", {});
-  place.append(h("h1", { class: "hidden" }, "Latency"), h("div", { class: "grid" }, h("div", {}, numbers)), h("p", {}), charts);
+  place.append(h("h1", { class: "hidden" }, "Latency"), h("div", { class: "stack" }, numbers, charts));
   const load = async () => {
     const found = await ask("latency");
     put(numbers, summary(found));

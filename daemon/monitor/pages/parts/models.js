@@ -3,41 +3,57 @@
 import { h, prose, card, table, clock, number, NONE } from "../dom.js";
 import { ask } from "../api.js";
 
-const NAMES = { thermal: "Thermal model in force", bearings: "Bearing model in force" };
-
 export async function page(place) {
   const found = await ask("models");
-  const grid = h("div", { class: "grid" });
-  for (const [kind, words] of Object.entries(NAMES)) {
-    const section = card(words, found[kind] ? facts(found[kind]) : h("p", { class: "dim" }, kind === "bearings" ? "None: the spindle speed is not tuned. See the guide Tune the spindle speed." : "None: train a model from recordings, evaluate it, and have a person release it."));
-    section.classList.add("half");
-    grid.append(section);
-  }
-  grid.append(list("Candidates", found.candidates, "No candidate lies in the folder of proposals: `toolpoint thermal train` makes one."), list("Releases", found.releases, "Nothing was released yet: `toolpoint model release` does it, under another account than the daemon's."),
-    card("Releasing", h("p", {}, prose(found.note || "A model is released by a person on the command line: `toolpoint model release`. The daemon cannot release its own."))));
-  place.append(h("h1", { class: "hidden" }, "Models"), grid);
+  const half = (section) => { section.classList.add("half"); return section; };
+  place.append(h("h1", { class: "hidden" }, "Models"), h("div", { class: "grid" },
+    half(card("Thermal model in force", found.thermal ? in_force(found.thermal) : absent("None: train a model from recordings, evaluate it, and have a person release it."))),
+    half(card("Bearing model in force", found.bearings ? in_force(found.bearings) : absent("None: the spindle speed is not tuned. See the guide Tune the spindle speed."))),
+    card("Candidates", found.candidates.length ? candidates(found.candidates) : absent("No candidate lies in the folder of proposals: `toolpoint thermal train` makes one, and so does the retraining (compensation.retraining).")),
+    card("Releases", found.releases.length ? releases(found.releases) : absent("Nothing was released yet: `toolpoint model release` does it, under another account than the daemon's.")),
+    card("Releasing", h("p", {}, prose(`${found.note[0].toUpperCase()}${found.note.slice(1)}.`)))));
   return {};
 }
 
-const KEYS = { model_id: "model", sha256: "hash", released_by: "released by", released: "released", release: "release", problem: "problem", warning: "attention" };
+const absent = (words) => h("p", { class: "dim" }, prose(words));
+const facts = (rows) => h("dl", { class: "facts" }, rows.filter(([, value]) => value !== null && value !== "" && value !== undefined).flatMap(([words, value, classes]) => [h("dt", {}, words), h("dd", { class: classes }, value)]));
+const day = (iso) => { const at = Date.parse(iso); return Number.isNaN(at) ? iso : clock(at / 1000, { date: true }); };
 
-function facts(model) {
-  const rows = Object.entries(model).filter(([, value]) => value !== null && value !== "");
-  return h("dl", { class: "facts" }, rows.flatMap(([key, value]) => [h("dt", {}, words(key)), h("dd", { class: key === "problem" ? "said" : "" }, show(key, value))]));
+function in_force(model) {
+  const { scores } = model;
+  return facts([
+    ["model", model.model_id], ["hash", model.sha256 && h("span", { title: model.sha256 }, `${model.sha256.slice(0, 16)}…`)],
+    ["release", model.release], ["released by", model.released_by], ["released", model.released && day(model.released)],
+    ...(scores ? [["kind", scores.kind], ["made", day(scores.created)], ["trained on", trained(scores)], ["error left", left(scores)], ["bands", bands(scores)]] : []),
+    ["problem", model.problem, "said"], ["attention", model.warning],
+  ]);
 }
 
-const words = (key) => KEYS[key] ?? key.replace(/_um$/, " [µm]").replace(/_degc$/, " [°C]").replace(/_s$/, " [s]").replaceAll("_", " ");
-
-function show(key, value) {
-  if (value === null || value === undefined) return NONE;
-  if (typeof value === "number") return /utc|time/.test(key) && value > 1e8 ? clock(value, { date: true }) : Number.isInteger(value) ? String(value) : number(value, 3);
-  if (Array.isArray(value)) return value.map((one) => show(key, one)).join(", ") || NONE;
-  if (typeof value === "object") return h("dl", { class: "facts" }, Object.entries(value).flatMap(([inner, one]) => [h("dt", {}, words(inner)), h("dd", {}, show(inner, one))]));
-  return typeof value === "boolean" ? (value ? "yes" : "no") : key === "sha256" ? `${value.slice(0, 16)}…` : String(value);
+function candidates(found) {
+  const head = ["model", "made", "trained on", "error left", "band of its limit", "verdict"];
+  return table(head, found.map((one) => [one.model_id, one.scores ? [day(one.scores.created), h("small", { class: "dim" }, ` ${one.scores.kind}`)] : NONE, one.scores ? trained(one.scores) : NONE,
+    one.scores ? left(one.scores) : NONE, one.scores ? bands(one.scores) : NONE, verdict(one)]), { caption: "Candidates", classes: "candidates" });
 }
 
-function list(title, entries, empty) {
-  if (!entries?.length) return card(title, h("p", { class: "dim" }, prose(empty)));
-  const keys = [...new Set(entries.flatMap((entry) => Object.keys(entry)))];
-  return card(title, table(keys.map(words), entries.map((entry) => keys.map((key) => show(key, entry[key]))), { caption: title }));
+// Whether it would be released, and why not: the check that it does no harm among others.
+function verdict({ against, released_as: number, file }) {
+  if (number !== null) return h("span", { class: "tag good" }, `released as ${number}`);
+  if (against) return h("span", {}, h("span", { class: "tag bad" }, "refused"), " ", against);
+  return h("span", {}, h("span", { class: "tag good" }, "does no harm"), " ", prose(`a person may release it: \`toolpoint model release ${file}\``));
+}
+
+const trained = ({ recordings, hours }) => h("span", { title: recordings.join("\n") }, `${recordings.length} ${recordings.length === 1 ? "recording" : "recordings"}, ${number(hours, 0)} h`);
+
+function left({ error_left: share }) {
+  return share === null ? h("span", { class: "dim" }, "not in its file") : h("span", { title: "RMSE with the model / without, on what was left out of the training" }, `${number(100 * share, 0)} % of the error on what was left out`);
+}
+
+function bands({ bands: found }) {
+  return h("ul", { class: "plain" }, found.map(({ channel, band_um: band, widest_um: widest }) => h("li", {}, `${channel} `,
+    band === null ? "not known: nothing was left out" : h("b", { class: widest !== null && band > widest ? "said" : "" }, `± ${number(band)} µm`), widest === null ? "" : h("span", { class: "dim" }, ` of ${number(widest, 0)}`))));
+}
+
+function releases(found) {
+  return table(["release", "model", "action", "by", "when", "note", "checked"], found.map((one) => [one.release, one.model_id, one.action, one.released_by, day(one.released), one.note,
+    h("details", {}, h("summary", {}, `${one.checks.length} checks`), h("ul", { class: "plain" }, one.checks.map((check) => h("li", {}, check))))]), { caption: "Releases", classes: "releases" });
 }

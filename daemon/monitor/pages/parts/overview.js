@@ -1,9 +1,10 @@
 // Overview: is it working, and how do I know.
 
-import { h, s, put, card, choice, number, signed, um, unit, seconds, duration, NONE } from "../dom.js";
+import { h, s, put, prose, card, choice, number, signed, um, unit, seconds, duration, NONE } from "../dom.js";
 import { STATES, TERMS } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, act, series } from "../api.js";
+import { remedies } from "../messages.js";
 import { aligned, at, begun, each, held, since } from "../series.js";
 
 const SHIFT_S = 8 * 3600;
@@ -52,20 +53,28 @@ function state(status) {
     h("span", { class: "mark", "aria-hidden": "true" }, known.mark),
     h("div", { class: "word", id: "state" }, status.state, " ", h("small", {}, known.words.replace(/^\w+: /, ""))),
     h("p", { class: "reason", id: "reason" }, status.reason ? sentence(status.reason) : known.words),
+    status.state !== "ACTIVE" && remedy(status.alarm || status.reason),
     h("div", { class: "more" },
       axes.length > 0 && h("p", {}, "Estimated error without compensation: ", h("b", {}, without), "; with: ", h("b", {}, left), "."),
       h("p", { class: "dim" }, reference(status), status.since_s !== null ? ` In this state for ${duration(status.since_s)}.` : ""),
     ));
 }
 
+// What a person should do about a reason, as the manual says.
+function remedy(reason) {
+  const found = remedies(reason);
+  return h("p", { class: "todo" }, found.length > 0 && [h("b", {}, "What to do: "), prose(found.join("; ")), ". "], h("a", { href: "#/messages" }, "All messages"));
+}
+
 // What a person should look at: whole in a fault, else its beginning, and the rest on demand.
-function problems({ problems: found, state: now }) {
-  return found.map((problem) => {
-    const end = problem.indexOf(": ");
-    if (now === "FAULT" || problem.length < 90 || end < 0) return h("p", { class: now === "FAULT" ? "said" : "attention" }, problem);
-    return h("details", { class: "attention" }, h("summary", {}, problem.slice(0, end)), problem.slice(end + 2));
+function problems({ problems: found, alarm, state: now }) {
+  return found.filter((problem) => problem !== alarm || now !== "FAULT" ).map((problem) => {
+    if (now === "FAULT" || problem.length < 110) return h("p", { class: "attention" }, problem, " ", todo(problem));
+    return h("details", { class: "attention" }, h("summary", {}, h("span", {}, problem)), todo(problem));
   });
 }
+
+const todo = (problem) => { const found = remedies(problem); return found.length > 0 && h("small", {}, "What to do: ", prose(found.join("; ")), "."); };
 
 const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
 
@@ -140,7 +149,16 @@ function axes(status) {
   });
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Compensation by axis" },
     since_reference(status),
-    h("table", { class: "axes" }, h("thead", {}, h("tr", {}, head.map(([words, explanation]) => h("th", { scope: "col", title: explanation }, words)))), h("tbody", {}, rows)));
+    h("table", { class: "axes" }, h("thead", {}, h("tr", {}, head.map(([words, explanation]) => h("th", { scope: "col", title: explanation }, words)))), h("tbody", {}, rows)), key());
+}
+
+// What the marks of the drawings mean.
+function key() {
+  const mark = (drawn, words) => h("span", { class: "key" }, s("svg", { width: "1.5rem", height: "1rem", viewBox: "0 0 24 16", "aria-hidden": "true" }, drawn), words);
+  return h("p", { class: "legend", "aria-hidden": "true" },
+    mark(s("rect", { x: 0, y: 4, width: 24, height: 8, fill: "var(--with)" }), "applied"), mark(s("line", { x1: 12, x2: 12, y1: 2, y2: 14, stroke: "var(--ink)", "stroke-width": 2.5 }), "written"),
+    mark(s("line", { x1: 12, x2: 12, y1: 0, y2: 16, stroke: "var(--without)", "stroke-width": 3 }), "requested"), mark(s("rect", { x: 0, y: 1, width: 24, height: 14, fill: "var(--band)" }), "band"),
+    mark([s("line", { x1: 4, x2: 4, y1: 1, y2: 15, stroke: "var(--ink)", "stroke-width": 2 }), s("line", { x1: 20, x2: 20, y1: 1, y2: 15, stroke: "var(--ink)", "stroke-width": 2 })], "bound"));
 }
 
 // After a second reference the request is not minus the estimate: what was applied at the reference stays in it.

@@ -36,7 +36,7 @@ class Temperatures {
     this.chart = new Chart({ title: "Chosen temperatures", caption: "Drag across the chart to look closer.", unit: "temperature [°C]", unit_short: "°C", digits: 2, height: 19, least: 0.1, series: [],
       zoom: (from, to) => { this.window = [from, to]; this.load(); } });
     const whole = h("button", { type: "button", class: "quiet", onclick: () => { this.window = null; this.load(); } }, "Back to now");
-    const search = h("input", { type: "search", id: "search", placeholder: "number, component, part, label", oninput: (event) => { this.words = event.target.value; this.rows(); } });
+    const search = h("input", { type: "search", id: "search", placeholder: "number or name", oninput: (event) => { this.words = event.target.value; this.rows(); } });
     this.element = h("div", { class: "grid" },
       h("section", { class: "card" },
         h("div", { class: "between" }, h("h2", {}, "Chosen temperatures"),
@@ -105,11 +105,11 @@ class Temperatures {
     const rows = found.map((sensor) => {
       const value = h("td", {}, number(sensor.degc, 2));
       this.cells.push([sensor, value]);
-      return this.row(sensor.name, [sensor.component, sensor.part ?? "", sensor.label ?? ""], `Sensor ${sensor.id}`, value, sensor.quality);
+      return this.row(sensor.name, [[sensor.component, sensor.part && h("small", {}, sensor.part)], sensor.label ?? ""], `Sensor ${sensor.id}`, value, sensor.quality);
     });
-    const means = this.by === "label" && !asked.length ? this.labels.map((name) => this.row(name, ["mean of its sensors", "", name.slice(6)], `Label ${name.slice(6)}`, h("td", {}), "good")) : [];
+    const means = this.by === "label" && !asked.length ? this.labels.map((name) => this.row(name, ["mean of its sensors", name.slice(6)], `Label ${name.slice(6)}`, h("td", {}), "good")) : [];
     this.list.replaceChildren(h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Sensors" }, h("table", { class: "sensors" }, h("thead", {}, h("tr", {},
-      ["in the chart", "component", "part", "label", "now [°C]"].map((words) => h("th", { scope: "col" }, words)))), h("tbody", {}, means, rows))));
+      ["in the chart", "component, part", "label", "now [°C]"].map((words) => h("th", { scope: "col" }, words)))), h("tbody", {}, means, rows))));
     if (!rows.length) this.list.append(h("p", { class: "dim" }, "No sensor has these words."));
   }
 

@@ -102,7 +102,7 @@ class ThermalError {
       h("dt", {}, "imputed"), h("dd", {}, estimate.imputed.length ? `sensors ${estimate.imputed.join(", ")}` : "no sensor"),
       h("dt", {}, "model"), h("dd", {}, estimate.model_id ?? NONE))));
     const parts = one?.contributions;
-    put(this.parts, parts ? card("Which sensors contribute how much", h("div", { class: "scroll", tabindex: "0" }, contributions(parts)))
+    put(this.parts, parts ? card("Which sensors contribute how much", contributions(parts))
       : card("Which sensors contribute how much", h("p", { class: "dim" }, one ? "This kind of model does not say." : "There is no estimate yet.")));
     const marks = [...estimate.references].reverse();
     put(this.marks, card("Reference marks, last 24 h", marks.length
@@ -136,7 +136,7 @@ function contributions(parts) {
   const rows = parts.slice(0, SHOWN).map((part) => [`${part.sensor} ${part.part ?? part.component}`, part.um]);
   if (rest.length) rows.push([`${rest.length} others`, rest.reduce((sum, part) => sum + part.um, 0)]);
   return h("table", { class: "bars" }, h("caption", { class: "hidden" }, "Contribution of each sensor in µm"), h("tbody", {}, rows.map(([words, value]) => h("tr", {},
-    h("td", {}, words), h("td", {}, `${signed(value)} µm`), h("td", {}, bar(value, most))))));
+    h("td", { title: words }, words), h("td", {}, `${signed(value)} µm`), h("td", {}, bar(value, most))))));
 }
 
 function bar(value, most) {

@@ -1,0 +1,152 @@
+"""The monitor opened beyond the computer: a real certificate, accounts, and what a browser may try."""
+
+import asyncio
+import contextlib
+import ssl
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from monitor_bench import accounts_file, monitor
+
+from daemon.monitor.web import access
+
+HOST = "mill-7.hall"
+
+
+def make_certificate(folder):
+    """Write a certificate of its own authority, and its key; return what trusts it."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, HOST)])
+    names = [x509.DNSName(HOST), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
+    now = datetime.now(UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    (folder / "monitor.crt").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    secret = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    (folder / "monitor.key").write_bytes(secret)
+    return ssl.create_default_context(cafile=str(folder / "monitor.crt"))
+
+
+@contextlib.asynccontextmanager
+async def opened(folder, **roles):
+    """Serve with TLS and accounts."""
+    trusted = make_certificate(folder)
+    files = {"tls_certificate": folder / "monitor.crt", "tls_key": folder / "monitor.key"}
+    async with monitor(folder, trusted, users=accounts_file(folder, **roles), **files) as bench:
+        yield bench
+
+
+async def test_a_person_logs_in_and_acts_through_tls(tmp_path):
+    async with opened(tmp_path, anna="operator", otto="viewer") as bench:
+        rig = bench.rig
+        await rig.turn()
+        rig.set_reference()
+        await rig.turn()
+        browser, viewer = bench.browser(), bench.browser()
+        assert (await browser.get("/api/v1/status")).status == 401
+        cookie = (await browser.login("anna")).headers["set-cookie"]
+        assert cookie.startswith("__Host-toolpoint=")
+        assert {"secure", "httponly", "samesite=strict", "path=/"} <= set(cookie.lower().split("; "))
+        ours = {"origin": f"https://localhost:{bench.port}", "host": f"localhost:{bench.port}"}
+        asked = asyncio.create_task(browser.ask("POST", "/api/v1/enable", {"axes": ["z"]}, ours))
+        while not asked.done():
+            await rig.turn()
+            await asyncio.sleep(0.01)
+        assert (await asked).json["decided"] is True
+        for origin in (f"http://localhost:{bench.port}", "https://localhost:1", f"https://{HOST}.evil.example"):
+            answer = await browser.ask("POST", "/api/v1/disable", {}, ours | {"origin": origin})
+            assert answer.status == 403 and "only the monitor's own pages may act" in answer.detail, origin
+        token, browser.csrf = browser.csrf, "none"
+        answer = await browser.ask("POST", "/api/v1/disable", {}, ours)
+        assert answer.status == 403 and "does not hold this session's token" in answer.detail
+        await viewer.login("otto")
+        answer = await viewer.ask("POST", "/api/v1/disable", {})
+        assert answer.status == 403 and "otto is viewer; this takes the role operator" in answer.detail
+        viewer.csrf = token
+        answer = await viewer.ask("POST", "/api/v1/disable", {})
+        assert answer.status == 403 and "token" in answer.detail, "that of another session"
+        assert any(rig.snapshots.control.wanted), "nothing of that has acted"
+
+
+async def test_it_answers_to_the_names_of_its_certificate_alone(tmp_path):
+    async with opened(tmp_path, anna="viewer") as bench:
+        ours, others = (f"{HOST}:{bench.port}", "10.0.0.17"), ("mill-8.hall", "10.0.0.18")
+        for host in ours:
+            assert (await bench.browser().get("/api/v1/session", host=host)).status == 200, host
+        for host in others:
+            answer = await bench.browser().get("/api/v1/session", host=host)
+            assert answer.status == 403 and "service.tls_certificate" in answer.detail, host
+
+
+async def test_a_session_that_ends_closes_its_live_events_too(tmp_path, monkeypatch):
+    async with opened(tmp_path, anna="viewer") as bench, asyncio.timeout(60):
+        browser = bench.browser()
+        await browser.login("anna")
+        cookie = "; ".join(f"{name}={value}" for name, value in browser.cookies.items())
+        reader, writer = await asyncio.open_connection("localhost", bench.port, ssl=bench.tls)
+        writer.write(f"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\nCookie: {cookie}\r\n\r\n".encode())
+        assert await reader.readuntil(b"event: status")
+        monkeypatch.setattr(access, "IDLE_S", -1.0)
+        while bench.live.viewers:
+            await reader.read(4096)
+        writer.close()
+        answer = await browser.get("/api/v1/status")
+        assert answer.status == 401 and "log in first" in answer.detail
+
+
+async def test_wrong_passwords_are_limited_through_tls_too(tmp_path):
+    async with opened(tmp_path, anna="viewer") as bench:
+        for _ in range(access.MOST_FAILURES):
+            assert (await bench.browser().login("anna", "a wrong password")).status == 401
+        answer = await bench.browser().login("anna")
+        assert answer.status == 429 and "too many wrong passwords" in answer.detail and answer.headers["retry-after"]
+
+
+async def test_plain_http_and_old_tls_get_nothing_and_the_others_go_on(tmp_path):
+    async with opened(tmp_path, anna="viewer") as bench, asyncio.timeout(60):
+        reader, writer = await asyncio.open_connection("127.0.0.1", bench.port)
+        writer.write(b"GET /api/v1/session HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        with contextlib.suppress(ConnectionError):
+            assert b"HTTP/1.1" not in await reader.read()
+        writer.close()
+        old = ssl.create_default_context(cafile=str(tmp_path / "monitor.crt"))
+        with pytest.warns(DeprecationWarning):
+            old.minimum_version, old.maximum_version = ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1
+        with pytest.raises((ssl.SSLError, ConnectionError)):
+            await asyncio.open_connection("localhost", bench.port, ssl=old)
+        assert (await bench.browser().get("/api/v1/session")).status == 200
+
+
+async def test_a_certificate_that_was_replaced_counts_from_the_next_connection(tmp_path):
+    async with opened(tmp_path, anna="viewer") as bench:
+        before = bench.browser()
+        assert (await before.get("/api/v1/session")).status == 200
+        bench.tls = make_certificate(tmp_path)
+        assert (await bench.browser().get("/api/v1/session")).status == 200
+        with pytest.raises(ssl.SSLError):
+            await before.get("/api/v1/session")
+
+
+async def test_files_that_are_no_certificate_are_named(tmp_path):
+    files = {"tls_certificate": tmp_path / "monitor.crt", "tls_key": tmp_path / "monitor.key"}
+    for path in files.values():
+        path.write_text("neither\n", encoding="ascii")
+    with pytest.raises(OSError, match=r"monitor\.crt and its key cannot be used"):
+        async with monitor(tmp_path, users=accounts_file(tmp_path, anna="viewer"), **files):
+            pass
