@@ -64,7 +64,7 @@ if [ "$program_only" = no ]; then
         *[!A-Za-z0-9/._+-]*) die "the units cannot name $prefix; choose a folder of letters, digits and / . _ + -" ;;
     esac
     case $root$prefix in
-        //home/*|//root/*|//tmp/*|//var/tmp/*) die "the service cannot look into $prefix (ProtectHome, PrivateTmp); choose another folder" ;;
+        //home/*|//root/*|//run/user/*|//tmp/*|//var/tmp/*) die "the service cannot look into $prefix (ProtectHome, PrivateTmp); choose another folder" ;;
     esac
 fi
 

@@ -1,11 +1,14 @@
 """The control task after a restart of the daemon: from the echo, with the reference and its baseline."""
 
+from dataclasses import replace
+
 import pytest
 from control_rig import (
     Bench,
     Z,
     running,
 )
+from wires import EVER, check_audit
 
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceRefused, ReferenceRequest, ReferenceTakenUp
@@ -280,3 +283,32 @@ async def test_a_calendar_that_was_set_back_takes_no_reference_up(bench):
         await rig.turn()
         assert rig.control.reference is None
         assert any("calendar" in notice for notice in rig.control.journal.notices)
+
+
+async def test_a_restart_in_hold_begins_where_the_guard_has_gone_meanwhile_and_stays_there(bench):
+    """The block of before stays valid for some seconds: the guard goes on with it while no daemon lives."""
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        rig.alive()
+        for _ in range(30):  # the guard is not called: what is written runs ahead of what is applied
+            await rig.turn(rig.estimate(0.0, -9.96), safe=False)
+        await rig.turn(rig.estimate(0.0, -9.96, confidence=0.1), safe=False)
+        assert rig.state == "HOLD"
+        assert (rig.applied["z"], bench.nc.macros.get(Z)) == (0.0, pytest.approx(9.96e-3))
+    bench.nc.safe_point()
+    assert bench.nc.guard.applied_um["z"] == 10.0, "in whole micrometres of the control"
+    async with running(bench.rig()) as rig:
+        for _ in range(10):
+            await rig.turn(rig.estimate(0.0, -20.0, confidence=0.1))
+            assert rig.state == "HOLD"
+            assert (rig.applied["z"], bench.nc.macros.get(Z)) == (10.0, pytest.approx(10.0e-3))
+        configuration = bench.configuration
+        await rig.history.flushed()
+        with HistoryReader(configuration.history.path) as reader:
+            writes = [record for record in reader.writes(*EVER) if record.compensation_um]
+            begun_s = [event.time_s for event in reader.events(*EVER) if event.kind == "start"]
+    check_audit(writes, configuration, begun_s=begun_s)
+    moved = replace(writes[-1], compensation_um=writes[-1].compensation_um | {"z": 10.04}, time_s=writes[-1].time_s + 1)
+    for later in ([], [moved.time_s]):
+        with pytest.raises(AssertionError):
+            check_audit([*writes, moved], configuration, begun_s=[*begun_s, *later])

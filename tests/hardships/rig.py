@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import shutil
@@ -34,6 +35,7 @@ PERIOD_S = 2.0
 PATIENCE_S = 120.0
 STATES = ("ACTIVE", "HOLD", "ARMED")
 DISK_MIB = 96
+STEADY_UM = 1.0
 EVER = (0.0, 1e11)
 
 
@@ -210,6 +212,29 @@ class Rig(Wires):
         with HistoryReader(self.store) as reader:
             return reader.last_write_id() or 0
 
+    def last_estimate_utc_s(self) -> float:
+        with HistoryReader(self.store) as reader:
+            times = reader.estimates(*EVER).time_s
+        return float(times[-1]) if len(times) else 0.0
+
+    def check_estimates(self, row: Row, since_s: float) -> None:
+        """Check that what is estimated goes on, over swaps and restarts, as the machine does: within 1 um and the slew.
+
+        A value that is believed of the wrong sensor is off by um per K of it, and goes back when it is told apart.
+        """
+        with HistoryReader(self.store) as reader:
+            found = reader.estimates(since_s, EVER[1])
+        for axis in self.configuration.compensation.axes.values():
+            if axis.estimate is None:
+                continue
+            values_um = found.thermal_error_um[axis.estimate]
+            for k, (then, now) in enumerate(itertools.pairwise(found.reference_id), start=1):
+                gap_min = (found.time_s[k] - found.time_s[k - 1]) / 60.0
+                jump_um = abs(values_um[k] - values_um[k - 1])
+                allowed_um = STEADY_UM + axis.slew_um_per_min * gap_min
+                if then == now and found.model_id[k] == found.model_id[k - 1]:
+                    row.check("the estimate goes on without a jump", jump_um <= allowed_um, (jump_um, found.time_s[k]))
+
     def check_writes(self, row: Row, after: int, *, unverified: int, slew: bool = True) -> None:
         """Check bound, slew and standstill of what was written after a write."""
         with HistoryReader(self.store) as reader:
@@ -221,7 +246,7 @@ class Rig(Wires):
             return
         if slew:
             with row.holds("bound, slew rate and standstill in HOLD of every block"):
-                check_audit(writes, self.configuration, unverified=unverified)
+                check_audit(writes, self.configuration, unverified=unverified, begun_s=self.begun_s())
             return
         bounds = {name: axis.absolute_bound_um for name, axis in self.configuration.compensation.axes.items()}
         bad = [one for one in writes if any(abs(one.compensation_um[a] or 0.0) > b for a, b in bounds.items())]

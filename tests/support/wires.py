@@ -23,6 +23,7 @@ from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)
 FOREVER_S = 300.0
+NOISE_UM = 1e-6
 FIRST_REFERENCE_S = 150.0
 """Simulated time of the first work positioning [s]."""
 
@@ -125,6 +126,11 @@ class Wires:
         text = (self.directory / "daemon.log").read_text(encoding="utf-8")
         assert "Traceback" not in text, text[text.index("Traceback") - 500 :][:3000]
 
+    def begun_s(self) -> list[float]:
+        """Return when a daemon started or a reference came into force [s]."""
+        with HistoryReader(self.configuration.history.path) as reader:
+            return [event.time_s for event in reader.events(*EVER) if event.kind in ("daemon", "reference")]
+
     def writes(self) -> list[WriteRecord]:
         """Return the blocks in the audit, without answers to the NC program.
 
@@ -169,8 +175,23 @@ def _by_request(status: dict[str, Any]) -> bool:
     return status["output"]["state"] == "ACTIVE" and reference and reference["source"].startswith("request")
 
 
-def check_audit(writes: Sequence[WriteRecord], configuration: Configuration, *, unverified: int = 0) -> None:
-    """Check bound, slew rate and standstill in HOLD of everything that was written."""
+def _is_there(value_um: float, before: WriteRecord, after: WriteRecord, axis: str) -> bool:
+    """Whether the tool stood there at some moment between the read-backs of two blocks.
+
+    A daemon that starts begins from the CNC's echo, and so does a new reference: from where the guard has taken the
+    block before meanwhile. The guard goes from one to the other without turning.
+    """
+    ends = [um for um in (before.applied_um.get(axis), after.applied_um.get(axis)) if um is not None]
+    return bool(ends) and min(ends) - NOISE_UM <= value_um <= max(ends) + NOISE_UM
+
+
+def check_audit(
+    writes: Sequence[WriteRecord], configuration: Configuration, *, unverified: int = 0, begun_s: Sequence[float] = ()
+) -> None:
+    """Check bound, slew rate and standstill in HOLD of everything that was written.
+
+    `begun_s`: when a daemon started or a reference came into force, and the command began again from the CNC's echo.
+    """
     axes = configuration.compensation.axes
     assert writes
     failed = [record for record in writes if record.outcome is not WriteOutcome.VERIFIED]
@@ -181,7 +202,8 @@ def check_audit(writes: Sequence[WriteRecord], configuration: Configuration, *, 
             value, last = after.compensation_um[axis], before.compensation_um[axis]
             assert value is not None and last is not None
             assert abs(value) <= limits.absolute_bound_um + 1e-9, after
-            if before.applied_um.get(axis) in (None, value):
+            begins = any(before.time_s <= time_s <= after.time_s for time_s in begun_s)
+            if before.applied_um.get(axis) in (None, value) or (begins and _is_there(value, before, after, axis)):
                 continue  # the command began again at what the tool point already has
             # The step's time is taken before the intent's: a little more than the slew rate may show.
             slack_um = 0.1 * limits.slew_um_per_min

@@ -37,7 +37,7 @@ def test_disturbed_lines_do_not_disturb_the_output(tmp_path):
         )
         wires.wait_for_state("ACTIVE")
         wires.check_nothing_broke()
-        check_audit(wires.writes(), wires.configuration)
+        check_audit(wires.writes(), wires.configuration, begun_s=wires.begun_s())
         assert wires.status()["writes"]["refused"] == 0
 
 
@@ -63,7 +63,7 @@ def test_one_dead_line_is_imputed_and_three_hold_the_output(tmp_path):
         wires.wait_for_state("ACTIVE")
         wires.wait("every sensor", lambda status: status["temperatures"]["usable"] == status["temperatures"]["total"])
         wires.check_nothing_broke()
-        check_audit(wires.writes(), wires.configuration)
+        check_audit(wires.writes(), wires.configuration, begun_s=wires.begun_s())
 
 
 def test_a_cnc_that_freezes_or_dies_is_found_again(tmp_path):
@@ -81,7 +81,7 @@ def test_a_cnc_that_freezes_or_dies_is_found_again(tmp_path):
             assert link(status, "cnc")["up"] and status["reference"]["id"] == reference
         wires.check_nothing_broke()
         assert not [entry for entry in wires.log if entry["event"] == "output.fault"]
-        check_audit(wires.writes(), wires.configuration, unverified=3)
+        check_audit(wires.writes(), wires.configuration, unverified=3, begun_s=wires.begun_s())
         with HistoryReader(wires.configuration.history.path) as reader:
             unsettled = [record.write_id for record in reader.unsettled_writes()]
             assert all(write_id >= reader.writes(0.0, 1e11)[-2].write_id for write_id in unsettled), "one is on its way"
@@ -108,7 +108,7 @@ def test_a_disturbed_displacement_file_and_a_machine_that_stands_still_move_noth
         wires.wait("the alarm to end", lambda status: status["output"]["alarm"] == "")
         wires.check_nothing_broke()
         assert not [entry for entry in wires.log if entry["event"] == "output.fault"]
-        check_audit(wires.writes(), wires.configuration, unverified=4)
+        check_audit(wires.writes(), wires.configuration, unverified=4, begun_s=wires.begun_s())
         with HistoryReader(wires.configuration.history.path) as reader:
             times_s = list(reader.displacements(0.0, 1e11).time_s)
         assert len(set(times_s)) == len(times_s) >= 6, "a row a minute, each of them once"

@@ -85,7 +85,7 @@ def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
         back = toolpoint("rollback", "--to", "1", config=config)
         assert back["action"] == "rollback" and back["number"] == 3
         wires.check_nothing_broke()
-        check_audit(wires.writes(), wires.configuration)
+        check_audit(wires.writes(), wires.configuration, begun_s=wires.begun_s())
         said = said_of_models(wires.configuration.history.path, "refused: ")
         # A simulation whose processes were not ready in time starts its daemon once more.
         first_said, second_said, third_said = said[-3:]

@@ -40,5 +40,5 @@ def test_killed_at_any_moment_it_loses_nothing_and_goes_on(tmp_path):
                 moved = abs(after.compensation_um[axis] - before.compensation_um[axis])
                 assert moved <= limits.step_um, (axis, before, after)
         wires.check_nothing_broke()
-        check_audit(wires.writes(), wires.configuration, unverified=3)
+        check_audit(wires.writes(), wires.configuration, unverified=3, begun_s=wires.begun_s())
         assert not [entry for entry in wires.log if entry["event"] == "output.fault"]

@@ -74,7 +74,7 @@ class Gate:
                 await problem_response(error.status, error.detail, error.headers)(scope, receive, timed_send)
         except TooSlowError:
             _abort(scope)
-        except Exception:
+        except Exception:  # a defect in an answer: its traceback is logged, this connection ends, the server goes on
             log.exception("request.defect", path=scope["path"])
             if not complete:
                 _abort(scope)

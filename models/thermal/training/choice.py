@@ -105,6 +105,7 @@ class _Tried:
 
     @property
     def score(self) -> float:
+        """Left-out error over that without compensation, see `relative`; NaN where the family was not fitted."""
         return float("nan") if self.errors is None else relative(self.errors)
 
 
