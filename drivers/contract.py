@@ -1,4 +1,4 @@
-"""What the daemon expects of a driver.
+"""What the daemon expects of a driver, and what drivers of a CNC share.
 
 A driver is built new for every attempt, used by one task, and closed fully. It never retries:
 it raises `LinkError` (try again later) or `FatalDriverError` (a person must change something);
@@ -11,11 +11,21 @@ from typing import Literal, Protocol
 
 from config.schema.cnc import CncConfig
 from models.errors import RefusedInputError
-from models.records import CncSample, DisplacementSample, TemperatureCycle
+from models.records import CncMode, CncRun, CncSample, DisplacementSample, TemperatureCycle
 
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
 """What the simulated machine's control calls itself; nothing else may be driven by a scaled clock."""
 Security = Literal["encrypted", "insecure"]
+MODES = {
+    0: CncMode.MDI,
+    1: CncMode.MEMORY,
+    3: CncMode.EDIT,
+    4: CncMode.HANDLE,
+    5: CncMode.JOG,
+    10: CncMode.REMOTE,
+}
+RUNS = {0: CncRun.RESET, 1: CncRun.STOP, 2: CncRun.HOLD, 3: CncRun.START, 4: CncRun.START}
+"""FANUC's codes for mode and run, which several protocols carry."""
 
 
 class DriverError(Exception):
@@ -112,3 +122,25 @@ def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncC
                 raise NotSentError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
             if not math.isfinite(value):
                 raise NotSentError(f"{value} must not be written to macro variable #{number}; nothing was sent")
+
+
+class ClockWatch:
+    """Notices a control that answers from memory: its clock no longer moves."""
+
+    def __init__(self, name: str, stale_after_s: float) -> None:
+        self._name = name
+        self._stale_after_s = stale_after_s
+        self._value_s = math.nan
+        self._moved_s = 0.0
+
+    def stands_still(self, sample: CncSample) -> str:
+        """Return why the link counts as lost, '' while the clock moves."""
+        now_s = sample.time.monotonic_s
+        if sample.clock_s != self._value_s:
+            self._value_s, self._moved_s = sample.clock_s, now_s
+        elif now_s - self._moved_s > self._stale_after_s:
+            return (
+                f"{self._name} answers but its clock stands still at {sample.clock_s:g} s "
+                f"for {now_s - self._moved_s:.1f} s"
+            )
+        return ""

@@ -24,6 +24,12 @@ def _opcua() -> CncFactory:
     return OpcUaCnc
 
 
+def _focas() -> CncFactory:
+    from drivers.focas.cnc import FocasCnc
+
+    return FocasCnc
+
+
 def _latsis() -> TemperatureFactory:
     from drivers.latsis.source import LatsisSerialSource
 
@@ -36,7 +42,7 @@ def _file() -> DisplacementFactory:
     return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
 
 
-CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua}
+CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
 TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {"latsis": _latsis}
 """Kind of a temperature source -> the same."""

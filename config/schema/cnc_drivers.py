@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, Section
+from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
 
 Connection = TypeVar("Connection", bound="CncConnection")
 
@@ -134,6 +134,25 @@ class OpcUaConfig(CncConnection):
         return {f"security.{key}": getattr(self.security, key) for key in ("password_file", "private_key")}
 
 
+class FocasConfig(CncConnection):
+    """FOCAS2/Ethernet connection to a FANUC control; the protocol encrypts nothing and knows no user."""
+
+    driver: ClassVar[str] = "focas"
+
+    host: str = Field(min_length=1, description="name or address of the control", examples=["192.168.10.20"])
+    port: int = Field(8193, ge=1, le=65535, description="TCP port of its FOCAS2/Ethernet server")
+    path: int = Field(1, ge=1, le=15, description="path (channel) of the control")
+    tool_macro: MacroNumber = Field(4120, description="variable that holds the number of the tool in the spindle")
+    motor_temperature_diagnosis: int | None = Field(
+        None, ge=0, le=99999, description="number of the diagnosis that shows the spindle motor [degC]; none: not read"
+    )
+
+    @property
+    def address(self) -> str:
+        """The control's host and port."""
+        return f"{self.host.lower()}:{self.port}"
+
+
 def _section_of_driver(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Tell JSON Schema that the driver needs its own section and takes no other."""
     drivers = drivers_of(model)
@@ -160,8 +179,13 @@ class CncDriverConfig(Section):
 
     model_config = ConfigDict(json_schema_extra=_section_of_driver)
 
-    driver: Literal["opcua"] = Field("opcua", description="how the CNC is reached; the section of that name says where")
+    driver: Literal["opcua", "focas"] = Field(
+        "opcua", description="how the CNC is reached; the section of that name says where"
+    )
     opcua: OpcUaConfig | None = Field(None, description="OPC UA connection; required with driver opcua")
+    focas: FocasConfig | None = Field(
+        None, description="FOCAS2/Ethernet connection, which cannot be encrypted; required with driver focas"
+    )
     allow_insecure_writes: bool = Field(
         False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
     )

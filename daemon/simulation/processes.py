@@ -21,6 +21,8 @@ import yaml
 
 from config.loader import load_configuration
 from config.schema import Configuration
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import drivers_of
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
 from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY
@@ -58,7 +60,13 @@ def port_from(wanted: int) -> int:
 
 
 def write_simulation_configuration(
-    base: dict[str, Any], directory: Path, *, speed: float, http_port: int | None = None, secure: bool = False
+    base: dict[str, Any],
+    directory: Path,
+    *,
+    speed: float,
+    http_port: int | None = None,
+    secure: bool = False,
+    driver: str = "opcua",
 ) -> tuple[Path, Configuration]:
     """Write a configuration for wires, sockets and store inside `directory`; return it loaded.
 
@@ -70,11 +78,9 @@ def write_simulation_configuration(
         line["port"] = str(directory / f"{line['name']}.tty")
     if base.get("displacements"):
         base["displacements"]["file"] = {"path": str(directory / "displacement.csv"), "header": "time"}
-    base["cnc"]["opcua"] = {
-        "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
-        "namespace_uri": "urn:toolpoint:cnc",
-        "security": _keys(directory) if secure else None,
-    }
+    for other in drivers_of(CncConfig):
+        base["cnc"].pop(other, None)
+    base["cnc"] |= {"driver": driver, driver: _connection(driver, directory, secure=secure)}
     base["cnc"]["allow_insecure_writes"] = not secure
     base["cnc"]["stale_after_s"] = max(3.0, speed)
     base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
@@ -96,6 +102,19 @@ def write_simulation_configuration(
     path = directory / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
     return path, load_configuration(path)
+
+
+def _connection(driver: str, directory: Path, *, secure: bool) -> dict[str, Any]:
+    """Return the section of a driver for the simulated control on a free port; raises SimulationError."""
+    if driver == "opcua":
+        return {
+            "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
+            "namespace_uri": "urn:toolpoint:cnc",
+            "security": _keys(directory) if secure else None,
+        }
+    if secure:
+        raise SimulationError(f"driver {driver} cannot encrypt: leave --secure out, or use --cnc opcua")
+    return {"host": "127.0.0.1", "port": free_port()}
 
 
 def _keys(directory: Path) -> dict[str, str]:

@@ -70,8 +70,8 @@ class Simulation:
             raise SimulationError(str(error)) from error
 
     def _security(self, server_key: Path | None) -> ServerSecurity | None:
-        security = self.configuration.cnc.connection_as(OpcUaConfig).security
-        if security is None or server_key is None:
+        connection = self.configuration.cnc.connection
+        if not isinstance(connection, OpcUaConfig) or server_key is None or (security := connection.security) is None:
             return None
         return ServerSecurity(
             user_name=security.user_name,

@@ -19,7 +19,14 @@ PROGRAMMING_ERRORS = {"AssertionError", "KeyError", "RuntimeError", "TypeError",
 ROOMS: dict[str, tuple[str, ...]] = {
     "The output: why it holds, and what it tells": ("models/control", "daemon/compensation", "daemon/supervisor.py"),
     "Writing to the CNC": ("daemon/cnc",),
-    "The link to the CNC": ("drivers/opcua/cnc.py", "drivers/opcua/variables.py"),
+    "The link to the CNC": (
+        "drivers/opcua/cnc.py",
+        "drivers/opcua/variables.py",
+        "drivers/contract.py",
+        "drivers/focas/cnc.py",
+        "drivers/focas/link.py",
+        "drivers/focas/requests.py",
+    ),
     "Temperatures and lines": ("drivers/latsis", "models/quality.py", "daemon/links.py"),
     "Displacements": ("drivers/displacement",),
     "The estimate and its model": (

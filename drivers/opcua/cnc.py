@@ -21,7 +21,7 @@ from cryptography.exceptions import InvalidSignature
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import Clock
-from drivers.contract import DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
+from drivers.contract import ClockWatch, DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import Services
@@ -66,8 +66,7 @@ class OpcUaCnc:
         self._services: Services | None = None
         self._lost: str | None = None
         self._renew_at_s = math.inf
-        self._clock_value_s = math.nan
-        self._clock_moved_s = 0.0
+        self._watch = ClockWatch(self._endpoint, config.stale_after_s)
         self.identity = ""
         self.security: Security = "encrypted" if self._opcua.encrypted else "insecure"
 
@@ -93,7 +92,8 @@ class OpcUaCnc:
         request = variables.read_request(macros, state=True)
         answers = await self._call("reading", services.read(request))
         sample = variables.sample(self._clock.now(), macros, answers)
-        self._watch_clock(sample)
+        if stands := self._watch.stands_still(sample):
+            self._lose(stands)
         return sample
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
@@ -197,8 +197,7 @@ class OpcUaCnc:
         variables = Variables(self._opcua.nodes, namespaces.index(uri))
         block = self._config.macros.block
         answers = await services.read(variables.read_request(block, state=True))
-        sample = variables.sample(self._clock.now(), block, answers)
-        self._clock_value_s, self._clock_moved_s = sample.clock_s, sample.time.monotonic_s
+        self._watch.stands_still(variables.sample(self._clock.now(), block, answers))
         return variables
 
     async def _write(self, services: Services, requests: Sequence[tuple[Sequence[tuple[int, float]], bytes]]) -> None:
@@ -211,16 +210,6 @@ class OpcUaCnc:
                     raise FatalDriverError(
                         f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
                     )
-
-    def _watch_clock(self, sample: CncSample) -> None:
-        now_s = sample.time.monotonic_s
-        if sample.clock_s != self._clock_value_s:
-            self._clock_value_s, self._clock_moved_s = sample.clock_s, now_s
-        elif now_s - self._clock_moved_s > self._config.stale_after_s:
-            self._lose(
-                f"{self._endpoint} answers but its clock stands still at {sample.clock_s:g} s "
-                f"for {now_s - self._clock_moved_s:.1f} s"
-            )
 
     def _schedule_renewal(self, client: Client) -> None:
         lifetime_s = client.secure_channel_timeout / 1000

@@ -9,7 +9,7 @@ from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc_drivers import OpcUaNodesConfig
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import MODES, RUNS, FatalDriverError, LinkError
 from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
 
@@ -29,16 +29,6 @@ STATE_NODES = (
 """Keys of `OpcUaNodesConfig` in the order in which they are read."""
 MEASURED = frozenset({"spindle_speed", "motor_temperature"})
 """Measurements: without a value they are NaN, while the others are needed to know what the machine does."""
-
-MODES = {
-    0: CncMode.MDI,
-    1: CncMode.MEMORY,
-    3: CncMode.EDIT,
-    4: CncMode.HANDLE,
-    5: CncMode.JOG,
-    10: CncMode.REMOTE,
-}
-RUNS = {0: CncRun.RESET, 1: CncRun.STOP, 2: CncRun.HOLD, 3: CncRun.START, 4: CncRun.START}
 
 VACANT = frozenset(
     {

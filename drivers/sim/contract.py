@@ -1,4 +1,4 @@
-"""What the faces of a simulated machine (wires, OPC UA server, in-process) need of it."""
+"""What the faces of a simulated machine (wires, the CNC's server, in-process) need of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,6 +44,10 @@ class SimulatedNc(Protocol):
     work_offset: int
     tool_number: int
     macros: Macros
+
+
+NC_STATE = tuple(name for name in SimulatedNc.__annotations__ if name != "macros")
+"""What a simulated NC shows besides its macro variables."""
 
 
 class SimulatedMachine(Protocol):

@@ -18,7 +18,9 @@ from config.schema.temperatures import LineConfig
 from drivers import registry
 from drivers.clock import SystemClock
 from drivers.contract import Cnc
+from drivers.focas.cnc import FocasCnc
 from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.focas_server import SimulatedFocasServer
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 GUIDE = Path(__file__).parents[2] / "docs/how-to/write-a-driver.md"
@@ -83,15 +85,42 @@ class OpcUaBench:
         del self._nc.macros.values[number]
 
 
-@pytest_asyncio.fixture(params=["example", "opcua"])
+class FocasBench:
+    """The FOCAS driver at the simulated server."""
+
+    def __init__(self) -> None:
+        config = cnc_config(focas={"host": "127.0.0.1"})
+        self._server = SimulatedFocasServer(ScriptedNc(), config, port=0)
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def stop(self) -> None:
+        await self._server.stop()
+
+    def open(self, **changes: Any) -> Cnc:
+        return FocasCnc(cnc_config(focas={"host": "127.0.0.1", "port": self._server.port}, **changes), SystemClock())
+
+    async def lose(self) -> None:
+        await self._server.stop()
+
+    def refuse(self, number: int) -> None:
+        self._server.responder.refused_macros[number] = PROTECTED
+
+
+BENCHES = {"opcua": OpcUaBench, "focas": FocasBench}
+PROTECTED = 7
+
+
+@pytest_asyncio.fixture(params=["example", *BENCHES])
 async def bench(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
     if request.param == "example":
         yield ExampleBench()
         return
-    opcua = OpcUaBench()
-    await opcua.start()
-    yield opcua
-    await opcua.stop()
+    served = BENCHES[request.param]()
+    await served.start()
+    yield served
+    await served.stop()
 
 
 @pytest.mark.wires

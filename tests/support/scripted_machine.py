@@ -8,7 +8,7 @@ from typing import Any
 
 from config.schema import Configuration
 from config.schema.cnc import CncConfig, MacroMapConfig
-from config.schema.cnc_drivers import OpcUaConfig, OpcUaSecurityConfig
+from config.schema.cnc_drivers import OpcUaConfig, OpcUaSecurityConfig, drivers_of
 from config.schema.compensation import AxisConfig, CompensationConfig
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
@@ -90,13 +90,19 @@ class ScriptedMachine:
 
 
 def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> CncConfig:
-    """A CNC with three axes; `changes` go to CncConfig or, for endpoint's siblings, to OpcUaConfig."""
-    opcua = {key: changes.pop(key) for key in ("security", "nodes") if key in changes}
+    """A CNC with three axes; `changes` go to CncConfig or, for endpoint's siblings, to OpcUaConfig.
+
+    With the section of another driver, such as `focas={"host": ...}`, that driver's CNC.
+    """
+    opcua = {key: changes.pop(key) for key in ("security", "nodes", "namespace_uri") if key in changes}
     changes.setdefault("allow_insecure_writes", opcua.get("security") is None)
+    if other := next((driver for driver in drivers_of(CncConfig) if driver in changes), None):
+        changes["driver"] = other
+    else:
+        changes["opcua"] = OpcUaConfig(**({"endpoint": endpoint, "namespace_uri": NAMESPACE} | opcua))
     changes.setdefault("timeout_s", 10.0)
     writable = changes.pop("writable", ["100-110", "500-520"])
     return CncConfig(
-        opcua=OpcUaConfig(endpoint=endpoint, namespace_uri=changes.pop("namespace_uri", NAMESPACE), **opcua),
         macros=MacroMapConfig(
             writable=writable,
             sequence_a=500,

@@ -26,6 +26,7 @@ from daemon.simulation.processes import (
 
 LIVE_PERIOD_S = 0.25
 WEB_PORT = 8080
+CNC_WIRES = ("opcua", "focas")
 
 
 @click.command()
@@ -39,6 +40,13 @@ WEB_PORT = 8080
 @option("--speed", type=FiniteFloat(min=0, min_open=True, max=600), default=60.0, help="Simulated seconds per second.")
 @directory_option
 @option("--faults", "faults_path", type=EXISTING, help="Fault script (YAML) for the simulated machine.")
+@option(
+    "--cnc",
+    "driver",
+    type=click.Choice(CNC_WIRES),
+    default="opcua",
+    help="How the daemon reaches the simulated CNC: `focas` as it reaches a FANUC over Ethernet.",
+)
 @option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
 @json_option
 def demo(
@@ -48,6 +56,7 @@ def demo(
     speed: float,
     directory: Path | None,
     faults_path: Path | None,
+    driver: str,
     secure: bool,
     json_path: str | None,
 ) -> None:
@@ -67,7 +76,9 @@ def demo(
         machine = demo_machine()
         for line in machine["temperatures"]["lines"]:
             line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
-        path, _ = write_simulation_configuration(machine, folder, speed=speed, http_port=port, secure=secure)
+        path, _ = write_simulation_configuration(
+            machine, folder, speed=speed, http_port=port, secure=secure, driver=driver
+        )
         arguments = [] if math.isinf(duration_s) else ["--until-s", repr(duration_s)]
         if faults_path is not None:
             arguments += ["--faults", str(faults_path.resolve())]

@@ -1,4 +1,4 @@
-"""Runs a simulated machine with its three faces: LATSIS lines on ptys, a growing CSV, an OPC UA server."""
+"""Runs a simulated machine with its three faces: LATSIS lines on ptys, a growing CSV, the CNC's server."""
 
 import asyncio
 import contextlib
@@ -8,16 +8,15 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import urlparse
 
 from config.schema import Configuration
-from config.schema.cnc_drivers import OpcUaConfig
 from drivers.clock import ScaledClock
-from drivers.sim.contract import SimulatedMachine
+from drivers.sim.contract import NC_STATE, SimulatedMachine
 from drivers.sim.faults import Fault, FaultKind, check_targets, of_kind
+from drivers.sim.wires.cnc_face import cnc_server, configured_port
 from drivers.sim.wires.displacement_wire import DisplacementCsv
 from drivers.sim.wires.latsis_wire import LatsisWires
-from drivers.sim.wires.opcua_server import STATE, ServerSecurity, SimulatedCncServer
+from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.json_values import finite_or_none
 
@@ -208,7 +207,7 @@ class _Run:
             }
         return {
             "time_s": now_s,
-            "nc": {attribute: finite_or_none(getattr(nc, attribute)) for attribute, _ in STATE.values()}
+            "nc": {attribute: finite_or_none(getattr(nc, attribute)) for attribute in NC_STATE}
             | {"macros": {str(number): finite_or_none(nc.macros.get(number)) for number in self._macros}},
             "truth": truth,
             "cycles_sent": self._wires.cycles_sent,
@@ -227,11 +226,10 @@ async def _cnc_face(
     security: ServerSecurity | None,
 ) -> AsyncIterator[tuple[str, TcpRelay | None]]:
     """Serve the CNC on the configured port; a relay stands before it only if a fault needs one."""
-    url = urlparse(configuration.cnc.connection_as(OpcUaConfig).endpoint)
     relayed = bool(of_kind(faults, FaultKind.FROZEN_CNC, FaultKind.KILLED_CNC))
-    port = 4840 if url.port is None else url.port
+    port = configured_port(configuration.cnc)
     tuning = configuration.spindle_speed
-    server = SimulatedCncServer(
+    server = cnc_server(
         machine.nc,
         configuration.cnc,
         port=0 if relayed else port,
@@ -244,7 +242,7 @@ async def _cnc_face(
         if relayed:
             relay = TcpRelay(port=port, target_port=server.port)
             await relay.start()
-        yield url._replace(netloc=f"127.0.0.1:{relay.port if relay else server.port}").geturl(), relay
+        yield server.endpoint.replace(f":{server.port}", f":{relay.port if relay else server.port}"), relay
     finally:
         if relay is not None:
             await relay.stop()

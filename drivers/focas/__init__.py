@@ -1,0 +1,1 @@
+"""A FANUC control over FOCAS2/Ethernet, without the vendor's library."""

@@ -1,0 +1,228 @@
+"""What is asked of a FANUC control over FOCAS2, what its answers mean, and what its refusals mean; without I/O."""
+
+import calendar
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from config.schema.cnc_drivers import FocasConfig
+from drivers.contract import FatalDriverError, LinkError
+from drivers.focas.codec import (
+    Answer,
+    Ask,
+    FocasFormatError,
+    Function,
+    encode_value,
+    parse_integers,
+    parse_values,
+    runs_of,
+)
+
+MACROS_PER_BLOCK = 5
+"""A control answers so many macro variables to one block that reads them."""
+CLOCK, DATE, WORK_OFFSET, ADDITIONAL_OFFSET = 3001, 3011, 4014, 4130
+"""System variables: ms since power-on; date (time follows it); modal G of the work offset; P of G54.1."""
+POWER_ON_BIN_S = 600
+"""The instant of power-on is known to this [s]: date and time have 1 s, and a clock is set now and then."""
+POWER_ON_SLACK_S = 60
+"""Within a connection it may wander so far out of its bin before it counts as another [s]."""
+BUSY = -1
+NO_FUNCTION, NO_OPTION = 1, 6
+REFUSALS: Mapping[int, str] = {
+    BUSY: "it is busy; try again",
+    NO_FUNCTION: "it does not have this function, or not in this state",
+    2: "the length does not fit",
+    3: "it has no such number",
+    4: "the attribute does not fit",
+    5: "it does not take this value",
+    NO_OPTION: "an option is missing (custom macro, Ethernet): ask the machine's builder for it",
+    7: "it is write-protected: turn the key of the memory protection, or free the variable by parameter",
+    8: "its memory is full",
+    9: "a parameter forbids it",
+    10: "its buffer is full; try again",
+    11: "the path does not exist: check cnc.focas.path",
+    12: "it is in another mode",
+    13: "it rejects it: end the editing of programs, background editing too",
+    14: "its data server answers with an error",
+    15: "an alarm is active: clear it",
+    16: "it stands still in this state",
+    17: "a password protects it",
+}
+"""Error of a block -> what the control means by it."""
+AGAIN = frozenset({BUSY, 10})
+"""Errors after which trying again may help."""
+
+
+def refusal(error: int) -> str:
+    """Return what the control means by the error of a block."""
+    return f"{REFUSALS.get(error, 'a reason that is not known here')} (error {error})"
+
+
+def unreadable(what: str, error: int) -> LinkError | FatalDriverError:
+    """Return the error to raise where something cannot be read."""
+    text = f"the CNC does not let {what} be read: {refusal(error)}"
+    return LinkError(text) if error in AGAIN else FatalDriverError(text)
+
+
+@dataclass(frozen=True, slots=True)
+class SystemInfo:
+    """What a control says of itself."""
+
+    text: str
+    """Type, machine type, series and version."""
+    is_31i: bool
+    """Whether it is of the 30i family, whose diagnosis has a function of its own."""
+
+    @classmethod
+    def parse(cls, answer: Answer) -> "SystemInfo":
+        """Return what the answer says; raises FocasFormatError, LinkError or FatalDriverError."""
+        if answer.error:
+            raise unreadable("its type", answer.error)
+        if len(answer.data) != 18:
+            raise FocasFormatError(f"the system's description has 18 bytes, not {len(answer.data)}")
+        parts = struct.unpack(">4x2s2s4s4s2x", answer.data)
+        words = [part.decode("ascii", "replace").strip("\0 ") for part in parts]
+        return cls("-".join(word for word in words if word), words[0] in ("30", "31", "32", "35"))
+
+
+def macro_asks(numbers: Sequence[int]) -> list[tuple[range, Ask]]:
+    """Return the blocks that read macro variables, each with the numbers that it reads."""
+    runs = runs_of(numbers, MACROS_PER_BLOCK)
+    return [(run, Ask(Function.READ_MACRO, (run.start, run[-1]))) for run in runs]
+
+
+def macro_values(asked: Sequence[tuple[range, Ask]], answers: Sequence[Answer]) -> dict[int, float | None]:
+    """Return macro variables by number, None where vacant; raises what `unreadable` returns, FocasFormatError."""
+    values: dict[int, float | None] = {}
+    for (run, _), answer in zip(asked, answers, strict=True):
+        if answer.error:
+            last = f" to #{run[-1]}" if len(run) > 1 else ""
+            raise unreadable(f"macro variable #{run.start}{last}", answer.error)
+        values.update(zip(run, parse_values(answer.data, len(run)), strict=True))
+    return values
+
+
+def write_asks(group: Sequence[tuple[int, float]], *, doubles: bool) -> list[tuple[range, Ask]]:
+    """Return the blocks that write a group; without `doubles` one by one, as older controls take them."""
+    values = dict(group)
+    asks = []
+    for run in runs_of(list(values), len(values) if doubles else 1):
+        if doubles:
+            extra = struct.pack(f">{len(run)}d", *(values[number] for number in run))
+            asks.append((run, Ask(Function.WRITE_MACROS, (run.start, 0, 0, 0), extra)))
+        else:
+            extra = encode_value(values[run.start])
+            asks.append((run, Ask(Function.WRITE_MACRO, (run.start, run.start, 0, 0), extra)))
+    return asks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """What a control says of itself in one poll, macro variables apart."""
+
+    mode: int
+    run: int
+    alarm: bool
+    program: int
+    sequence_number: int
+    spindle_speed_rpm: float
+    motor_temperature_degc: float
+
+
+class StateRequest:
+    """The blocks that read the state; what the control does not have is left out once it has said so."""
+
+    def __init__(self, config: FocasConfig, system: SystemInfo) -> None:
+        self._diagnosis = config.motor_temperature_diagnosis
+        self._is_31i = system.is_31i
+        self.cannot: dict[str, str] = {}
+        """Measurements that the control does not give, with the reason."""
+        if self._diagnosis is None:
+            self.cannot["motor_temperature"] = (
+                "cnc.focas.motor_temperature_diagnosis names no number of a diagnosis that shows it"
+            )
+
+    def asks(self) -> list[Ask]:
+        """Return the blocks to send."""
+        asks = [Ask(Function.STATUS), Ask(Function.PROGRAM_NUMBER), Ask(Function.SEQUENCE_NUMBER)]
+        if "spindle_speed" not in self.cannot:
+            asks.append(Ask(Function.SPINDLE_SPEED))
+        if "motor_temperature" not in self.cannot:
+            number = self._diagnosis or 0
+            function = Function.DIAGNOSIS_31I if self._is_31i else Function.DIAGNOSIS
+            asks.append(Ask(function, (number, number, 1)))
+        return asks
+
+    def parse(self, asks: Sequence[Ask], answers: Sequence[Answer]) -> State:
+        """Return the state; raises FocasFormatError, LinkError or FatalDriverError."""
+        found = {ask.function: answer for ask, answer in zip(asks, answers, strict=True)}
+        for what, function in (
+            ("its status", Function.STATUS),
+            ("the program's number", Function.PROGRAM_NUMBER),
+            ("the sequence number", Function.SEQUENCE_NUMBER),
+        ):
+            if found[function].error:
+                raise unreadable(what, found[function].error)
+        mode, run, _, _, emergency, alarm, _ = parse_integers(found[Function.STATUS].data, "7h")
+        running, main = parse_integers(found[Function.PROGRAM_NUMBER].data, "ii")
+        (sequence_number,) = parse_integers(found[Function.SEQUENCE_NUMBER].data, "i")
+        speed = self._measured("spindle_speed", found.get(Function.SPINDLE_SPEED))
+        motor = self._measured(
+            "motor_temperature", found.get(Function.DIAGNOSIS_31I if self._is_31i else Function.DIAGNOSIS)
+        )
+        return State(
+            mode=mode,
+            run=run,
+            alarm=bool(alarm or emergency),
+            program=main or running,
+            sequence_number=sequence_number,
+            spindle_speed_rpm=math.nan if speed is None else _value(speed),
+            motor_temperature_degc=math.nan if motor is None else self._temperature(motor),
+        )
+
+    def _measured(self, name: str, answer: Answer | None) -> bytes | None:
+        """Return the bytes of a measurement, None where the control does not have it."""
+        if answer is None:
+            return None
+        if answer.error in AGAIN:
+            return None
+        if answer.error:
+            self.cannot[name] = f"the control says: {refusal(answer.error)}"
+            return None
+        return answer.data
+
+    def _temperature(self, data: bytes) -> float:
+        """Return the diagnosis' value of the first spindle; it names its own number."""
+        number, _, kind = parse_integers(data[:8], "ihh")
+        if number != self._diagnosis:
+            raise FocasFormatError(f"diagnosis {self._diagnosis} was asked for and {number} answered")
+        if self._is_31i:
+            return _value(data[8:16])
+        (value,) = parse_integers(data[8:12], "i")
+        return float(value & 0xFF if kind in (0, 4) else value)
+
+
+def _value(data: bytes) -> float:
+    (value,) = parse_values(data, 1)
+    return math.nan if value is None else value
+
+
+def power_on_utc_s(date: float, time: float, clock_ms: float) -> float:
+    """Return when the control was switched on, by its own calendar [s]; raises FocasFormatError for no date."""
+    if not (date.is_integer() and time.is_integer()):
+        raise FocasFormatError(f"#{DATE} = {date} and #{DATE + 1} = {time} are no date and time")
+    year, month, day = int(date) // 10_000, int(date) // 100 % 100, int(date) % 100
+    hour, minute, second = int(time) // 10_000, int(time) // 100 % 100, int(time) % 100
+    if not (1970 <= year <= 2200 and 1 <= month <= 12 and 1 <= day <= calendar.monthrange(year, month)[1]):
+        raise FocasFormatError(f"#{DATE} = {date:.0f} is no date")
+    if not (hour < 24 and minute < 60 and second < 61):
+        raise FocasFormatError(f"#{DATE + 1} = {time:.0f} is no time of the day")
+    return calendar.timegm((year, month, day, hour, minute, second)) - clock_ms / 1000.0
+
+
+def power_on_count(at_s: float, before: int | None) -> int:
+    """Return the number of the bin in which the control was switched on; it stays near the edges of a bin."""
+    if before is not None and -POWER_ON_SLACK_S <= at_s - before * POWER_ON_BIN_S < POWER_ON_BIN_S + POWER_ON_SLACK_S:
+        return before
+    return math.floor(at_s / POWER_ON_BIN_S)
