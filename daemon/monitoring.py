@@ -78,7 +78,8 @@ class ModelsOnDisk:
         own = thermal is not None and thermal.sha256 == found["in_force"]["sha256"]
         scores, hidden = found["in_force"]["scores"] if own else None, found["hidden"]
         return {
-            "thermal": None if thermal is None else asdict(thermal) | {"scores": scores},
+            "thermal": None if thermal is None else asdict(thermal),
+            "scores": scores,
             "bearings": None if bearings is None else asdict(bearings),
             "releases": found["releases"],
             "candidates": found["candidates"],

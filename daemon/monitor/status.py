@@ -45,7 +45,7 @@ class StatusBoard:
             "clock_speed": self._clock.speed,
             "output": self._output(control, now.monotonic_s),
             "axes": self._axes(control),
-            "reference": _reference(control, now.monotonic_s),
+            "reference": reference_document(control, now.monotonic_s),
             "reference_ended": control.reference_ended,
             "tools_set": list(control.tools_set),
             "model": _model(board.model) or {},
@@ -165,7 +165,8 @@ class StatusBoard:
         }
 
 
-def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
+def reference_document(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
+    """Return the reference in force at a monotonic time [s]; None without one."""
     reference = control.reference
     if reference is None:
         return None
@@ -174,6 +175,8 @@ def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
         "source": reference.source,
         "age_s": now_s - reference.time.monotonic_s,
         "set_utc_s": reference.time.utc_s,
+        "program": reference.program,
+        "work_offset": reference.work_offset,
     }
 
 

@@ -6,6 +6,7 @@
 import contextlib
 import json
 import secrets
+import signal
 import socket
 import subprocess
 import sys
@@ -197,18 +198,37 @@ def start_simulation(
 ) -> Iterator[RunningSimulation]:
     """Start both processes so that the daemon is ready before the simulated time begins, and stop them."""
     lead_s = FIRST_LEAD_S
-    for _ in range(MOST_LEADS):
-        epoch_real_s = time.monotonic() + lead_s
-        running = _start(simulate_arguments, config_path, speed, epoch_real_s, epoch_utc_s, directory)
-        try:
-            if running is not None:
-                yield running
-                return
-        finally:
-            if running is not None:
-                _stop(running)
-        lead_s *= 2
+    with _ended_by_signals():
+        for _ in range(MOST_LEADS):
+            epoch_real_s = time.monotonic() + lead_s
+            running = _start(simulate_arguments, config_path, speed, epoch_real_s, epoch_utc_s, directory)
+            try:
+                if running is not None:
+                    yield running
+                    return
+            finally:
+                if running is not None:
+                    _stop(running)
+            lead_s *= 2
     raise SimulationError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end this process as Ctrl-C does, so that no daemon stays behind a closed terminal."""
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _start(
@@ -233,11 +253,13 @@ def _start(
         )
     reports: list[dict[str, Any]] = []
     threading.Thread(target=_collect, args=(simulator, reports), daemon=True).start()
-    while not reports and simulator.poll() is None and time.monotonic() < epoch_real_s:
-        time.sleep(0.02)
-    with (directory / "daemon.log").open("ab") as log:
-        daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
+    started: list[subprocess.Popen[Any]] = [simulator]
     try:
+        while not reports and simulator.poll() is None and time.monotonic() < epoch_real_s:
+            time.sleep(0.02)
+        with (directory / "daemon.log").open("ab") as log:
+            daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
+        started.append(daemon)
         client = _connect(configuration.service.socket, daemon, epoch_real_s)
         running = RunningSimulation(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
         while time.monotonic() < epoch_real_s - 0.1:
@@ -246,12 +268,12 @@ def _start(
             if all(link["up"] for link in links if link["name"] == "cnc"):
                 return running
             time.sleep(0.05)
-    except SimulationError:
-        _kill(simulator, daemon)
-        raise
     except DaemonUnreachableError:
         pass
-    _kill(simulator, daemon)
+    except BaseException:
+        _kill(*started)
+        raise
+    _kill(*started)
     return None
 
 

@@ -5,18 +5,21 @@
 
 `series` makes a store with a year of packed hours of the published machine (302 sensors on three lines) and a day of
 cycles, and times the queries of the API with their JSON. `viewer` runs the demo's daemon at speed 1; in turns of ten
-seconds nobody, one page or fifty pages follow the events, so that all are measured in one run on the same computer.
-Prints feedback percentiles, processor time of the daemon and memory.
+seconds nobody, one page or fifty pages follow the events, or a thousand connections begin a request and do not end it,
+so that all are measured in one run on the same computer. Prints feedback percentiles and processor time of the daemon,
+each beside those with nobody, the age of what the viewers got, and memory.
 """
 
 import argparse
 import asyncio
 import json
+import resource
 import sqlite3
 import tempfile
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +43,6 @@ from models.records import Instant, TemperatureCycle, Trace
 HOUR_S = 3600.0
 YEAR_HOURS = 8760
 TURN_S = 10.0
-VIEWERS = (0, 1, 50)
 Feedback = Callable[[float, float], list[float]]
 """Delays [s] of the cycles between two times of the machine."""
 
@@ -117,46 +119,87 @@ def series() -> None:
 
 
 async def follow(port: int, ages_s: list[float], ahead_s: float) -> None:
-    """Follow the events as a page does; note how old each status is when it is here."""
+    """Follow the events as a page does; note how old each status has become when the next is here."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 20)
+    shown_s = None
     try:
         writer.write(b"GET /api/v1/events?temperatures=1 HTTP/1.1\r\nHost: localhost\r\n\r\n")
         while line := await reader.readline():
             if line.startswith(b'data: {"machine"'):
-                ages_s.append(time.time() - ahead_s - json.loads(line[6:])["time"])
+                if shown_s is not None:
+                    ages_s.append(time.time() - ahead_s - shown_s)
+                shown_s = json.loads(line[6:])["time"]
     finally:
         writer.transport.abort()
 
 
+async def half_request(port: int) -> None:
+    """Begin a request that never ends, until the daemon ends the connection."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(b"GET /api/v1/status HTTP/1.1\r\nHost: local")
+        await reader.read()
+    except ConnectionError:
+        pass
+    finally:
+        writer.transport.abort()
+
+
+@dataclass
+class Turn:
+    """What was measured while so many looked."""
+
+    words: str
+    viewers: int = 0
+    half_requests: int = 0
+    delays_s: list[float] = field(default_factory=list)
+    cores: list[float] = field(default_factory=list)
+    ages_s: list[float] = field(default_factory=list)
+
+    @property
+    def p99_s(self) -> float:
+        return float(np.percentile(self.delays_s, 99)) if self.delays_s else float("nan")
+
+    def in_words(self, nobody: "Turn") -> str:
+        median_ms = 1e3 * float(np.median(self.delays_s)) if self.delays_s else float("nan")
+        times, cores = self.p99_s / nobody.p99_s, 100.0 * float(np.mean(self.cores))
+        words = f"{self.words}: {len(self.delays_s)} cycles, feedback median {median_ms:.2f} ms, "
+        words += f"p99 {1e3 * self.p99_s:.2f} ms ({times:.2f} times that of nobody); daemon {cores:.2f} % of a core "
+        words += f"({cores - 100.0 * float(np.mean(nobody.cores)):+.2f})"
+        if self.ages_s:
+            age_s = np.array(self.ages_s)
+            words += f"; status at most {age_s.max():.2f} s old, p99 {np.percentile(age_s, 99):.2f} s"
+        return words
+
+
 async def turns(port: int, process: psutil.Process, feedback: Feedback, minutes: float, ahead_s: float) -> None:
-    found: dict[int, list[float]] = {number: [] for number in VIEWERS}
-    cpu: dict[int, list[float]] = {number: [] for number in VIEWERS}
-    ages: dict[int, list[float]] = {number: [] for number in VIEWERS}
+    kinds = [
+        Turn("nobody"),
+        Turn("1 viewer", viewers=1),
+        Turn("50 viewers", viewers=50),
+        Turn("1000 half requests", half_requests=1000),
+    ]
     until_s = time.monotonic() + 60.0 * minutes
     while time.monotonic() < until_s:
-        for number in VIEWERS:
-            viewers = [asyncio.create_task(follow(port, ages[number], ahead_s)) for _ in range(number)]
+        for turn in kinds:
+            others = [asyncio.create_task(follow(port, turn.ages_s, ahead_s)) for _ in range(turn.viewers)]
+            others += [asyncio.create_task(half_request(port)) for _ in range(turn.half_requests)]
             await asyncio.sleep(1.0)
             begin_s, used = time.time(), process.cpu_times()
             await asyncio.sleep(TURN_S)
             after, end_s = process.cpu_times(), time.time()
-            cpu[number].append((after.user + after.system - used.user - used.system) / (end_s - begin_s))
-            found[number] += feedback(begin_s - ahead_s, end_s - ahead_s)
-            for task in viewers:
+            turn.cores.append((after.user + after.system - used.user - used.system) / (end_s - begin_s))
+            turn.delays_s += feedback(begin_s - ahead_s, end_s - ahead_s)
+            for task in others:
                 task.cancel()
-            await asyncio.gather(*viewers, return_exceptions=True)
-    for number in VIEWERS:
-        delays = np.array(found[number] or [np.nan]) * 1e3
-        age = np.array(ages[number]) if ages[number] else np.zeros(1)
-        print(
-            f"{number:2} viewers: {delays.size} cycles, feedback median {np.median(delays):.2f} ms, "
-            f"p99 {np.percentile(delays, 99):.2f} ms; daemon {100 * np.mean(cpu[number]):.2f} % of a core; "
-            f"status at most {age.max():.2f} s old"
-        )
+            await asyncio.gather(*others, return_exceptions=True)
+    for turn in kinds:
+        print(turn.in_words(kinds[0]))
     print(f"memory of the daemon: {process.memory_info().rss / 2**20:.1f} MiB")
 
 
 def viewer(minutes: float, period_s: float) -> None:
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     content = demo_machine()
     for line in content["temperatures"]["lines"]:
         line["cycle_period_s"] = period_s
@@ -178,6 +221,7 @@ def viewer(minutes: float, period_s: float) -> None:
 
             port = configuration.service.http_port
             assert port is not None
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for the connections of this process
             ahead_s = time.time() - running.client.ask("status")["time_utc_s"]
             asyncio.run(turns(port, process, feedback, minutes, ahead_s))
 

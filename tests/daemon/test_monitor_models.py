@@ -51,9 +51,9 @@ async def test_candidates_come_with_their_scores_and_what_stands_against_each(co
     assert by_file["half.json"]["scores"] is None and by_file["half.json"]["against"]
     said = {each.path.name: each.inhibit for each in proposals(configuration)}
     assert {name: each["against"] for name, each in by_file.items()} == said, "as `toolpoint model list` says"
-    assert found["thermal"]["scores"] == by_file["good.json"]["scores"]
+    assert found["scores"] == by_file["good.json"]["scores"]
     assert [each["released_by"] for each in found["releases"]] == ["anna"]
-    z1 = next(band for band in found["thermal"]["scores"]["bands"] if band["channel"] == "Z1")
+    z1 = next(band for band in found["scores"]["bands"] if band["channel"] == "Z1")
     assert z1 == {"channel": "Z1", "band_um": 2.0, "widest_um": 30.0}
 
 

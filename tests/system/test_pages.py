@@ -31,7 +31,7 @@ BUILD = runpy.run_path(str(ROOT / "hatch_build.py"))
 CHROMIUM = shutil.which("chromium")
 PATIENCE_MS = 120_000
 """For a computer that is busy with something else: the tests wait for what they name, never for a time."""
-PAGES = ("overview", "temperatures", "thermal-error", "dynamics", "latency", "history", "models")
+PAGES = ("overview", "temperatures", "thermal-error", "dynamics", "latency", "history", "models", "messages")
 MOST_COMPRESSED = 100_000
 """All of the overview, compressed [byte]."""
 
@@ -92,6 +92,15 @@ class Watched:
 
 async def watched(browser: Browser, base: str, **context: Any) -> Watched:
     return Watched(await (await browser.new_context(**context)).new_page(), base)
+
+
+@contextlib.asynccontextmanager
+async def overview(base: str) -> AsyncIterator[Watched]:
+    """Open the overview in a browser of its own."""
+    async with chromium() as browser:
+        seen = await watched(browser, base)
+        await seen.open("overview")
+        yield seen
 
 
 async def broken_rules(page: Page, axe: str) -> list[str]:
@@ -157,10 +166,7 @@ async def test_every_page_against_the_running_demonstration(demo, axe):
 
 @pytest.mark.wires
 async def test_the_overview_moves_and_says_how_one_knows(demo):
-    base, _ = demo
-    async with chromium() as browser:
-        seen = await watched(browser, base)
-        await seen.open("overview")
+    async with overview(demo[0]) as seen:
         await expect(seen.page.locator("#state")).to_contain_text("ACTIVE", timeout=PATIENCE_MS)
         await expect(seen.page.locator(".checks .yes").first).to_be_visible()
         first = await seen.text("#axis-z")
@@ -198,11 +204,9 @@ async def test_how_much_and_how_fast(demo, capsys):
 @pytest.mark.wires
 async def test_when_the_daemon_stops_the_page_goes_stale_with_a_sentence(demo):
     base, process = demo
-    async with chromium() as browser:
-        seen = await watched(browser, base)
-        await seen.open("overview")
+    async with overview(base) as seen:
         await expect(seen.page.locator("#age")).to_contain_text("live", timeout=PATIENCE_MS)
-        os.killpg(process.pid, signal.SIGTERM)
+        process.terminate()  # the demo ends its daemon, which it would otherwise leave behind
         await expect(seen.page.locator("#stale")).to_contain_text("has not answered", timeout=PATIENCE_MS)
         assert "stale" in (await seen.page.locator("body").get_attribute("class") or "")
         assert "(old)" in await seen.page.title()
@@ -211,16 +215,55 @@ async def test_when_the_daemon_stops_the_page_goes_stale_with_a_sentence(demo):
 # --- a daemon's parts, where a test can do what a person at the machine would not ----------------
 
 
-async def test_a_fault_appears_with_its_reason(tmp_path):
+async def test_a_fault_appears_with_its_reason_and_what_to_do(tmp_path):
     async with monitor(tmp_path) as bench, chromium() as browser:
         await bench.rig.active()
         seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
         await seen.open("overview")
         await expect(seen.page.locator("#state")).to_contain_text("ACTIVE")
-        bench.rig.control.journal.raise_fault("the variable #500 holds a value that nobody of us wrote")
-        await bench.rig.turn()
+        bench.rig.nc.macros.set(502, 0.5)  # somebody at the control
+        while bench.rig.state != "FAULT":
+            await bench.rig.turn()
         await expect(seen.page.locator("#state")).to_contain_text("FAULT", timeout=PATIENCE_MS)
         assert "FAULT" in await seen.page.title()
+        await expect(seen.page.locator(".state .todo")).to_contain_text("What to do: ", timeout=PATIENCE_MS)
+        await seen.page.get_by_role("link", name="All messages").click()
+        await seen.page.locator("#search").fill("another program writes")
+        await expect(seen.page.locator("table.messages tbody tr").first).to_be_visible(timeout=PATIENCE_MS)
+        assert (seen.said, seen.elsewhere) == ([], [])
+
+
+async def test_without_javascript_the_page_says_so_and_where_the_numbers_are(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/", java_script_enabled=False)
+        await seen.page.goto(seen.base)
+        text = await seen.text("body")
+        assert "These pages need JavaScript" in text and "Loading" not in text
+        for name in ("metrics", "status", "health"):
+            place = await seen.page.get_by_role("link", name=name, exact=True).get_attribute("href")
+            assert (await bench.browser().get(place)).status == 200
+
+
+async def test_a_keyboard_alone_reaches_a_sensor_of_another_page(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("overview")
+        await press_until(seen.page, "document.activeElement.hash === '#/temperatures'", "Enter")
+        await expect(seen.page.locator("main[data-page=temperatures] .card").first).to_be_visible(timeout=PATIENCE_MS)
+        sensor = "document.activeElement.type === 'checkbox' && !document.activeElement.checked"
+        await press_until(seen.page, sensor, "Space")
+        await expect(seen.page.locator("table.sensors input:checked").first).to_be_visible(timeout=PATIENCE_MS)
+
+
+async def press_until(page: Page, there: str, key: str) -> None:
+    """Press Tab until the focus is there, then the key."""
+    for _ in range(200):
+        await page.keyboard.press("Tab")
+        if await page.evaluate(there):
+            await page.keyboard.press(key)
+            return
+    raise AssertionError(f"the keyboard does not reach what {there}")
 
 
 async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):

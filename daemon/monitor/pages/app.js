@@ -167,6 +167,7 @@ function dialog(heading, content, yes, carry, danger = false) {
 const dark = () => (document.documentElement.dataset.theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
 
 function themed() {
+  $("theme").hidden = false;
   $("theme").textContent = dark() ? "Light" : "Dark";
   dispatchEvent(new Event("theme"));
 }

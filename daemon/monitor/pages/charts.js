@@ -89,12 +89,12 @@ export class Chart {
     this.legend.replaceChildren(...options.series.flatMap((one, index) => (one.hidden ? [] : [h("span", { class: "key" },
       this.swatch(one), one.label, " ", this.values[index])])));
     this.plot = new window.uPlot({
-      width: Math.max(this.place.clientWidth, 50), height: this.height, padding: [base * 0.6, base, 0, 0],
+      width: Math.max(this.place.clientWidth, 50), height: this.height, padding: [base * 0.6, base * (time ? 1 : 1.6), 0, 0],
       legend: { show: false }, focus: { alpha: 1 },
       cursor: { drag: { x: options.zoom !== undefined || !time, y: false }, points: { size: 6 } },
-      scales: { x: { time }, ...range },
+      scales: { x: { time, range: time ? LEAST_SPAN : undefined }, ...range },
       axes: [{ ...axis(time ? null : options.x.label, time ? base * 2.4 : base * 1.8), space: base * (time ? 5 : 4),
-        values: time ? TIMES : undefined },
+        values: time ? TIMES : ticks },
         { ...axis(options.unit, base * 3.4), values: options.log ? undefined : ticks }],
       series: [{}, ...options.series.map((one) => this.line(one))],
       bands: (options.bands ?? []).map((band) => ({ series: [band.upper, band.lower], fill: css(band.colour) })),
@@ -138,16 +138,16 @@ export class Chart {
 
   follow(index) {
     const { options } = this;
+    const time = options.x === undefined || options.x === "time";
     const ends = index === null || index === undefined;
-    if (ends) index = this.last();
+    if (ends) index = time ? this.last() : null;
     options.series.forEach((one, place) => {
       const values = this.data[place + 1] ?? [];
-      const value = ends ? values.findLast((one) => typeof one === "number") : values[index];
-      const shown = typeof value === "number" ? `${number(value, options.digits ?? 1)} ${options.unit_short ?? options.unit ?? ""}` : NONE;
+      const value = !ends ? values[index] : time ? values.findLast((one) => typeof one === "number") : undefined; // the end counts in time alone
+      const shown = ends && !time ? "" : typeof value === "number" ? `${number(value, options.digits ?? 1)} ${options.unit_short ?? options.unit ?? ""}` : NONE;
       this.values[place].textContent = shown;
     });
     const at = this.data[0]?.[index];
-    const time = options.x === undefined || options.x === "time";
     this.note.textContent = at === undefined ? (options.note ?? "") :
       `${time ? `at ${clock(at, { date: true })}` : `at ${number(at, options.x.digits ?? 0)} ${options.x.unit ?? ""}`}${options.note ? ` · ${options.note}` : ""}`;
   }
@@ -209,6 +209,9 @@ export class Chart {
     this.options.zoom(from, to);
   }
 }
+
+// A single instant is shown within ten minutes.
+const LEAST_SPAN = (plot, low, high) => (low === null ? [0, 600] : high - low >= 60 ? [low, high] : [(low + high) / 2 - 300, (low + high) / 2 + 300]);
 
 // Numbers at an axis, as many digits as they differ by, with a minus that is one.
 function ticks(plot, values) {

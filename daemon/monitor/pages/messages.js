@@ -1,7 +1,10 @@
 // What the daemon says, and what to do about it: the table of the manual, read when a sentence needs it.
 
+const LONGEST = 400; // of a longer sentence only the beginning is compared: the patterns try every place in it
+const KEPT = 50;
 let entries = null;
 let loading = null;
+const known = new Map();
 
 // Entries {text, cause, remedy} by the headings of the manual's page.
 export function load() {
@@ -35,6 +38,15 @@ export function remedies(sentence) {
     load().catch(() => {});
     return [];
   }
+  const asked = sentence.slice(0, LONGEST);
+  if (!known.has(asked)) {
+    if (known.size >= KEPT) known.clear();
+    known.set(asked, found(asked));
+  }
+  return known.get(asked);
+}
+
+function found(sentence) {
   const fits = entries.filter((one) => !says_nothing(one)).map((one) => [one, one.pattern.exec(sentence)]).filter(([one, match]) => match && literal(one.text) >= 10);
   const [best, match] = fits.sort(([a, x], [b, y]) => (y[0].length === sentence.length) - (x[0].length === sentence.length) || literal(b.text) - literal(a.text))[0] ?? [];
   if (!best) return [];

@@ -60,7 +60,7 @@ async def events(
     person: Viewer,
     temperatures: Annotated[bool, Query(description="send `cycle` events too")] = False,
 ) -> Response:
-    """Follow the machine: event `status` when it changes and each second, `cycle` with every new temperatures."""
+    """Follow the machine: `status` when it changes and at least each second, `cycle` with every new temperatures."""
     live, access = request.app.state.live, access_of(request)
     assert isinstance(live, Live)
     live.check_room()

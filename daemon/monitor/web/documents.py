@@ -9,7 +9,8 @@ import numpy as np
 
 from config.schema import Configuration
 from config.schema.compensation import ToolTermConfig
-from daemon.snapshots import ControlSnapshot, ModelSnapshot, SnapshotBoard
+from daemon.monitor.status import reference_document
+from daemon.snapshots import ControlSnapshot, SnapshotBoard
 from daemon.telemetry.latency import PUBLISHED_DELAY_S, PUBLISHED_NOTE, DelaySeries
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
@@ -56,7 +57,7 @@ class Documents:
             "problems": self.problems(),
             "notices": list(control.notices),
             "axes": self.axes(),
-            "reference": self._reference(control, now.monotonic_s),
+            "reference": _reference(control, now.monotonic_s),
             "reference_ended": control.reference_ended,
             "spindle_speed": self._spindle_speed(control),
             "links": [
@@ -70,7 +71,7 @@ class Documents:
                 }
                 for link in self._board.links
             ],
-            "model": model_document(self._board.model),
+            "model": None if self._board.model is None else asdict(self._board.model),
             "sensors": self._sensor_counts(),
             "writes": asdict(control.writes),
             "latency": self.latency_summary(),
@@ -111,20 +112,6 @@ class Documents:
                 "limits_hit": [hit.partition(":")[2] for hit in control.limits_hit if hit.startswith(f"{axis}:")],
             }
         return axes
-
-    @staticmethod
-    def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
-        reference = control.reference
-        if reference is None:
-            return None
-        return {
-            "id": reference.reference_id,
-            "source": reference.source,
-            "time": reference.time.utc_s,
-            "age_s": now_s - reference.time.monotonic_s,
-            "program": reference.program,
-            "work_offset": reference.work_offset,
-        }
 
     def _spindle_speed(self, control: ControlSnapshot) -> dict[str, Any]:
         speed, cnc = self._board.spindle_speed, control.cnc
@@ -245,6 +232,13 @@ class Documents:
         return cleaned
 
 
+def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:
+    found = reference_document(control, now_s)
+    if found is not None:
+        found["time"] = found.pop("set_utc_s")
+    return found
+
+
 def _tool_um_per_k(term: ToolTermConfig | None) -> dict[str, float]:
     """Return what 1 K of each label adds to the axis by the tool's own growth [um/K]."""
     if term is None:
@@ -261,8 +255,3 @@ def histogram(delays: DelaySeries) -> dict[str, list[float] | list[int]]:
     low, high = float(values.min()), float(np.percentile(values, 99.9))
     counts, edges = np.histogram(np.minimum(values, high), COLUMNS, (low, high if high > low else low + 1e-6))
     return {"edges": np.round(edges, 6).tolist(), "counts": counts.tolist()}
-
-
-def model_document(model: ModelSnapshot | None) -> dict[str, Any] | None:
-    """Return a model in force as a document."""
-    return None if model is None else asdict(model)

@@ -20,6 +20,7 @@ def dynamics_document(board: SnapshotBoard, clock: Clock) -> dict[str, Any] | No
         "why": speed.alarm or speed.reason,
         "working_point": {
             "speed_rpm": speed.applied_rpm or speed.programmed_rpm or actual_rpm,
+            "target_rpm": speed.target_rpm,
             "depth_mm": diagram.demanded_depth_mm if diagram is not None else None,
             "limiting_depth_mm": speed.limiting_depth_mm,
         },

@@ -14,7 +14,7 @@ from daemon.snapshots import SnapshotBoard
 
 LOOK_S = 0.2
 """Whether something changed is looked at this often [s]."""
-LONGEST_S = 1.0
+LONGEST_S = 0.8
 """The status is sent at least this often [s]."""
 MOST_VIEWERS = 100
 """So many event streams are served at a time."""

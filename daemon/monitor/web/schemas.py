@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.monitor.accounts import MOST_PASSWORD, Role
+from daemon.snapshots import ModelSnapshot, WriteCounts
 from models.records import OutputState
 
 Utc = Annotated[float, Field(description="UTC [s since 1970]")]
@@ -84,32 +85,12 @@ class LinkStatus(Document):
     last_problem_time: float | None
 
 
-class ModelStatus(Document):
-    """A model in force, or why there is none."""
-
-    model_id: str | None
-    sha256: str | None
-    release: int | None
-    released_by: str | None
-    released: str | None
-    problem: str
-    warning: str
-
-
 class SensorCounts(Document):
     """How many sensors there are, have a usable value, and have a good one."""
 
     total: int
     usable: int
     good: int
-
-
-class WriteCounts(Document):
-    """Writes since the daemon started."""
-
-    sent: int
-    verified: int
-    refused: int
 
 
 class LatencySummary(Document):
@@ -151,7 +132,7 @@ class Status(Document):
     reference_ended: str = Field(description="why there is no reference")
     spindle_speed: SpindleSpeedStatus
     links: list[LinkStatus]
-    model: ModelStatus | None
+    model: ModelSnapshot | None
     sensors: SensorCounts
     writes: WriteCounts
     latency: LatencySummary
@@ -326,7 +307,8 @@ class Latency(Document):
 class WorkingPoint(Document):
     """Where the spindle cuts."""
 
-    speed_rpm: float | None
+    speed_rpm: float | None = Field(description="as applied from the block, else as programmed")
+    target_rpm: float | None = Field(description="of the latest plan; the NC takes it over at its next safe point")
     depth_mm: float | None = Field(description="the depth that the plan must allow; null before a plan")
     limiting_depth_mm: float | None = Field(description="what is stable there; null where it is not known")
 
@@ -387,12 +369,6 @@ class Scores(Document):
     bands: list[BandScore]
 
 
-class ThermalModelStatus(ModelStatus):
-    """The thermal model in force."""
-
-    scores: Scores | None
-
-
 class Release(Document):
     """One release."""
 
@@ -420,8 +396,9 @@ class Candidate(Document):
 class Models(Document):
     """Models in force, releases, candidates, scores."""
 
-    thermal: ThermalModelStatus | None
-    bearings: ModelStatus | None
+    thermal: ModelSnapshot | None
+    scores: Scores | None = Field(description="of the thermal model in force")
+    bearings: ModelSnapshot | None
     releases: list[Release] = Field(description="the newest first")
     candidates: list[Candidate] = Field(description="the newest first")
     note: str

@@ -16,9 +16,9 @@ export async function page(place) {
     if (!rooms.length) list.append(h("section", { class: "card" }, "No message has these words."));
   };
   draw();
-  place.append(h("h1", { class: "hidden" }, "Messages"),
-    h("section", { class: "card between" }, h("span", {}, "What the daemon may say while it runs, why, and what to do. … stands for what is filled in."),
-      h("label", { class: "choice" }, h("span", {}, "find"), search)), h("div", { class: "stack" }, list));
   list.className = "stack";
+  place.append(h("h1", { class: "hidden" }, "Messages"), h("div", { class: "stack" },
+    h("section", { class: "card between" }, h("span", {}, "What the daemon may say while it runs, why, and what to do. … stands for what is filled in."),
+      h("label", { class: "choice" }, h("span", {}, "find"), search)), list));
   return {};
 }

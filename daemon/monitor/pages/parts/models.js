@@ -7,7 +7,7 @@ export async function page(place) {
   const found = await ask("models");
   const half = (section) => { section.classList.add("half"); return section; };
   place.append(h("h1", { class: "hidden" }, "Models"), h("div", { class: "grid" },
-    half(card("Thermal model in force", found.thermal ? in_force(found.thermal) : absent("None: train a model from recordings, evaluate it, and have a person release it."))),
+    half(card("Thermal model in force", found.thermal ? in_force(found.thermal, found.scores) : absent("None: train a model from recordings, evaluate it, and have a person release it."))),
     half(card("Bearing model in force", found.bearings ? in_force(found.bearings) : absent("None: the spindle speed is not tuned. See the guide Tune the spindle speed."))),
     card("Candidates", found.candidates.length ? candidates(found.candidates) : absent("No candidate lies in the folder of proposals: `toolpoint thermal train` makes one, and so does the retraining (compensation.retraining).")),
     card("Releases", found.releases.length ? releases(found.releases) : absent("Nothing was released yet: `toolpoint model release` does it, under another account than the daemon's.")),
@@ -19,8 +19,7 @@ const absent = (words) => h("p", { class: "dim" }, prose(words));
 const facts = (rows) => h("dl", { class: "facts" }, rows.filter(([, value]) => value !== null && value !== "" && value !== undefined).flatMap(([words, value, classes]) => [h("dt", {}, words), h("dd", { class: classes }, value)]));
 const day = (iso) => { const at = Date.parse(iso); return Number.isNaN(at) ? iso : clock(at / 1000, { date: true }); };
 
-function in_force(model) {
-  const { scores } = model;
+function in_force(model, scores = null) {
   return facts([
     ["model", model.model_id], ["hash", model.sha256 && h("span", { title: model.sha256 }, `${model.sha256.slice(0, 16)}…`)],
     ["release", model.release], ["released by", model.released_by], ["released", model.released && day(model.released)],

@@ -52,11 +52,11 @@ function state(status) {
   return h("section", { class: `card state tone-${status.state}`, "aria-label": "State of the output" },
     h("span", { class: "mark", "aria-hidden": "true" }, known.mark),
     h("div", { class: "word", id: "state" }, status.state, " ", h("small", {}, known.words.replace(/^\w+: /, ""))),
-    h("p", { class: "reason", id: "reason" }, status.reason ? sentence(status.reason) : known.words),
+    h("p", { class: "reason", id: "reason" }, status.reason ? prose(sentence(status.reason)) : known.words),
     status.state !== "ACTIVE" && remedy(status.alarm || status.reason),
     h("div", { class: "more" },
       axes.length > 0 && h("p", {}, "Estimated error without compensation: ", h("b", {}, without), "; with: ", h("b", {}, left), "."),
-      h("p", { class: "dim" }, reference(status), status.since_s !== null ? ` In this state for ${duration(status.since_s)}.` : ""),
+      h("p", { class: "dim" }, prose(reference(status)), status.since_s !== null ? ` In this state for ${duration(status.since_s)}.` : ""),
     ));
 }
 
@@ -82,6 +82,7 @@ function reference(status) {
   if (status.reference) {
     return `Reference set by ${status.reference.source}, ${duration(status.reference.age_s)} ago: there the thermal error is zero by definition.`;
   }
+  if (status.reference_ended && status.reason.includes(status.reference_ended)) return "There is no reference.";
   return `No reference: ${status.reference_ended || "it is set after work positioning"}.`;
 }
 
@@ -92,12 +93,12 @@ function checks(status) {
     connected(status),
     sensors(status),
     model(status),
-    [status.reference ? "yes" : "wait", status.reference ? "A reference is set" : "There is no reference", status.reference ? "" : status.reference_ended],
+    [status.reference ? "yes" : "wait", status.reference ? "A reference is set" : "There is no reference", status.reference || status.reason.includes(status.reference_ended) ? "" : status.reference_ended],
     writes(status),
     ...applied(status),
   ];
   return h("ul", { class: "checks" }, found.map(([mark, words, small]) => h("li", { class: mark },
-    h("span", {}, h("span", { class: "hidden" }, { yes: "good: ", no: "bad: ", wait: "attention: " }[mark]), words, small ? h("small", {}, small) : ""))));
+    h("span", {}, h("span", { class: "hidden" }, { yes: "good: ", no: "bad: ", wait: "attention: " }[mark]), words, small ? h("small", {}, prose(small)) : ""))));
 }
 
 function connected({ links: found }) {
@@ -138,7 +139,7 @@ function applied(status) {
 // --- axes --------------------------------------------------------------------------------
 
 function axes(status) {
-  const head = [["Axis", ""], ["Estimated error", TERMS.estimated], ["Requested", TERMS.requested], ["Written", TERMS.written], ["Applied", TERMS.applied], ["Band", TERMS.band], ["Bound", TERMS.bound], ["Within the bound", "from − bound to + bound"]];
+  const head = [["Axis", ""], ["Estimated", TERMS.estimated], ["Requested", TERMS.requested], ["Written", TERMS.written], ["Applied", TERMS.applied], ["Band", TERMS.band], ["Bound", TERMS.bound], ["Within the bound", "from − bound to + bound"]];
   const rows = Object.entries(status.axes).map(([name, axis]) => {
     const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled ? h("span", { class: "tag good" }, "on")
       : h("span", { class: "tag" }, axis.wanted ? "waits" : "off");
@@ -147,7 +148,7 @@ function axes(status) {
       axis.channel === null ? h("span", { class: "dim" }, "no channel of the model is named for this axis") : gauge(name, axis)];
     return h("tr", { id: `axis-${name}` }, cells.map((cell, column) => h("td", { "data-head": head[column][0] }, cell)));
   });
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Compensation by axis" },
+  return h("div", { class: "scroll whole", tabindex: "0", role: "region", "aria-label": "Compensation by axis" },
     since_reference(status),
     h("table", { class: "axes" }, h("thead", {}, h("tr", {}, head.map(([words, explanation]) => h("th", { scope: "col", title: explanation }, words)))), h("tbody", {}, rows)), key());
 }

@@ -109,7 +109,7 @@ class Temperatures {
     });
     const means = this.by === "label" && !asked.length ? this.labels.map((name) => this.row(name, ["mean of its sensors", name.slice(6)], `Label ${name.slice(6)}`, h("td", {}), "good")) : [];
     this.list.replaceChildren(h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Sensors" }, h("table", { class: "sensors" }, h("thead", {}, h("tr", {},
-      ["in the chart", "component, part", "label", "now [°C]"].map((words) => h("th", { scope: "col" }, words)))), h("tbody", {}, means, rows))));
+      ["chart", "component, part", "label", "now [°C]"].map((words) => h("th", { scope: "col" }, words)))), h("tbody", {}, means, rows))));
     if (!rows.length) this.list.append(h("p", { class: "dim" }, "No sensor has these words."));
   }
 

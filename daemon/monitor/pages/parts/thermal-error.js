@@ -88,7 +88,7 @@ class ThermalError {
     const residual = measured.map((value, index) => (typeof value === "number" && typeof bridged[index] === "number" ? value - bridged[index] : value === undefined ? undefined : null));
     await this.rest.set([t, residual, spread, spread.map((value) => (typeof value === "number" ? -value : value))]);
     if (!raw.some((value) => typeof value === "number")) {
-      this.rest.note.textContent = "Nothing is measured: the residual needs displacement sensors (section displacements of the configuration). Compensation runs without them.";
+      this.rest.note.textContent = "Nothing was measured in this time: the residual needs displacement sensors (section displacements of the configuration). Compensation runs without them.";
     }
   }
 
