@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -91,8 +92,10 @@ class ModelsOnDisk:
         path = self._configuration.compensation.model_file
         folders = [proposals_folder(self._configuration)]
         folders += [] if path is None else [ReleaseRepository(path).releases]
-        found = [each for folder in folders if folder.is_dir() for each in sorted(folder.iterdir())]
-        found += [] if path is None else [path]
+        found = [] if path is None else [path]
+        for folder in folders:
+            with suppress(OSError):  # not there yet, or not for this account to read: the process says so
+                found += sorted(folder.iterdir())
         return tuple((str(each), status.st_mtime_ns, status.st_size) for each in found if (status := _status(each)))
 
     async def _described(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import pytest
 from control_rig import running
 from monitor_bench import PASSWORD, MonitorBench, accounts_file, free_port, monitor, parts_of
 from playwright.async_api import Browser, Page, async_playwright, expect
-from speed_rig import SpeedRig
+from speed_rig import SAFE, SpeedRig
 
 from daemon.monitor.web.serving import serve_monitor
 
@@ -295,9 +295,10 @@ async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):
         assert any(bench.rig.snapshots.control.wanted)
 
 
-async def test_lobes_response_and_working_point_are_drawn_where_the_tuning_is_on(tmp_path):
+async def test_lobes_response_and_working_point_are_drawn_and_an_engineer_ends_the_tuning(tmp_path):
     bench, port = SpeedRig(tmp_path), free_port()
-    service = bench.configuration.service.model_copy(update={"http_port": port})
+    users = accounts_file(tmp_path, eva="engineer")
+    service = bench.configuration.service.model_copy(update={"http_port": port, "users": users})
     configuration = bench.configuration.model_copy(update={"service": service})
     async with running(bench.rig), chromium() as browser:
         await bench.rig.turn()
@@ -307,12 +308,22 @@ async def test_lobes_response_and_working_point_are_drawn_where_the_tuning_is_on
         task = asyncio.create_task(serve_monitor(parts_of(bench.rig, configuration), serving.set))
         await serving.wait()
         seen = await watched(browser, f"http://127.0.0.1:{port}/")
+        await log_in(seen, "eva")
+        await expect(seen.page.locator("#do-disable-speed")).to_be_visible(timeout=PATIENCE_MS)
+        seen.said.clear()  # that nobody was logged in
         await seen.open("dynamics")
         await expect(seen.page.locator("canvas")).to_have_count(3, timeout=PATIENCE_MS)
         assert "TUNED" in await seen.text("main") and "2.00 mm" in await seen.text("main")
         assert (seen.said, seen.elsewhere) == ([], [])
         if folder := os.environ.get("TOOLPOINT_PICTURES"):
             await seen.page.screenshot(path=Path(folder) / "dynamics.png", full_page=True)
+        await seen.open("overview")
+        await seen.page.locator("#do-disable-speed").click()
+        turning = asyncio.create_task(keep_cutting(bench))
+        await seen.page.locator("dialog button[type=submit]").click()
+        await expect(seen.page.locator("#do-enable-speed")).to_be_visible(timeout=PATIENCE_MS)
+        turning.cancel()
+        assert not bench.speed.snapshot().switched_on
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 
@@ -340,6 +351,13 @@ async def log_in(seen: Watched, name: str) -> None:
     await seen.page.locator("dialog input[name=name]").fill(name)
     await seen.page.locator("dialog input[name=password]").fill(PASSWORD)
     await seen.page.locator("dialog button[type=submit]").click()
+
+
+async def keep_cutting(bench: SpeedRig) -> None:
+    while True:
+        await bench.pass_by(1.0, SAFE)
+        bench.rig.snapshots.spindle_speed = bench.speed.snapshot()
+        await asyncio.sleep(0.05)
 
 
 async def keep_turning(bench: MonitorBench) -> None:

@@ -190,13 +190,15 @@ function gauge(name, axis) {
 // --- actions: only what the person may, each with a question -------------------------------
 
 function offer(place, status, context) {
-  const may = context.may("operator");
+  const may = context.may("operator"), tuned = status.spindle_speed;
   const any = Object.values(status.axes).some((axis) => axis.wanted);
   const wanted = !may ? [] : [
     !any && ["enable", "Switch on", "Switch compensation on?", "Every axis with a model is switched on. The NC moves the tool by what is written, at safe points, within the bound of each axis.", false],
     any && ["disable", "Switch off", "Switch compensation off?", "The compensation goes back, at its slew rate, to what was applied when the reference was set. The axes can be switched on again at any time.", false],
     any && ["disable-zero", "Back to zero", "Take the compensation back to zero?", "Every axis moves to zero at its slew rate and is switched off.", true],
     ["reference", "Set the reference", "Set the reference now?", "The present position counts as free of thermal error: do this right after the work was positioned.", false],
+    tuned.configured && !tuned.switched_on && context.may("engineer") && ["enable-speed", "Tune the spindle speed", "Tune the spindle speed?", "The NC takes a speed that the lobes allow, within the limits of the configuration, at its next safe point.", false],
+    tuned.configured && tuned.switched_on && ["disable-speed", "Stop tuning the speed", "Stop tuning the spindle speed?", "The NC goes back to the programmed speed at its next safe point.", false],
     (status.alarm || status.state === "FAULT") && ["acknowledge", "Acknowledge", "Acknowledge the fault?", "The fault is taken as seen. Compensation stays off until a person switches it on.", true],
   ].filter(Boolean);
   const key = wanted.map(([name]) => name).join();
@@ -206,7 +208,7 @@ function offer(place, status, context) {
     type: "button", class: danger ? "danger" : "quiet", id: `do-${name}`,
     onclick: () => context.confirm({
       question, explanation, yes: words, danger,
-      carry: () => (name === "disable-zero" ? act("disable", { zero: true }) : act(name)),
+      carry: () => act(name.split("-")[0], { "disable-zero": { zero: true }, "enable-speed": { spindle_speed: true }, "disable-speed": { spindle_speed: true } }[name]),
     }),
   }, words)));
 }
