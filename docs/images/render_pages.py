@@ -17,7 +17,7 @@ from daemon.simulation.processes import folder_for, port_from, start_simulation,
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-PICTURES = (("overview", "light", 1280, 1290), ("temperatures", "dark", 1280, 960))
+PICTURES = (("overview", "light", 1280, 1290), ("temperatures", "dark", 1280, 1220))
 """Page, colours, width and height [pixel]."""
 
 

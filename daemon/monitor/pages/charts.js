@@ -30,7 +30,7 @@ addEventListener("theme", () => { for (const chart of every) chart.build(); });
 
 export class Chart {
   // options: {title, unit, x: "time" | {label}, series: [{label, colour, width, dash, points, hidden}],
-  //           bands: [{upper, lower, colour}], fills: [{series, colour}], marks: [{x, words, y}], height, zoom, log, floor}
+  //           bands: [{upper, lower, colour}], fills: [{series, colour}], marks: [{x, words, y, below}], height, zoom, log, floor}
   constructor(options) {
     this.options = options;
     this.data = null;
@@ -193,10 +193,12 @@ export class Chart {
         ctx.fill();
       }
       ctx.font = `${base * 0.75}px ${fontFamily()}`;
-      const right = x > bbox.left + bbox.width * 0.7;
+      const room = bbox.left + bbox.width - x - base * 0.4;
+      const words = ctx.measureText(mark.words).width > Math.max(room, x - bbox.left) ? mark.words.split(",")[0] : mark.words;
+      const right = ctx.measureText(words).width > room; // the words stand on the other side, then
       ctx.textAlign = right ? "right" : "left";
-      const y = mark.y === undefined ? bbox.top + base * 0.8 : plot.valToPos(mark.y, "y", true) - base * 0.6;
-      ctx.fillText(mark.words, x + (right ? -1 : 1) * base * 0.4, Math.max(y, bbox.top + base * 0.8));
+      const y = mark.y === undefined ? bbox.top + base * 0.8 : plot.valToPos(mark.y, "y", true) + base * (mark.below ? 1.2 : -0.6);
+      ctx.fillText(words, x + (right ? -1 : 1) * base * 0.4, Math.max(y, bbox.top + base * 0.8));
     }
     ctx.restore();
   }
@@ -210,8 +212,8 @@ export class Chart {
   }
 }
 
-// A single instant is shown within ten minutes.
-const LEAST_SPAN = (plot, low, high) => (low === null ? [0, 600] : high - low >= 60 ? [low, high] : [(low + high) / 2 - 300, (low + high) / 2 + 300]);
+// A single instant is shown within ten minutes: uPlot would show it within years.
+const LEAST_SPAN = (plot, low, high) => (plot.data[0].length === 1 ? [plot.data[0][0] - 300, plot.data[0][0] + 300] : [low, high]);
 
 // Numbers at an axis, as many digits as they differ by, with a minus that is one.
 function ticks(plot, values) {

@@ -67,7 +67,7 @@ class Dynamics {
   lobes({ lobes, working_point: point }) {
     const marks = point.speed_rpm && point.depth_mm ? [{ x: point.speed_rpm, y: point.depth_mm, words: `working point, ${number(point.speed_rpm, 0)} 1/min`, colour: "--mark" }] : [];
     const elsewhere = point.target_rpm && Math.abs(point.target_rpm - (point.speed_rpm ?? 0)) > 1;
-    if (elsewhere && point.depth_mm) marks.push({ x: point.target_rpm, y: point.depth_mm, words: `target, ${number(point.target_rpm, 0)} 1/min`, colour: "--with" });
+    if (elsewhere && point.depth_mm) marks.push({ x: point.target_rpm, y: point.depth_mm, words: `target, ${number(point.target_rpm, 0)} 1/min`, colour: "--with", below: true });
     this.draw("lobes", "Stability lobes", "", "wide", [lobes.speed_rpm, lobes.limiting_depth_mm], { marks }, () => new Chart({ title: "Stability lobes",
       caption: "Below the line a cut is stable; above it, it chatters.", unit: "depth of cut [mm]", unit_short: "mm", digits: 2, x: { label: "spindle speed [1/min]", unit: "1/min" }, height: 18, floor: 0,
       series: [{ label: "limiting depth", colour: "--c3", width: 2.2, fill: "--stable" }] }));

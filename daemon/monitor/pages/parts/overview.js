@@ -66,11 +66,13 @@ function remedy(reason) {
   return h("p", { class: "todo" }, found.length > 0 && [h("b", {}, "What to do: "), prose(found.join("; ")), ". "], h("a", { href: "#/messages" }, "All messages"));
 }
 
+const FOLDERS = /(?:\/[^\s/:]+){2,}\//g;
+
 // What a person should look at: whole in a fault, else its beginning, and the rest on demand.
-function problems({ problems: found, alarm, state: now }) {
-  return found.filter((problem) => problem !== alarm || now !== "FAULT" ).map((problem) => {
-    if (now === "FAULT" || problem.length < 110) return h("p", { class: "attention" }, problem, " ", todo(problem));
-    return h("details", { class: "attention" }, h("summary", {}, h("span", {}, problem)), todo(problem));
+function problems({ problems: found, reason, state: now }) {
+  return found.filter((problem) => problem !== reason).map((problem) => {
+    if (now === "FAULT" || problem.length < 110) return h("p", { class: "attention" }, prose(problem), " ", todo(problem));
+    return h("details", { class: "attention" }, h("summary", {}, h("span", {}, prose(problem.replace(FOLDERS, "…/")))), h("div", {}, prose(problem)), todo(problem));
   });
 }
 
@@ -229,7 +231,7 @@ function speed({ spindle_speed: found }) {
 
 function links({ links: found }) {
   return card("Links", h("ul", { class: "checks" }, found.map((link) => h("li", { class: link.up ? "yes" : "no" }, h("span", {}, link.name,
-    link.up ? ": up" : ": down", (link.losses > 0 || !link.up) && h("small", {}, link.up ? `lost ${link.losses} times, the last: ${link.last_problem}` : link.problem || "not up yet"))))));
+    link.up ? ": up" : ": down", (link.losses > 0 || !link.up) && h("small", {}, prose(link.up ? `lost ${link.losses} times, the last: ${link.last_problem}` : link.problem || "not up yet")), !link.up && todo(link.problem))))));
 }
 
 function latency({ latency: found }) {
