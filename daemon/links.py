@@ -7,7 +7,8 @@ from typing import Any
 import structlog
 
 from config.schema import Configuration
-from config.schema.temperatures import LineConfig
+from config.schema.source_drivers import SourceConfig
+from config.schema.temperatures import TemperatureInput
 from daemon.cnc.session import CncLink
 from daemon.rate_limit import RateLimit
 from daemon.registry import Parts
@@ -36,7 +37,9 @@ class Links:
         self._clock = clock
         self._parts = parts
         self._cnc = cnc
-        self._lines = {line.name: LinkHealth(f"latsis {line.name}") for line in configuration.temperatures.lines}
+        self._lines = {
+            each.name: LinkHealth(f"{each.driver} {each.name}") for each in configuration.temperatures.inputs
+        }
         self._displacements = LinkHealth("displacement files")
         self.planner_health = LinkHealth("speed planner")
         self._own = {"service.socket": LinkHealth("local socket"), "service.http_port": LinkHealth("metrics")}
@@ -54,9 +57,9 @@ class Links:
         return tuple(health.snapshot() for health in self.shown)
 
     def temperatures(self, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Iterator[Coroutine[Any, Any, None]]:
-        """Yield the work that keeps each line open; `take` may wait, the line then drops what it cannot hold."""
-        for line in self._configuration.temperatures.lines:
-            yield self._line(line, take)
+        """Yield the work that keeps each line and source open; `take` may wait, a line then drops what does not fit."""
+        for each in self._configuration.temperatures.inputs:
+            yield self._input(each, take)
 
     def cnc(self) -> Coroutine[Any, Any, None]:
         """Return the work that keeps the session with the CNC open."""
@@ -93,14 +96,18 @@ class Links:
 
         return self._keep(health, attempt)
 
-    def _line(self, line: LineConfig, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Coroutine[Any, Any, None]:
-        health = self._lines[line.name]
+    def _input(
+        self, each: TemperatureInput, take: Callable[[TemperatureCycle], Awaitable[None]]
+    ) -> Coroutine[Any, Any, None]:
+        health = self._lines[each.name]
+        exposed = each.connection.exposed if isinstance(each, SourceConfig) else ""
+        facts = {"security": exposed} if exposed else {}
 
         async def attempt() -> None:
-            source = self._parts.open_temperature_source(self._configuration, line, self._clock)
+            source = self._parts.open_temperature_source(self._configuration, each, self._clock)
             try:
                 async for cycle in source.cycles():
-                    health.came_up()
+                    health.came_up(**facts)
                     await take(cycle)
             finally:
                 await source.close()

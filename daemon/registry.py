@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from config.schema import Configuration
 from config.schema.cnc_drivers import CncDriverConfig
-from config.schema.temperatures import LineConfig
+from config.schema.temperatures import TemperatureInput
 from daemon.cnc.cnc_lock import CncLock
 from daemon.housekeeping.jobs import Housekeeping, housekeeping_scheduler
 from daemon.model_release.loading import LoadedModel
@@ -25,7 +25,9 @@ SPEED_PLANNER = (sys.executable, "-P", "-m", "daemon.speed_planner")
 class Parts:
     """The edges of the product; a simulation may put others there."""
 
-    open_temperature_source: Callable[[Configuration, LineConfig, Clock], TemperatureSource] = open_temperature_source
+    open_temperature_source: Callable[[Configuration, TemperatureInput, Clock], TemperatureSource] = (
+        open_temperature_source
+    )
     open_displacement_source: Callable[[Configuration, Clock, float | None], DisplacementSource] = (
         open_displacement_source
     )

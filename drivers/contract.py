@@ -45,12 +45,12 @@ class NotSentError(FatalDriverError):
 
 
 class TemperatureSource(Protocol):
-    """One LATSIS line."""
+    """One LATSIS line, or one other source of temperatures."""
 
     name: str
 
     def cycles(self) -> AsyncIterator[TemperatureCycle]:
-        """Open the line and yield each cycle as it completes; raises LinkError when the line is lost."""
+        """Open it and yield each cycle as it completes; raises LinkError when it is lost."""
         ...
 
     async def close(self) -> None:

@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.displacements import DisplacementsConfig
-from config.schema.temperatures import LineConfig, SensorConfig
+from config.schema.source_drivers import SourceConfig
+from config.schema.temperatures import LineConfig, SensorConfig, TemperatureInput
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 
 CncFactory = Callable[[CncConfig, Clock], Cnc]
-TemperatureFactory = Callable[[LineConfig, list[SensorConfig], Clock], TemperatureSource]
+TemperatureFactory = Callable[[TemperatureInput, list[SensorConfig], Clock], TemperatureSource]
 DisplacementFactory = Callable[[DisplacementsConfig, Clock, float | None], DisplacementSource]
 
 
@@ -33,7 +34,27 @@ def _focas() -> CncFactory:
 def _latsis() -> TemperatureFactory:
     from drivers.latsis.source import LatsisSerialSource
 
-    return LatsisSerialSource
+    def opened(line: TemperatureInput, sensors: list[SensorConfig], clock: Clock) -> TemperatureSource:
+        assert isinstance(line, LineConfig)
+        return LatsisSerialSource(line, sensors, clock)
+
+    return opened
+
+
+def _of_source(factory: Callable[[SourceConfig, Clock], TemperatureSource]) -> TemperatureFactory:
+    """Return a factory of a source, which brings its own sensors."""
+
+    def opened(source: TemperatureInput, _: list[SensorConfig], clock: Clock) -> TemperatureSource:
+        assert isinstance(source, SourceConfig)
+        return factory(source, clock)
+
+    return opened
+
+
+def _modbus() -> TemperatureFactory:
+    from drivers.modbus.source import ModbusSource
+
+    return _of_source(ModbusSource)
 
 
 def _file() -> DisplacementFactory:
@@ -44,8 +65,8 @@ def _file() -> DisplacementFactory:
 
 CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
-TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {"latsis": _latsis}
-"""Kind of a temperature source -> the same."""
+TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {"latsis": _latsis, "modbus": _modbus}
+"""Driver of a line or of a source -> the same."""
 DISPLACEMENT_SOURCES: Mapping[str, Callable[[], DisplacementFactory]] = {"file": _file}
 """Kind of a displacement source -> the same."""
 
@@ -55,9 +76,9 @@ def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
     return CNC_DRIVERS[configuration.cnc.driver]()(configuration.cnc, clock)
 
 
-def open_temperature_source(configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:
-    """Return a new, unopened source for one line."""
-    return TEMPERATURE_SOURCES[line.driver]()(line, configuration.temperatures.sensors, clock)
+def open_temperature_source(configuration: Configuration, each: TemperatureInput, clock: Clock) -> TemperatureSource:
+    """Return a new, unopened source for one line or one entry of the sources."""
+    return TEMPERATURE_SOURCES[each.driver]()(each, configuration.temperatures.sensors, clock)
 
 
 def open_displacement_source(
@@ -71,7 +92,7 @@ def open_displacement_source(
 def import_drivers(configuration: Configuration) -> None:
     """Import what this configuration needs now, because an import in a running event loop would hold it up."""
     CNC_DRIVERS[configuration.cnc.driver]()
-    for line in configuration.temperatures.lines:
-        TEMPERATURE_SOURCES[line.driver]()
+    for each in configuration.temperatures.inputs:
+        TEMPERATURE_SOURCES[each.driver]()
     if configuration.displacements is not None:
         DISPLACEMENT_SOURCES[configuration.displacements.driver]()

@@ -49,7 +49,7 @@ class Configuration(Section):
         shown = self.cnc.temperature_macro
         if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
             at = ("cnc", "temperature_macro", "sensor")
-            problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors)"))
+            problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors, temperatures.sources)"))
         problems += self._numbers_of_the_guard()
         valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
         if valid_s >= (believed_s := self.cnc.guard.max_validity_s):

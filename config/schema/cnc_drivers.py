@@ -153,7 +153,7 @@ class FocasConfig(CncConnection):
         return f"{self.host.lower()}:{self.port}"
 
 
-def _section_of_driver(schema: dict[str, Any], model: type[BaseModel]) -> None:
+def section_of_driver(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Tell JSON Schema that the driver needs its own section and takes no other."""
     drivers = drivers_of(model)
     schema["allOf"] = [
@@ -177,7 +177,7 @@ def drivers_of(model: type[BaseModel]) -> tuple[str, ...]:
 class CncDriverConfig(Section):
     """The driver and its section: a union that `driver` decides, with one key per driver."""
 
-    model_config = ConfigDict(json_schema_extra=_section_of_driver)
+    model_config = ConfigDict(json_schema_extra=section_of_driver)
 
     driver: Literal["opcua", "focas"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"

@@ -1,4 +1,4 @@
-"""LATSIS lines, their frames, the sensors, and the cleansing of temperatures."""
+"""LATSIS lines, their frames, the sensors, other sources, and the cleansing of temperatures."""
 
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
@@ -6,6 +6,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
 from config.schema.base import RANGE_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
+from config.schema.source_drivers import SourceConfig
+from config.schema.sources import SourceSensorConfig
 
 SensorNumber = Annotated[
     int,
@@ -168,13 +170,19 @@ class CleansingConfig(Section):
         return self
 
 
-class TemperaturesConfig(Section):
-    """Temperature sensors, and the lines that they are connected to."""
+TemperatureInput = LineConfig | SourceConfig
+"""A line or a source: what brings a cycle of temperatures again and again."""
 
-    lines: list[LineConfig] = Field(min_length=1, description="LATSIS lines", examples=[[{"profile": "checked"}]])
+
+class TemperaturesConfig(Section):
+    """Temperature sensors, the lines that they are connected to, and other sources."""
+
+    lines: list[LineConfig] = Field(
+        default_factory=list[LineConfig], description="LATSIS lines", examples=[[{"profile": "checked"}]]
+    )
     sensors: list[SensorConfig] = Field(
-        min_length=1,
-        description="the sensors, in the machine's order",
+        default_factory=list[SensorConfig],
+        description="the sensors on the lines, in the machine's order",
         examples=[
             [
                 {"id": 1, "component": "Spindle unit", "label": "Nose"},
@@ -184,38 +192,93 @@ class TemperaturesConfig(Section):
             ]
         ],
     )
+    sources: list[SourceConfig] | None = Field(
+        None,
+        description="other sources with their own sensors, beside the lines or instead of them",
+        examples=[[{"driver": "modbus", "modbus": {"host": "192.168.10.30"}}]],
+    )
     cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="which temperatures count")
 
     @model_validator(mode="after")
     def _consistent(self) -> "TemperaturesConfig":
         problems = [*self._repeated_names(), *self._repeated_sensors(), *self._chain_problems()]
-        for index, line in enumerate(self.lines):
-            if self.cleansing.stale_after_s < line.cycle_period_s:
-                sentence = f"is shorter than the cycle period of line {line.name} ({line.cycle_period_s:g} s)"
+        if not self.inputs:
+            sentence = "there is nothing to read: describe a LATSIS line here, or another source under `sources`"
+            problems.append((("lines",), sentence))
+        for at, each in zip(self._places, self.inputs, strict=True):
+            if self.cleansing.stale_after_s < each.cycle_period_s:
+                what = str(at[0]).removesuffix("s")
+                sentence = f"is shorter than the cycle period of {what} {each.name} ({each.cycle_period_s:g} s)"
                 problems.append(
                     (("cleansing", "stale_after_s"), f"{sentence}, so that every held value would be stale")
                 )
-            if line.port in {other.port for other in self.lines[:index]}:
-                problems.append((("lines", index, "port"), f"another line uses the port {line.port}"))
+        problems += [*self._shared_ports(), *self._wider_ranges()]
         if problems:
             raise KeyProblems(problems)
         return self
 
+    @property
+    def _places(self) -> list[KeyPath]:
+        """Where each line and source stands."""
+        lines: list[KeyPath] = [("lines", index) for index in range(len(self.lines))]
+        return [*lines, *(("sources", index) for index in range(len(self.sources or ())))]
+
     def _repeated_names(self) -> list[tuple[KeyPath, str]]:
-        names = [line.name for line in self.lines]
+        names, places = [each.name for each in self.inputs], self._places
         return [
-            (("lines", index, "name"), f"two lines have the same name {name!r}")
-            for index, name in enumerate(names)
-            if name in names[:index]
+            ((*at, "name"), f"two {at[0] if at[0] == first[0] else 'inputs'} have the same name {name!r}")
+            for at, name in zip(places, names, strict=True)
+            if (first := places[names.index(name)]) != at
         ]
 
+    def _shared_ports(self) -> list[tuple[KeyPath, str]]:
+        """Return which ports two lines, two sources, or a line and a source would open."""
+        ports = {line.port: line.name for line in reversed(self.lines)}
+        problems: list[tuple[KeyPath, str]] = [
+            (("lines", index, "port"), f"another line uses the port {line.port}")
+            for index, line in enumerate(self.lines)
+            if line.port in {other.port for other in self.lines[:index]}
+        ]
+        for index, source in enumerate(self.sources or ()):
+            if (exclusive := source.connection.exclusive) is None:
+                continue
+            key, port = exclusive
+            if (other := ports.setdefault(port, source.name)) != source.name:
+                at: KeyPath = ("sources", index, source.driver, key)
+                problems.append((at, f"{other} uses {port} already; put what hangs on one bus into one source"))
+        return problems
+
+    def _wider_ranges(self) -> list[tuple[KeyPath, str]]:
+        """Return which sensors of sources claim a range that cleansing would refuse all the same."""
+        lowest, highest = self.cleansing.min_degc, self.cleansing.max_degc
+        problems: list[tuple[KeyPath, str]] = []
+        for index, source in enumerate(self.sources or ()):
+            for place, sensor in enumerate(source.sensors):
+                at: KeyPath = ("sources", index, source.driver, "sensors", place)
+                if sensor.min_degc is not None and sensor.min_degc < lowest:
+                    sentence = (
+                        f"is below cleansing.min_degc ({lowest:g}), which refuses such values: lower that as well"
+                    )
+                    problems.append(((*at, "min_degc"), sentence))
+                if sensor.max_degc is not None and sensor.max_degc > highest:
+                    sentence = (
+                        f"is above cleansing.max_degc ({highest:g}), which refuses such values: raise that as well"
+                    )
+                    problems.append(((*at, "max_degc"), sentence))
+        return problems
+
     def _repeated_sensors(self) -> list[tuple[KeyPath, str]]:
+        places: list[tuple[KeyPath, int]] = [(("sensors", i), each.id) for i, each in enumerate(self.sensors)]
+        for index, source in enumerate(self.sources or ()):
+            places += [
+                (("sources", index, source.driver, "sensors", i), each.id) for i, each in enumerate(source.sensors)
+            ]
         seen: set[int] = set()
         problems: list[tuple[KeyPath, str]] = []
-        for index, sensor in enumerate(self.sensors):
-            if sensor.id in seen:
-                problems.append((("sensors", index, "id"), f"sensor {sensor.id} is listed twice"))
-            seen.add(sensor.id)
+        for at, sensor_id in places:
+            if sensor_id in seen:
+                problems.append(((*at, "id"), f"sensor {sensor_id} is listed twice"))
+            seen.add(sensor_id)
         return problems
 
     def _chain_problems(self) -> list[tuple[KeyPath, str]]:
@@ -237,15 +300,25 @@ class TemperaturesConfig(Section):
         return problems
 
     @cached_property
+    def inputs(self) -> tuple[TemperatureInput, ...]:
+        """Lines and sources: each brings cycles under its name."""
+        return (*self.lines, *(self.sources or ()))
+
+    @cached_property
+    def every_sensor(self) -> tuple[SensorConfig | SourceSensorConfig, ...]:
+        """The sensors of the lines and of the sources, in the machine's order."""
+        return (*self.sensors, *(sensor for source in self.sources or () for sensor in source.sensors))
+
+    @cached_property
     def sensor_ids(self) -> tuple[int, ...]:
         """Sensor IDs in the machine's order."""
-        return tuple(sensor.id for sensor in self.sensors)
+        return tuple(sensor.id for sensor in self.every_sensor)
 
     @cached_property
     def labels(self) -> dict[str, tuple[int, ...]]:
         """Indices into the machine's sensor order by label."""
         labels: dict[str, list[int]] = {}
-        for index, sensor in enumerate(self.sensors):
+        for index, sensor in enumerate(self.every_sensor):
             if sensor.label:
                 labels.setdefault(sensor.label, []).append(index)
         return {label: tuple(indices) for label, indices in labels.items()}
@@ -253,4 +326,4 @@ class TemperaturesConfig(Section):
     @cached_property
     def components(self) -> tuple[str, ...]:
         """Component of each sensor in the machine's order."""
-        return tuple(sensor.component for sensor in self.sensors)
+        return tuple(sensor.component for sensor in self.every_sensor)

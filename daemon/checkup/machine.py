@@ -8,7 +8,8 @@ import numpy as np
 
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
-from config.schema.temperatures import LineConfig
+from config.schema.source_drivers import SourceConfig
+from config.schema.temperatures import LineConfig, TemperatureInput
 from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
 from daemon.model_release.bearings import open_planning
@@ -50,8 +51,9 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
         yield _spindle_speed(configuration)
     if not devices:
         return
-    for line in configuration.temperatures.lines:
-        yield await _attempt(f"line {line.name}", lambda line=line: _line(configuration, line, clock))  # type: ignore[misc]
+    for each in configuration.temperatures.inputs:
+        what = "line" if isinstance(each, LineConfig) else "source"
+        yield await _attempt(f"{what} {each.name}", lambda each=each: _input(configuration, each, clock))  # type: ignore[misc]
     if configuration.displacements is not None:
         yield await _attempt("displacement files", lambda: _displacements(configuration, clock))
     yield await _attempt("cnc", lambda: _cnc(configuration, clock))
@@ -112,18 +114,20 @@ async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:
         return Finding(subject=subject, passed=False, detail="nothing arrived in time")
 
 
-async def _line(configuration: Configuration, line: LineConfig, clock: Clock) -> str:
+async def _input(configuration: Configuration, line: TemperatureInput, clock: Clock) -> str:
     source = registry.open_temperature_source(configuration, line, clock)
     try:
         async with asyncio.timeout(CYCLES_WAITED * line.cycle_period_s / clock.speed):
             async for cycle in source.cycles():
                 good = int(np.isfinite(cycle.degc).sum())
-                if not cycle.complete:
+                if not cycle.complete or not good:
                     raise DriverError(f"{good} of {len(cycle.degc)} sensors answered: {'; '.join(cycle.faults[:3])}")
-                return f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
+                exposed = line.connection.exposed if isinstance(line, SourceConfig) else ""
+                found = f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
+                return f"{found}; {exposed}" if exposed else found
     finally:
         await source.close()
-    raise DriverError("the line ended")
+    raise DriverError("it ended")
 
 
 async def _displacements(configuration: Configuration, clock: Clock) -> str:

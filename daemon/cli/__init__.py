@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "latency": "Measure the delay from the sensor to the CNC.",
     "check": "Check the configuration and everything it names.",
     "doctor": "Examine this computer and the installation.",
+    "sources": "Read temperature sources: Modbus boxes.",
     "guard": "Print the NC programs for the control, or their sheet.",
     "sample-config": "Print a commented configuration to begin with.",
     "config-schema": "Print the JSON Schema of the configuration.",
@@ -70,7 +71,7 @@ def _without(package: str) -> Iterator[None]:
             sys.modules[package] = loaded
 
 
-def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each module)
+def _module_of(command: str) -> ModuleType:
     """Import the module whose function has the command's name."""
     match command:
         case "run":
@@ -97,10 +98,40 @@ def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each 
             from daemon.cli.simulate import latency
 
             return latency
+        case "status" | "monitor" | "reference" | "enable" | "disable" | "acknowledge":
+            from daemon.cli.operate import operate
+
+            return operate
+        case "history" | "export":
+            from daemon.cli.operate import history
+
+            return history
+        case "thermal":
+            from daemon.cli.thermal import group as thermal_group
+
+            return thermal_group
+        case "stability":
+            from daemon.cli.stability import group as stability_group
+
+            return stability_group
+        case "dynamics":
+            from daemon.cli.dynamics import group as dynamics_group
+
+            return dynamics_group
+    return _module_of_admin(command)
+
+
+def _module_of_admin(command: str) -> ModuleType:
+    """Do so for what sets a machine up and looks after it."""
+    match command:
         case "check" | "doctor":
             from daemon.cli.admin import doctor
 
             return doctor
+        case "sources":
+            from daemon.cli.admin import sources
+
+            return sources
         case "guard":
             from daemon.cli.admin import guard
 
@@ -109,26 +140,14 @@ def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each 
             from daemon.cli.admin import configuration
 
             return configuration
-        case "status" | "monitor" | "reference" | "enable" | "disable" | "acknowledge":
-            from daemon.cli.operate import operate
-
-            return operate
         case "commission":
             from daemon.cli.admin import commission
 
             return commission
-        case "history" | "export":
-            from daemon.cli.operate import history
-
-            return history
         case "backup" | "restore":
             from daemon.cli.admin import backup
 
             return backup
-        case "thermal":
-            from daemon.cli.thermal import group as thermal_group
-
-            return thermal_group
         case "model":
             from daemon.cli.admin import model
 
@@ -141,14 +160,6 @@ def _module_of(command: str) -> ModuleType:  # noqa: PLR0912 (a branch for each 
             from daemon.cli.admin import users
 
             return users
-        case "stability":
-            from daemon.cli.stability import group as stability_group
-
-            return stability_group
-        case "dynamics":
-            from daemon.cli.dynamics import group as dynamics_group
-
-            return dynamics_group
     raise KeyError(command)
 
 

@@ -36,7 +36,7 @@ class TemperatureMacro:
         if self._config is not None:
             sensor, temperatures = self._config.sensor, configuration.temperatures
             self._index = temperatures.sensor_ids.index(sensor)
-            self._line = next(line.name for line in temperatures.lines if sensor in line.sensor_ids)
+            self._line = next(each.name for each in temperatures.inputs if sensor in each.sensor_ids)
 
     @property
     def due(self) -> bool:

@@ -22,8 +22,8 @@ class Cleansing:
         self._clock = clock
         position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
         self._lines = {
-            line.name: (np.array([position[i] for i in line.sensor_ids]), line.cycle_period_s)
-            for line in temperatures.lines
+            each.name: (np.array([position[i] for i in each.sensor_ids]), each.cycle_period_s)
+            for each in temperatures.inputs
         }
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
         self._state: CleansingState = initial_state(len(position))

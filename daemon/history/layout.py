@@ -28,7 +28,7 @@ class MachineLayout:
     sensor_ids: tuple[int, ...]
     """In the machine's order."""
     lines: dict[str, tuple[int, ...]]
-    """Sensor IDs of each line by chain position."""
+    """Sensor IDs of each line by chain position, and of each source."""
     axes: tuple[str, ...]
     displacement_channels: tuple[str, ...] = ()
     sample_macros: frozenset[int] | None = None
@@ -40,7 +40,7 @@ class MachineLayout:
         displacements, macros = configuration.displacements, configuration.cnc.macros
         return cls(
             sensor_ids=configuration.temperatures.sensor_ids,
-            lines={line.name: line.sensor_ids for line in configuration.temperatures.lines},
+            lines={each.name: each.sensor_ids for each in configuration.temperatures.inputs},
             axes=tuple(configuration.compensation.axes),
             displacement_channels=tuple(c.name for c in displacements.channels) if displacements else (),
             sample_macros=frozenset(

@@ -22,6 +22,7 @@ from drivers.sim.machine.recorded import RecordedMachine
 from drivers.sim.nc.program import demo_program, standing_program
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
+from drivers.sim.wires.source_wires import as_simulated
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
@@ -112,7 +113,7 @@ def simulated_day(
     machine = CfrpMachine(
         Day.draw(DEMO_SEED if seed is None else seed, start="cold"),
         standing_program() if standing else demo_program(),
-        configuration.temperatures.sensors,
+        [as_simulated(sensor) for sensor in configuration.temperatures.every_sensor],
         configuration.cnc.macros,
         configuration.compensation.axes,
         configuration.cnc.guard,

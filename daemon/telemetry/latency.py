@@ -83,9 +83,13 @@ class LineTiming:
 
 
 def line_timings(configuration: Configuration) -> dict[str, LineTiming]:
-    """Return the times of each line by name."""
+    """Return the times of each line and source by name; what a source's wire takes is not known beforehand."""
     temperatures = configuration.temperatures
-    return {line.name: _timing(line, temperatures.sensors) for line in temperatures.lines}
+    timings = {line.name: _timing(line, temperatures.sensors) for line in temperatures.lines}
+    return timings | {
+        source.name: LineTiming(cycle_period_s=source.cycle_period_s, line_time_s=0.0)
+        for source in temperatures.sources or ()
+    }
 
 
 def _timing(line: LineConfig, sensors: Sequence[SensorConfig]) -> LineTiming:

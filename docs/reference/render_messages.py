@@ -28,6 +28,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/focas/requests.py",
     ),
     "Temperatures and lines": ("drivers/latsis", "models/quality.py", "daemon/links.py"),
+    "Other temperature sources": ("drivers/readings.py", "drivers/polling.py", "drivers/modbus"),
     "Displacements": ("drivers/displacement",),
     "The estimate and its model": (
         "daemon/estimation",

@@ -17,6 +17,7 @@ from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import drivers_of
+from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from daemon.cli import main
 
@@ -31,6 +32,9 @@ def everything_in_use() -> str:
         before, text = text, NOT_IN_USE.sub(r"\1", text)
     for driver in drivers_of(CncConfig)[1:]:
         text = re.sub(rf"^  {driver}:\n(?:    .*\n)*", "", text, flags=re.MULTILINE)
+    for driver in drivers_of(SourceConfig)[1:]:
+        text = re.sub(rf"^      {driver}:\n(?:        .*\n)*", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^( +)serial_port: .*\n", "", text, flags=re.MULTILINE)  # instead of `host`
     return text.replace("profile: checked", "profile: custom")
 
 

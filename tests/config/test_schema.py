@@ -29,6 +29,8 @@ def changed(path: str, value: Any) -> str:
 SENSOR = {"component": "Column"}
 LINE = {"name": "second", "port": "/dev/ttyUSB9", "chain": ["1-4"]}
 FILE = {"path": "x.csv", "header": "time"}
+BOX_SENSORS: list[dict[str, Any]] = [{"id": 9, "component": "Bed", "address": 0}]
+BOX: dict[str, Any] = {"name": "box", "driver": "modbus", "modbus": {"host": "x", "sensors": BOX_SENSORS}}
 CHANNEL = {"name": "Z1", "column": "Z1"}
 
 
@@ -55,6 +57,45 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("temperatures.lines.0.chain", ["1-5"], "temperatures.lines[0].chain", "not listed: [5]"),
         ("temperatures.lines.0.chain", ["1-3"], "temperatures.sensors[3].id", "sensor 4 hangs on no chain"),
         ("temperatures.lines.0.id_offset", 4092, "temperatures.lines[0].chain", "highest ID on the wire would be 4096"),
+        ("temperatures.sources", [BOX, BOX], "temperatures.sources[1].name", "two sources have the same name 'box'"),
+        (
+            "temperatures.sources",
+            [BOX, BOX],
+            "temperatures.sources[1].modbus.sensors[0].id",
+            "sensor 9 is listed twice",
+        ),
+        (
+            "temperatures.sources",
+            [{**BOX, "name": "spindle"}],
+            "temperatures.sources[0].name",
+            "two inputs have the same",
+        ),
+        ("temperatures.sources", [{**BOX, "driver": "modbuss"}], "temperatures.sources[0].driver", "must be"),
+        ("temperatures.sources", [{**BOX, "modbus": None}], "temperatures.sources[0].modbus", "required and missing"),
+        (
+            "temperatures.sources",
+            [{**BOX, "cycle_period_s": 61.0}],
+            "temperatures.cleansing.stale_after_s",
+            "source box",
+        ),
+        (
+            "temperatures.sources",
+            [{**BOX, "modbus": {"serial_port": "/dev/ttyUSB9", "sensors": BOX_SENSORS}}] * 2,
+            "temperatures.sources[1].modbus.sensors[0].id",
+            "listed twice",
+        ),
+        (
+            "temperatures.sources",
+            [{**BOX, "modbus": {"host": "x", "sensors": [{**BOX_SENSORS[0], "max_degc": 150.0}]}}],
+            "temperatures.sources[0].modbus.sensors[0].max_degc",
+            "above cleansing.max_degc (100)",
+        ),
+        (
+            "temperatures.sources",
+            [{**BOX, "modbus": {"host": "x", "sensors": [{**BOX_SENSORS[0], "min_degc": -50.0}]}}],
+            "temperatures.sources[0].modbus.sensors[0].min_degc",
+            "below cleansing.min_degc (-20)",
+        ),
         ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
         ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
@@ -150,6 +191,32 @@ def test_what_cannot_work_is_refused_at_its_key(path: str, value: Any, key: str,
     assert any(problem.key == key and sentence in problem.sentence for problem in refused.value.problems), str(
         refused.value
     )
+
+
+def test_sources_stand_beside_lines_or_instead_of_them() -> None:
+    beside = parse_yaml_model(changed("temperatures.sources", [BOX]), Configuration, "f.yaml").temperatures
+    assert [each.name for each in beside.inputs] == ["spindle", "box"]
+    assert beside.sensor_ids == (1, 2, 3, 4, 9)
+    content = yaml.safe_load(changed("temperatures.sources", [BOX]))
+    del content["temperatures"]["lines"], content["temperatures"]["sensors"]
+    instead = parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml").temperatures
+    assert instead.sensor_ids == (9,) and instead.components == ("Bed",)
+    del content["temperatures"]["sources"]
+    with pytest.raises(ConfigurationError, match=r"temperatures\.lines: there is nothing to read"):
+        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
+
+
+def test_a_serial_port_has_one_reader() -> None:
+    box = {**BOX, "modbus": {"serial_port": "/dev/ttyUSB9", "sensors": BOX_SENSORS}}
+    other = {**box, "name": "other", "modbus": {**box["modbus"], "sensors": [{**BOX_SENSORS[0], "id": 10}]}}
+    with pytest.raises(ConfigurationError, match="box uses /dev/ttyUSB9 already") as refused:
+        parse_yaml_model(changed("temperatures.sources", [box, other]), Configuration, "f.yaml")
+    (problem,) = refused.value.problems
+    assert problem.key == "temperatures.sources[1].modbus.serial_port"
+    content = yaml.safe_load(changed("temperatures.sources", [box]))
+    content["temperatures"]["lines"][0]["port"] = "/dev/ttyUSB9"
+    with pytest.raises(ConfigurationError, match="spindle uses /dev/ttyUSB9 already"):
+        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
 
 
 TOOL = {"length_mm": 100.0, "temperatures": {"Nose": 1.0}}

@@ -14,6 +14,7 @@ from scripted_machine import ScriptedNc, cnc_config
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import CncConnection, drivers_of
 from config.schema.displacements import DisplacementsConfig
+from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from drivers import registry
 from drivers.clock import SystemClock
@@ -133,15 +134,16 @@ def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:
     assert set(registry.CNC_DRIVERS) == set(drivers_of(CncConfig))
     for driver, load in registry.CNC_DRIVERS.items():
         assert callable(load()), driver
-    for sources, section in (
-        (registry.TEMPERATURE_SOURCES, LineConfig),
-        (registry.DISPLACEMENT_SOURCES, DisplacementsConfig),
-    ):
-        assert set(sources) == {section.driver}
-        assert callable(sources[section.driver]())
+    assert set(registry.TEMPERATURE_SOURCES) == {LineConfig.driver, *drivers_of(SourceConfig)}
+    assert set(registry.DISPLACEMENT_SOURCES) == {DisplacementsConfig.driver}
+    for load_source in (*registry.TEMPERATURE_SOURCES.values(), *registry.DISPLACEMENT_SOURCES.values()):
+        assert callable(load_source())
 
 
 def test_every_section_with_a_driver_is_the_one_of_its_name() -> None:
     for driver in drivers_of(CncConfig):
         (section, _) = CncConfig.model_fields[driver].annotation.__args__  # type: ignore[union-attr]
+        assert section.driver == driver
+    for driver in drivers_of(SourceConfig):
+        (section, _) = SourceConfig.model_fields[driver].annotation.__args__  # type: ignore[union-attr]
         assert section.driver == driver

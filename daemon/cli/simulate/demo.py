@@ -12,9 +12,20 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option, option, say, write_json
+from daemon.cli.common import (
+    EXISTING,
+    POSITIVE,
+    FiniteFloat,
+    directory_option,
+    json_option,
+    option,
+    refuse,
+    say,
+    write_json,
+)
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation import SimulationError
+from daemon.simulation.boxes import put_on_boxes
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch
 from daemon.simulation.processes import (
     RunningSimulation,
@@ -24,6 +35,7 @@ from daemon.simulation.processes import (
     write_simulation_configuration,
 )
 
+SENSORS = ("latsis", "modbus")
 LIVE_PERIOD_S = 0.25
 WEB_PORT = 8080
 CNC_WIRES = ("opcua", "focas")
@@ -48,6 +60,12 @@ CNC_WIRES = ("opcua", "focas")
     help="How the daemon reaches the simulated CNC: `focas` as it reaches a FANUC over Ethernet.",
 )
 @option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
+@option(
+    "--sensors",
+    type=click.Choice(SENSORS),
+    default=SENSORS[0],
+    help="What brings the temperatures: serial LATSIS lines, or boxes that answer Modbus TCP.",
+)
 @json_option
 def demo(
     headless: bool,
@@ -58,6 +76,7 @@ def demo(
     faults_path: Path | None,
     driver: str,
     secure: bool,
+    sensors: str,
     json_path: str | None,
 ) -> None:
     """Watch a simulated machine tool warm up while the daemon compensates it.
@@ -68,6 +87,8 @@ def demo(
 
     duration_s = math.inf if minutes is None and not headless else (minutes or 60.0) * 60.0
     if faults_path is not None:
+        if sensors != SENSORS[0]:
+            refuse(f"a fault script plays on LATSIS lines; leave --sensors {sensors} or --faults out")
         _check_faults(faults_path)
     with simulation_folder(directory) as folder:
         port = None if headless and web_port is None else port_from(web_port or WEB_PORT)
@@ -76,6 +97,8 @@ def demo(
         machine = demo_machine()
         for line in machine["temperatures"]["lines"]:
             line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
+        if sensors != SENSORS[0]:
+            put_on_boxes(machine)
         path, _ = write_simulation_configuration(
             machine, folder, speed=speed, http_port=port, secure=secure, driver=driver
         )
@@ -92,7 +115,7 @@ def demo(
                     say_result(trail, seen, page_address(port))
                     return
             final, status = settle(running)
-            period_s = min(line.cycle_period_s for line in load_configuration(path).temperatures.lines)
+            period_s = min(each.cycle_period_s for each in load_configuration(path).temperatures.inputs)
     numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
     write_json(json_path, numbers)
     for failure in failures:

@@ -69,7 +69,7 @@ async def names(request: Request, person: Viewer) -> Response:
             "sensor": sensor.id,
             "position": None,
         }
-        for sensor in configuration.temperatures.sensors
+        for sensor in configuration.temperatures.every_sensor
     ]
     series += [
         {"name": f"{kind}.{label}", "kind": kind, "unit": "degC", "label": label}

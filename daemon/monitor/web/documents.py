@@ -162,7 +162,7 @@ class Documents:
         """Return every sensor's newest temperature, its quality and the reason."""
         latest, temperatures = self._board.thermal.temperatures, self._configuration.temperatures
         rows = []
-        for i, sensor in enumerate(temperatures.sensors):
+        for i, sensor in enumerate(temperatures.every_sensor):
             row: dict[str, Any] = {
                 "name": f"temperature.{sensor.id}",
                 "id": sensor.id,

@@ -68,7 +68,7 @@ def _contributions(
     if found is None or channel not in found.channels:
         return None
     um = found.um[:, found.channels.index(channel)]
-    sensors = {sensor.id: sensor for sensor in configuration.temperatures.sensors}
+    sensors = {sensor.id: sensor for sensor in configuration.temperatures.every_sensor}
     return [
         {
             "sensor": sensor_id,

@@ -21,7 +21,7 @@ import numpy as np
 from config.loader import load_configuration
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
-from config.schema.temperatures import LineConfig
+from config.schema.temperatures import LineConfig, TemperatureInput
 from daemon.app import Daemon
 from daemon.compensation.task import ControlTask
 from daemon.history.database import HistoryError
@@ -134,7 +134,8 @@ class CampaignDaemon:
         self._daemon.acknowledged = Reported(self._acknowledged, self._cycles)
         await self._daemon.run()
 
-    def _open_line(self, configuration: Configuration, line: LineConfig, clock: Clock) -> TemperatureSource:
+    def _open_line(self, configuration: Configuration, line: TemperatureInput, clock: Clock) -> TemperatureSource:
+        assert isinstance(line, LineConfig)
         reader = VirtualReader(self._world, line, self._clock)
         return _Noted(LatsisSerialSource(line, configuration.temperatures.sensors, clock, reader=reader), self._cycles)
 

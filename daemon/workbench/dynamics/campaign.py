@@ -171,7 +171,7 @@ def _labelled(
     """Return the means of the sensors of each label; columns are T1, T2 and so on by sensor number."""
     places = {name.upper(): index for index, name in enumerate(names)}
     found: dict[str, FloatArray] = {}
-    sensors = configuration.temperatures.sensors
+    sensors = configuration.temperatures.every_sensor
     for label, indices in configuration.temperatures.labels.items():
         columns = [places[f"T{sensors[i].id}"] for i in indices if f"T{sensors[i].id}" in places]
         if columns:

@@ -84,7 +84,7 @@ class LatsisWires:
     @property
     def next_start_s(self) -> float:
         """When the next pass of any line reads its registers [s of the machine]."""
-        return min(transmitter.next_start_s for transmitter, _ in self._lines.values())
+        return min((transmitter.next_start_s for transmitter, _ in self._lines.values()), default=math.inf)
 
     def step(self, now_s: float, passed: Passed | None = None) -> None:
         """Send what is due at a simulated time [s]; pull and plug adapters as the faults say.

@@ -33,6 +33,12 @@ class PtyPort:
         """The port exists."""
         return self._master is not None
 
+    @property
+    def descriptor(self) -> int:
+        """The far end, while the port exists."""
+        assert self._master is not None
+        return self._master
+
     def plug(self) -> None:
         """Make the port appear under its name."""
         if self._master is not None:

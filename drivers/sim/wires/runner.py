@@ -17,6 +17,7 @@ from drivers.sim.wires.cnc_face import cnc_server, configured_port
 from drivers.sim.wires.displacement_wire import DisplacementCsv
 from drivers.sim.wires.latsis_wire import LatsisWires
 from drivers.sim.wires.opcua_server import ServerSecurity
+from drivers.sim.wires.source_wires import SourceWires, temperatures_of
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.json_values import finite_or_none
 
@@ -100,15 +101,22 @@ async def run_simulated_machine(
             seed=seed,
         )
         logger = _logger(machine, configuration, origin_utc_s, faults)
+        boxes = SourceWires(
+            configuration.temperatures.sources or (),
+            temperatures_of(machine, configuration.temperatures),
+            until_s=until_s - origin_s,
+        )
+        await boxes.open()
         wires.open()
         try:
             if ready is not None:
                 links = {line.name: wires.link(line.name) for line in configuration.temperatures.lines}
                 ready(Ready(endpoint=endpoint, ports=links, displacements=logger.path if logger else None))
-            run = _Run(machine, configuration, wires, logger, relay, faults, witness)
+            run = _Run(machine, configuration, wires, boxes, logger, relay, faults, witness)
             await run.forever(clock, origin_s, report_period_s, report, until_s - origin_s)
         finally:
             wires.close()
+            await boxes.close()
 
 
 class _Run:
@@ -119,6 +127,7 @@ class _Run:
         machine: SimulatedMachine,
         configuration: Configuration,
         wires: LatsisWires,
+        boxes: SourceWires,
         logger: DisplacementCsv | None,
         relay: TcpRelay | None,
         faults: Sequence[Fault],
@@ -128,6 +137,7 @@ class _Run:
         self._passed = None if witness is None else witness.passed
         self._macros = configuration.cnc.macros.block
         self._wires = wires
+        self._boxes = boxes
         self._logger = logger
         self._relay = relay
         self._faults = faults
@@ -153,10 +163,11 @@ class _Run:
                 while self._machine.time_s < target_s and loop.time() < breath_at:
                     self._move(min(target_s, self._machine.time_s + LARGEST_STEP_S, self._next_start_s()))
                 await self._disturb_cnc()
+                await self._boxes.step(self._machine.time_s)
                 if self._machine.time_s >= next_report_s:
                     report(self.snapshot())
                     next_report_s += report_period_s * (1 + (self._machine.time_s - next_report_s) // report_period_s)
-                if not final and self._machine.time_s >= until_s and self._wires.idle:
+                if not final and self._machine.time_s >= until_s and self._wires.idle and self._boxes.idle:
                     report(self.snapshot() | {"final": True})
                     final = True
                 behind = self._machine.time_s < target_s
@@ -210,7 +221,7 @@ class _Run:
             "nc": {attribute: finite_or_none(getattr(nc, attribute)) for attribute in NC_STATE}
             | {"macros": {str(number): finite_or_none(nc.macros.get(number)) for number in self._macros}},
             "truth": truth,
-            "cycles_sent": self._wires.cycles_sent,
+            "cycles_sent": self._wires.cycles_sent | self._boxes.cycles_sent,
             "cycles_disturbed": self._wires.cycles_disturbed,
             "bytes_dropped": self._wires.bytes_dropped,
             "late_real_s": self._late_real_s,

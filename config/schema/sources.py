@@ -1,0 +1,100 @@
+"""Temperature sources other than LATSIS lines: what every one of them has, whatever it is read with.
+
+To add a kind: its section (a `SourceConnection`) with its sensors, its name in `SourceConfig.driver` with the field of
+that name beside it, and one line in `drivers/registry.py`.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from config.schema.base import KeyPath, KeyProblems, Name, Section
+
+DEGF_PER_K = 1.8
+DEGF_AT_0_DEGC = 32.0
+KELVIN_AT_0_DEGC = 273.15
+
+
+class SourceSensorConfig(Section):
+    """One temperature sensor of a source: where it sits, and how its number becomes a temperature."""
+
+    id: int = Field(ge=1, description="sensor ID of the machine's documentation", examples=[401])
+    component: str = Field(min_length=1, description="machine component it sits on", examples=["Spindle unit"])
+    part: str = Field("-", description="part of the component; '-': the whole of it")
+    label: Name | None = Field(
+        None, description="sensors with one label are averaged under that name", examples=["Housing"]
+    )
+    unit: Literal["degC", "degF", "K"] = Field("degC", description="unit of the number after scale and offset")
+    scale: float = Field(1.0, description="the number read is multiplied by this: 0.1 where 235 means 23.5")
+    offset: float = Field(0.0, description="then this is added, in the unit")
+    open: list[float] = Field(
+        default_factory=list, description="numbers as read that say that the sensor is open, shorted or absent"
+    )
+    min_degc: float | None = Field(
+        None,
+        description="lower values are impossible for this sensor; left out: `cleansing.min_degc`",
+        examples=[-10.0],
+    )
+    max_degc: float | None = Field(
+        None,
+        description="higher values are impossible for this sensor; left out: `cleansing.max_degc`",
+        examples=[90.0],
+    )
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        problems: list[tuple[KeyPath, str]] = []
+        if self.scale == 0:
+            problems.append((("scale",), "must not be 0, or the temperature is always the same"))
+        if self.min_degc is not None and self.max_degc is not None and self.min_degc >= self.max_degc:
+            problems.append((("min_degc",), "min_degc must be below max_degc"))
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    def is_open(self, number: float) -> bool:
+        """Return whether a number as read says that there is no sensor."""
+        return number in self.open
+
+    def degc(self, number: float) -> float:
+        """Return the temperature of a number as read [degC]."""
+        value = number * self.scale + self.offset
+        if self.unit == "K":
+            return value - KELVIN_AT_0_DEGC
+        return (value - DEGF_AT_0_DEGC) / DEGF_PER_K if self.unit == "degF" else value
+
+    def number(self, degc: float) -> float:
+        """Return what is read at a temperature [degC]; NaN at one that is none."""
+        value = degc if self.unit == "degC" else degc + KELVIN_AT_0_DEGC
+        value = degc * DEGF_PER_K + DEGF_AT_0_DEGC if self.unit == "degF" else value
+        return (value - self.offset) / self.scale if math.isfinite(value) else math.nan
+
+
+class SourceConnection(Section):
+    """What every driver's section answers for itself, so that no other part has to know the driver."""
+
+    driver: ClassVar[str]
+    """Name of the driver, which is also the key of the section."""
+
+    @property
+    def every_sensor(self) -> Sequence[SourceSensorConfig]:
+        """The sensors, in the order of the section."""
+        raise NotImplementedError
+
+    @property
+    def exclusive(self) -> tuple[str, str] | None:
+        """Key and name of what no other source or line may use as well, such as a serial port."""
+        return None
+
+    @property
+    def exposed(self) -> str:
+        """How others on a network could read or change the values; '' where they cannot."""
+        return ""
+
+    @property
+    def secrets(self) -> dict[str, Path]:
+        """Files with passwords and keys by their keys in the section: not shown, and in no back-up."""
+        return {}

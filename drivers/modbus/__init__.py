@@ -1,0 +1,1 @@
+"""Temperatures from registers: Modbus TCP and RTU."""

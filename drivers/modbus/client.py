@@ -1,0 +1,167 @@
+"""One connection to Modbus boxes, and one read at a time over it. What does not fit the read ends the connection.
+
+pymodbus brings bytes and frames. It does not look at the function or the length of an answer, takes an answer with
+transaction number 0 for any request, and on a serial line takes the late answer to a request that it gave up for the
+answer to the next. All of that is judged here, and after any time-out the connection is closed for good.
+"""
+
+import asyncio
+import contextlib
+import logging
+from pathlib import Path
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ModbusPDU
+
+from config.schema.modbus import ModbusConfig, ModbusRequest
+from drivers.contract import LinkError
+
+FUNCTIONS = {"holding": 3, "input": 4}
+QUIET_S = 0.05
+"""A serial line that has been silent for so long has no answer under way [s]; at least 3.5 characters."""
+BITS_PER_CHARACTER = 11
+REFUSALS = {
+    1: "it does not know this function: try the other `table`",
+    2: "it has no such register: check `address`, `table` and `gap`",
+    3: "it does not answer so many registers: lower `most_registers`",
+    4: "its own error",
+    6: "it is busy",
+    10: "its gateway has no way to the unit: check `unit_id`",
+    11: "the unit does not answer its gateway: check `unit_id`, power and wires of the box",
+}
+"""Exception codes of Modbus in words."""
+
+# The library writes a line for every frame that it drops; what matters is raised here.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL + 1)
+
+
+class RefusedRead(Exception):
+    """The box answered that it will not; the text is fit for an operator."""
+
+
+class ModbusClient:
+    """One connection, built anew for every attempt."""
+
+    def __init__(self, config: ModbusConfig, owner: str) -> None:
+        self._config = config
+        self._where = f"{owner}: {config.place}"
+        self._sent_number = 0
+        self._heard_s = 0.0
+        self._client = self._built()
+
+    def _built(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
+        config, parity = self._config, self._config.parity[0].upper()
+        common = {
+            "retries": 0,
+            "reconnect_delay": 0,
+            "timeout": config.timeout_s,
+            "trace_pdu": self._on_pdu,
+            "trace_packet": self._on_packet,
+        }
+        if config.serial_port is not None:
+            return AsyncModbusSerialClient(
+                config.serial_port,
+                framer=FramerType.RTU,
+                baudrate=config.baud,
+                parity=parity,
+                stopbits=config.stop_bits,
+                **common,  # type: ignore[arg-type]
+            )
+        framer = FramerType.RTU if config.framing == "rtu" else FramerType.SOCKET
+        return AsyncModbusTcpClient(str(config.host), port=config.port, framer=framer, **common)  # type: ignore[arg-type]
+
+    def _on_pdu(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
+        if sending:
+            self._sent_number = pdu.transaction_id
+        return pdu
+
+    def _on_packet(self, sending: bool, packet: bytes) -> bytes:
+        if not sending:
+            self._heard_s = asyncio.get_running_loop().time()
+        return packet
+
+    async def connect(self) -> None:
+        """Connect, and on a serial line wait until nothing is under way on it; raises LinkError."""
+        try:
+            async with asyncio.timeout(self._config.timeout_s):
+                connected = await self._client.connect()
+        except (TimeoutError, OSError, ModbusException):
+            connected = False
+        if not connected:
+            raise LinkError(f"{self._where} {self._why_not_connected()}")
+        if self._config.is_rtu:
+            await self._drain()
+
+    async def _drain(self) -> None:
+        """Let what is still on the line arrive and be dropped; raises LinkError when it does not end."""
+        loop = asyncio.get_running_loop()
+        quiet_s = max(QUIET_S, 3.5 * BITS_PER_CHARACTER / self._config.baud)
+        self._heard_s = loop.time()
+        until_s = loop.time() + self._config.timeout_s + 2 * quiet_s
+        while (left_s := self._heard_s + quiet_s - loop.time()) > 0:
+            if loop.time() > until_s:
+                raise LinkError(
+                    f"{self._where} brings bytes that nobody asked for: is there another master on the bus, or another "
+                    "program at the port? The daemon must be the only one"
+                )
+            await asyncio.sleep(left_s)
+
+    def _why_not_connected(self) -> str:
+        port = self._config.serial_port
+        if port is None:
+            return (
+                f"cannot be reached within {self._config.timeout_s:g} s: check address, port, cable and power, and "
+                "whether another program holds its only connection"
+            )
+        if not Path(port).exists():
+            return "does not exist: plug the adapter in, and name it by /dev/serial/by-id/... or by-path"
+        return (
+            "cannot be opened: another program may hold it (`fuser` names it), or the daemon's account may not "
+            "(on most systems the group dialout may)"
+        )
+
+    async def read(self, request: ModbusRequest) -> list[int]:
+        """Return the registers of a request.
+
+        Raises RefusedRead when the box says no; LinkError when no answer came in time, or one that is not this read's:
+        then the connection must be closed, because what comes later on it belongs to nobody.
+        """
+        ask = self._client.read_holding_registers if request.table == "holding" else self._client.read_input_registers
+        try:
+            async with asyncio.timeout(2 * self._config.timeout_s):
+                answer = await ask(request.start, count=request.count, device_id=request.unit_id)
+        except (TimeoutError, ModbusException, OSError) as error:
+            raise LinkError(self._no_answer(request)) from error
+        if (stranger := self._foreign(request, answer)) != "":
+            raise LinkError(f"{self._where}: {request}: {stranger}; it is dropped and the connection built anew")
+        if answer.isError():
+            code = int(getattr(answer, "exception_code", 0))
+            raise RefusedRead(f"{request}: the box refuses: {REFUSALS.get(code, 'for its own reason')} (code {code})")
+        return list(answer.registers)
+
+    def _no_answer(self, request: ModbusRequest) -> str:
+        serial = ", baud and parity" if self._config.is_rtu else ""
+        return (
+            f"{self._where}: {request}: no answer within {self._config.timeout_s:g} s: "
+            f"check `unit_id`{serial}, wires and power of the box"
+        )
+
+    def _foreign(self, request: ModbusRequest, answer: ModbusPDU) -> str:
+        """Return why an answer is not that of a request, '' when it is."""
+        function = FUNCTIONS[request.table]
+        if answer.dev_id != request.unit_id:
+            return f"the answer is unit {answer.dev_id}'s"
+        if not self._config.is_rtu and answer.transaction_id != self._sent_number:
+            return f"the answer has the number {answer.transaction_id}, the request {self._sent_number}"
+        if answer.function_code & 0x7F != function:
+            return f"the answer is to function {answer.function_code & 0x7F}, the request {function}"
+        if not answer.isError() and len(answer.registers) != request.count:
+            return f"the answer holds {len(answer.registers)} registers"
+        return ""
+
+    def close(self) -> None:
+        """Close. May be called in any state, more than once; never raises."""
+        with contextlib.suppress(Exception):
+            self._client.close()

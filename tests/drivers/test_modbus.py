@@ -1,0 +1,297 @@
+"""Modbus: how registers are grouped and read, and that no answer ever lands on another register."""
+
+import asyncio
+import contextlib
+import math
+import random
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from config.schema.modbus import ModbusConfig, ModbusSensorConfig, grouped, told_apart
+from config.schema.source_drivers import SourceConfig
+from drivers.clock import SystemClock
+from drivers.contract import LinkError
+from drivers.modbus.registers import number_of
+from drivers.modbus.source import ModbusSource
+from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
+from models.quality import Reason
+
+PATIENCE_S = 60.0
+TYPES = ("int16", "uint16", "int32", "uint32", "float32")
+
+
+def sensor(address: int = 0, **about: Any) -> dict[str, Any]:
+    return {"id": 1000 + address, "component": "Bed", "address": address, **about}
+
+
+def section(*sensors: dict[str, Any], **about: Any) -> ModbusConfig:
+    return ModbusConfig.model_validate({"host": "box", **about, "sensors": list(sensors)})
+
+
+def reads(config: ModbusConfig) -> list[tuple[int, str, int, int]]:
+    return [(r.unit_id, r.table, r.start, r.count) for r in config.requests]
+
+
+def test_successive_registers_are_one_request_and_the_longest_answer_bounds_it() -> None:
+    eight = section(*(sensor(i) for i in range(8)))
+    assert reads(eight) == [(1, "holding", 0, 8)]
+    assert reads(section(sensor(0), sensor(1, type="float32"), sensor(3))) == [(1, "holding", 0, 4)]
+    assert [r[3] for r in reads(section(*(sensor(i) for i in range(130))))] == [125, 5]
+    assert [r[3] for r in reads(section(*(sensor(i) for i in range(8)), most_registers=3))] == [3, 3, 2]
+    assert reads(section(sensor(0), sensor(4))) == [(1, "holding", 0, 1), (1, "holding", 4, 1)]
+    assert reads(section(sensor(0), sensor(4), gap=3)) == [(1, "holding", 0, 5)]
+    assert reads(section(sensor(0), sensor(1, table="input"), sensor(2, unit_id=7))) == [
+        (1, "holding", 0, 1),
+        (1, "input", 1, 1),
+        (7, "holding", 2, 1),
+    ]
+
+
+def test_requests_of_a_serial_line_have_answers_of_different_lengths() -> None:
+    two_banks = [sensor(i) for i in (*range(8), *range(100, 108))]
+    assert [count for *_, count in reads(section(*two_banks))] == [8, 8]
+    counts = [count for *_, count in reads(section(*two_banks, framing="rtu"))]
+    assert sorted(counts) == [1, 7, 8]
+    with pytest.raises(ValidationError, match=r"answers of one length.*set `gap` to 1 or more"):
+        section(sensor(0), sensor(100), framing="rtu")
+    assert sorted(count for *_, count in reads(section(sensor(0), sensor(100), framing="rtu", gap=1))) == [1, 2]
+    other_units = section(sensor(0), sensor(100, unit_id=2), sensor(200, table="input"), framing="rtu")
+    assert [count for *_, count in reads(other_units)] == [1, 1, 1]
+
+
+@given(
+    st.lists(st.integers(0, 400), min_size=1, max_size=40, unique=True).map(sorted),
+    st.integers(0, 20),
+    st.integers(2, 125),
+)
+def test_every_register_is_read_whole_once_and_no_request_is_too_long(at: list[int], gap: int, most: int) -> None:
+    spans = [(2 * a, 2 * a + 2) for a in at]
+    groups = grouped(spans, gap, most)
+    assert [span for group in groups for span in group] == spans
+    parts = told_apart(groups, gap, most)
+    assert all(0 < after - first <= most or after - first == 2 for first, after in parts)
+    for first, after in spans:
+        assert any(start <= first and after <= end for start, end in parts)
+
+
+@pytest.mark.parametrize(
+    ("about", "key", "sentence"),
+    [
+        ({"serial_port": "/dev/ttyUSB0"}, "host", "either `host`"),
+        ({"host": None}, "host", "either `host`"),
+        ({"host": None, "serial_port": "x", "framing": "rtu"}, "framing", "always has Modbus RTU"),
+        ({"sensors": [sensor(0), {**sensor(0), "id": 2}]}, "address", "register 0 of unit 1 belongs to sensor 1000"),
+        ({"sensors": [sensor(0, type="int32"), sensor(1)]}, "address", "register 1 of unit 1 belongs to"),
+        ({"sensors": [sensor(65535, type="int32")]}, "address", "takes two registers"),
+        ({"sensors": [sensor(0, scale=0)]}, "scale", "must not be 0"),
+        ({"sensors": [sensor(0, min_degc=5.0, max_degc=5.0)]}, "min_degc", "must be below"),
+    ],
+)
+def test_what_cannot_work_is_refused(about: dict[str, Any], key: str, sentence: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        ModbusConfig.model_validate({"host": "box", "sensors": [sensor(0)], **about})
+    assert sentence in str(refused.value), refused.value
+
+
+@given(st.sampled_from(TYPES), st.sampled_from(["big", "little"]), st.data())
+def test_a_number_comes_back_from_its_registers(kind: str, order: str, data: st.DataObject) -> None:
+    about = ModbusSensorConfig.model_validate(sensor(0, type=kind, word_order=order))
+    bits = 8 * 2 * about.width
+    if kind == "float32":
+        number = data.draw(st.floats(width=32, allow_nan=False))
+    elif kind.startswith("u"):
+        number = float(data.draw(st.integers(0, 2**bits - 1)))
+    else:
+        number = float(data.draw(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)))
+    assert number_of(registers_of(number, about), about) == number
+
+
+@pytest.mark.parametrize(
+    ("kind", "order", "registers", "number"),
+    [
+        ("int16", "big", [0xFC19], -999.0),
+        ("uint16", "big", [0xFC19], 64537.0),
+        ("int32", "big", [0xFFFF, 0xFC19], -999.0),
+        ("int32", "little", [0xFC19, 0xFFFF], -999.0),
+        ("uint32", "big", [1, 0], 65536.0),
+        ("float32", "big", [0x41BC, 0x0000], 23.5),
+        ("float32", "little", [0x0000, 0x41BC], 23.5),
+    ],
+)
+def test_registers_as_boxes_send_them(kind: str, order: str, registers: list[int], number: float) -> None:
+    about = ModbusSensorConfig.model_validate(sensor(0, type=kind, word_order=order, open=[-999, 64537]))
+    assert number_of(registers, about) == number
+    assert about.is_open(number) == (number != 23.5 and number != 65536.0)
+
+
+def test_too_few_registers_are_no_number() -> None:
+    about = ModbusSensorConfig.model_validate(sensor(0, type="int32"))
+    for registers in ([1], [1, 2, 3], [1, 65536], [1, -1]):
+        with pytest.raises(ValueError, match="takes 2 registers"):
+            number_of(registers, about)
+    with pytest.raises(ValueError, match="does not fit int16"):
+        registers_of(40000.0, ModbusSensorConfig.model_validate(sensor(0)))
+
+
+@given(st.binary(max_size=300))
+def test_the_simulated_box_answers_anything_without_falling_over(frame: bytes) -> None:
+    def contents(_unit: int, _table: str, _start: int, count: int) -> Sequence[int]:
+        return [0] * count
+
+    assert len(answer_to(1, frame, contents)) >= 2
+    answer = rtu_answer(frame + crc16(frame), contents)
+    assert not answer or crc16(answer[:-2]) == answer[-2:]
+
+
+# --- no answer ever lands on another register ---------------------------------------
+
+TIMEOUT_S = 0.03
+
+
+def contents(unit: int, table: str, start: int, count: int) -> Sequence[int] | None:
+    """Every register says which one it is."""
+    return [unit * 4000 + (2000 if table == "input" else 0) + start + i for i in range(count)]
+
+
+SENSORS = [sensor(i) for i in (0, 1, 10, 11, 50, 51)]
+SENSORS += [{**sensor(i, table="input"), "id": 2000 + i} for i in (0, 1, 20, 21)]
+SENSORS += [{**sensor(i, unit_id=2), "id": 3000 + i} for i in (0, 1, 2, 10, 11)]
+
+
+def truth(each: dict[str, Any]) -> float:
+    (word,) = contents(each.get("unit_id", 1), each.get("table", "holding"), each["address"], 1) or ()
+    return 0.01 * word
+
+
+class BadWire:
+    """Lets answers come late, twice, in each other's place, damaged, or never."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._held: list[bytes] = []
+        self.disturbed = 0
+
+    def __call__(self, answer: bytes, send: Send) -> None:
+        loop, chance = asyncio.get_running_loop(), self._random
+        kind = chance.choice(["good"] * 12 + ["late", "twice", "swapped", "lost", "damaged", "stale", "zero"])
+        self.disturbed += kind != "good"
+        self._held = [*self._held[-20:], answer]
+        if kind == "late":
+            loop.call_later(chance.uniform(0.5, 6.0) * TIMEOUT_S, send, answer)
+        elif kind == "swapped":  # another request's answer comes first
+            send(chance.choice(self._held))
+            loop.call_later(chance.uniform(0.0, TIMEOUT_S), send, answer)
+        elif kind == "stale":
+            loop.call_later(chance.uniform(0.0, 2.0) * TIMEOUT_S, send, chance.choice(self._held))
+            send(answer)
+        elif kind == "damaged":
+            place = chance.randrange(len(answer))
+            send(answer[:place] + bytes([answer[place] ^ 1 << chance.randrange(8)]) + answer[place + 1 :])
+        elif kind == "zero":  # some gateways answer with the transaction number 0
+            loop.call_later(chance.uniform(0.0, 3.0) * TIMEOUT_S, send, bytes(2) + answer[2:])
+        elif kind != "lost":
+            send(answer)
+            if kind == "twice":
+                send(answer)
+                loop.call_later(chance.uniform(0.0, TIMEOUT_S), send, answer)
+
+
+def source_of(place: dict[str, Any]) -> Callable[[], ModbusSource]:
+    modbus = {**place, "timeout_s": TIMEOUT_S, "gap": 4, "sensors": [{**each, "scale": 0.01} for each in SENSORS]}
+    content = {"name": "bad", "driver": "modbus", "cycle_period_s": 0.001, "modbus": modbus}
+    config = SourceConfig.model_validate(content)
+    return lambda: ModbusSource(config, SystemClock())
+
+
+async def follow(make: Callable[[], ModbusSource], enough: Callable[[], bool]) -> tuple[int, int]:
+    """Read until it is enough, building anew what was lost; return how many values came, and how many were wrong."""
+    expected, values, wrong = np.array([truth(each) for each in SENSORS]), 0, 0
+    async with asyncio.timeout(PATIENCE_S):
+        while not enough() or not values:
+            source = make()
+            with contextlib.suppress(LinkError):
+                async for cycle in source.cycles():
+                    there = np.isfinite(cycle.degc)
+                    values += int(there.sum())
+                    wrong += int((np.abs(cycle.degc - expected)[there] > 1e-9).sum())
+                    if enough():
+                        break
+            await source.close()
+    return values, wrong
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu-over-tcp"])
+async def test_no_value_lands_on_another_register_over_tcp(rtu: bool) -> None:
+    wire = BadWire(7)
+    # A flipped bit in MBAP has no check of its own: TCP has one, so nothing is damaged there.
+    box = ModbusTcpBox(contents, rtu=rtu, way=wire if rtu else undamaged(wire))
+    await box.start()
+    place = {"host": "127.0.0.1", "port": box.port, **({"framing": "rtu"} if rtu else {})}
+    values, wrong = await follow(source_of(place), lambda: wire.disturbed > 150)
+    await box.stop()
+    assert values > 100
+    assert wrong == 0
+
+
+def undamaged(wire: BadWire) -> Callable[[bytes, Send], None]:
+    def way(answer: bytes, send: Send) -> None:
+        said = {*(bytes(2) + each[2:] for each in [*wire._held, answer]), *wire._held, answer}
+        wire(answer, lambda data: send(data) if data in said else None)
+
+    return way
+
+
+@pytest.mark.wires
+async def test_no_value_lands_on_another_register_on_a_serial_line(tmp_path: Path) -> None:
+    wire = BadWire(11)
+    box = ModbusPtyBox(contents, tmp_path / "bus.tty", way=wire)
+    box.start()
+    values, wrong = await follow(source_of({"serial_port": str(tmp_path / "bus.tty")}), lambda: wire.disturbed > 150)
+    box.stop()
+    assert values > 100
+    assert wrong == 0
+
+
+@pytest.mark.wires
+async def test_a_dead_box_costs_its_own_sensors_only_and_a_refusal_is_put_in_words(tmp_path: Path) -> None:
+    def some(unit: int, table: str, start: int, count: int) -> Sequence[int] | None:
+        return None if table == "input" else contents(unit, table, start, count)
+
+    def way(answer: bytes, send: Send) -> None:
+        if answer[0] != 2:
+            send(answer)
+
+    box = ModbusPtyBox(some, tmp_path / "bus.tty", way=way)
+    box.start()
+    source = source_of({"serial_port": str(tmp_path / "bus.tty")})()
+    async with asyncio.timeout(PATIENCE_S):
+        cycle = await anext(source.cycles())
+        while not math.isfinite(cycle.degc[:6].sum()):  # this computer may have been busy for longer than the time-out
+            source = source_of({"serial_port": str(tmp_path / "bus.tty")})()
+            cycle = await anext(source.cycles())
+    await source.close()
+    box.stop()
+    assert (cycle.reason[6:10] == Reason.DEVICE_ERROR).all()
+    assert (cycle.reason[10:] == Reason.NOT_RECEIVED).all()
+    text = "\n".join(cycle.faults)
+    assert "it has no such register: check `address`, `table` and `gap` (code 2)" in text
+    assert "source bad: 5 more" in text or "unit 2" in text
+    assert not cycle.complete
+
+
+@pytest.mark.wires
+async def test_what_cannot_be_reached_is_named_with_what_to_check(tmp_path: Path) -> None:
+    for place, words in (
+        ({"host": "127.0.0.1", "port": 1}, "127.0.0.1:1 cannot be reached.*only connection"),
+        ({"serial_port": str(tmp_path / "none")}, "none does not exist: plug the adapter in"),
+    ):
+        with pytest.raises(LinkError, match=f"source bad: .*{words}"):
+            await anext(source_of(place)().cycles())

@@ -1,0 +1,132 @@
+"""`toolpoint sources` and the demo with sensors on other wires than LATSIS lines."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from config.machines import shipped_file
+from daemon.cli import main
+from drivers.sim.wires.modbus_box import ModbusTcpBox
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def test_two_commands_lead_from_the_sample_to_a_live_value_of_a_simulated_box(tmp_path: Path) -> None:
+    target, runner = tmp_path / "toolpoint.yaml", CliRunner()
+    first = runner.invoke(main, ["sample-config", "--machine", "pt100", "--output", str(target)])
+    assert first.exit_code == 0, first.output
+    second = runner.invoke(main, ["sources", "read", "--simulated", "--config", str(target)])
+    assert second.exit_code == 0, second.output
+    assert "source pt100 (modbus; NOT encrypted" in second.output
+    assert "1 (Spindle unit, Housing)" in second.output and "degC" in second.output
+
+
+class Box:
+    """A box in a thread of its own, because a command's loop is its own too."""
+
+    def __init__(self, words: Sequence[int | None]) -> None:
+        self._words = words
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
+        self._thread.start()
+        assert self._ready.wait(20)
+
+    async def _serve(self) -> None:
+        def contents(_unit: int, _table: str, start: int, count: int) -> list[int] | None:
+            found = list(self._words[start : start + count])
+            return [word & 0xFFFF for word in found if word is not None] if None not in found else None
+
+        box = ModbusTcpBox(contents)
+        await box.start()
+        self.port, self._loop, self._end = box.port, asyncio.get_running_loop(), asyncio.Event()
+        self._ready.set()
+        await self._end.wait()
+        await box.stop()
+
+    def stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join()
+
+
+@pytest.fixture
+def box() -> Iterator[Box]:
+    made = Box([231, -999, 240, 1500, 240, 240, 240, 240])
+    yield made
+    made.stop()
+
+
+def described(folder: Path, **modbus: Any) -> Path:
+    content = yaml.safe_load(shipped_file("pt100.yaml").read_text(encoding="utf-8"))
+    content["temperatures"]["sources"][0]["modbus"] |= {"host": "127.0.0.1", **modbus}
+    path = folder / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+@pytest.mark.wires
+def test_open_and_impossible_sensors_are_shown_as_such(tmp_path: Path, box: Box) -> None:
+    path = described(tmp_path, port=box.port)
+    read = CliRunner().invoke(main, ["sources", "read", "--config", str(path), "--json", "-"])
+    assert read.exit_code == 1, read.output
+    source = json.loads(read.stdout)["sources"]["pt100"]
+    assert source["problem"] is None and source["missing"] == 1
+    assert source["sensors"]["1"] == {"degc": 23.1, "reason": ""}
+    assert source["sensors"]["2"] == {"degc": None, "reason": "sensor reports an error"}
+    assert source["sensors"]["4"]["degc"] == 150.0  # cleansing refuses it: no narrower range is configured
+    assert "source pt100: sensor 2 (Spindle unit, Housing): reads -999" in source["faults"][0]
+
+
+@pytest.mark.wires
+def test_a_box_that_is_not_there_is_said_with_what_to_check(tmp_path: Path) -> None:
+    path = described(tmp_path, port=1, timeout_s=0.5)
+    read = CliRunner().invoke(main, ["sources", "read", "--config", str(path)])
+    assert read.exit_code == 1
+    assert "source pt100: 127.0.0.1:1 cannot be reached within 0.5 s" in read.output
+
+
+@pytest.mark.wires
+def test_check_reads_the_box_and_says_that_it_is_not_encrypted(tmp_path: Path, box: Box) -> None:
+    checked = CliRunner().invoke(main, ["check", "--config", str(described(tmp_path, port=box.port)), "--json", "-"])
+    (finding,) = (each for each in json.loads(checked.stdout) if each["subject"] == "source pt100")
+    assert finding["passed"] and "7 sensors" in finding["detail"] and "NOT encrypted" in finding["detail"]
+
+
+def test_no_source_and_a_wrong_key_are_refused_in_words(tmp_path: Path) -> None:
+    runner = CliRunner()
+    without = tmp_path / "sample.yaml"
+    runner.invoke(main, ["sample-config", "--output", str(without)])
+    nothing = runner.invoke(main, ["sources", "read", "--config", str(without)])
+    assert nothing.exit_code == 2 and "temperatures.sources names no source" in nothing.output
+    wrong = runner.invoke(main, ["check", "--no-devices", "--config", str(described(tmp_path, unitid=3))])
+    assert wrong.exit_code == 2
+    assert "toolpoint.yaml:" in wrong.output
+    assert "temperatures.sources[0].modbus.unitid: unknown key; did you mean `unit_id`?" in wrong.output
+    refused = runner.invoke(main, ["demo", "--headless", "--sensors", "modbus", "--faults", str(without)])
+    assert refused.exit_code == 2 and "a fault script plays on LATSIS lines" in refused.output
+
+
+@pytest.mark.wires
+@pytest.mark.slow
+def test_the_demo_compensates_with_its_sensors_on_modbus_boxes() -> None:
+    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", "modbus", "--headless", "--minutes", "30"]
+    done = subprocess.run(
+        [*command, "--json", "-"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=REPOSITORY,
+        env={"PYTHONPATH": str(REPOSITORY)},
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["cycles"]["received"] == result["cycles"]["expected"] > 500
+    assert result["error_um"]["z"]["verdict"] == "passed"
