@@ -57,6 +57,24 @@ def _modbus() -> TemperatureFactory:
     return _of_source(ModbusSource)
 
 
+def _csv() -> TemperatureFactory:
+    from drivers.displacement.temperatures import LoggerTemperatureSource
+
+    return _of_source(LoggerTemperatureSource)
+
+
+def _kernel() -> TemperatureFactory:
+    from drivers.kernel import KernelSource
+
+    return _of_source(KernelSource)
+
+
+def _process() -> TemperatureFactory:
+    from drivers.process import ProcessSource
+
+    return _of_source(ProcessSource)
+
+
 def _file() -> DisplacementFactory:
     from drivers.displacement.source import DisplacementCsvSource
 
@@ -65,7 +83,13 @@ def _file() -> DisplacementFactory:
 
 CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
-TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {"latsis": _latsis, "modbus": _modbus}
+TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {
+    "latsis": _latsis,
+    "modbus": _modbus,
+    "csv": _csv,
+    "kernel": _kernel,
+    "process": _process,
+}
 """Driver of a line or of a source -> the same."""
 DISPLACEMENT_SOURCES: Mapping[str, Callable[[], DisplacementFactory]] = {"file": _file}
 """Kind of a displacement source -> the same."""

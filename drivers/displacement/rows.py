@@ -1,4 +1,4 @@
-"""Lines of an A/D logger's file -> displacement samples. No I/O, no clock."""
+"""Lines of a logger's file -> rows of numbers with their times. No I/O, no clock."""
 
 import csv
 import math
@@ -10,7 +10,8 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
+from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
+from config.schema.logger_file import LoggerFileConfig
 from models.quality import Reason
 from models.records import DisplacementSample
 
@@ -24,6 +25,24 @@ _NUMBER = {
 
 class UnreadableFileError(Exception):
     """The file's header does not fit the configuration; the text is fit for an operator."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoggedNumbers:
+    """Columns of a logger's files that hold something else than displacements."""
+
+    file: LoggerFileConfig
+    channels: Sequence[DisplacementChannelConfig]
+    owner: str
+    """Begins every sentence about the files."""
+
+
+Logged = DisplacementsConfig | LoggedNumbers
+
+
+def start_of(file: LoggerFileConfig) -> str | None:
+    """Return the time of the first row, where rows carry none and follow each other at an interval."""
+    return file.start if isinstance(file, DisplacementFileConfig) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +62,7 @@ class RowReader:
     last field may then be cut. An unreadable or overflowed field makes only its own value NaN.
     """
 
-    def __init__(self, config: DisplacementsConfig, file: str, report: Callable[[str], None]) -> None:
+    def __init__(self, config: Logged, file: str, report: Callable[[str], None]) -> None:
         self._file_config = config.file
         self._channels = config.channels
         self._file = file
@@ -123,7 +142,7 @@ class RowReader:
         if field in self._overflow:
             return math.nan, Reason.OVERFLOW
         if field:
-            self._report(f"{place}: {field[:QUOTED_CHARACTERS]!r} is no displacement for {channel}; it is left out")
+            self._report(f"{place}: {field[:QUOTED_CHARACTERS]!r} is no number for {channel}; it is left out")
         return math.nan, Reason.UNREADABLE
 
     def _fields(self, text: str) -> list[str]:
@@ -132,12 +151,14 @@ class RowReader:
         return [field.strip() for field in fields]
 
     def _columns_by_number(self) -> _Columns:
-        time = () if self._file_config.start else tuple(int(column) - 1 for column in self._file_config.time_columns)
+        time = (
+            () if start_of(self._file_config) else tuple(int(column) - 1 for column in self._file_config.time_columns)
+        )
         channels = tuple(int(channel.column) - 1 for channel in self._channels)
         return _Columns(time=time, channels=channels, count=max(*time, *channels, -1) + 1)
 
     def _columns_by_header(self, titles: list[str], number: int) -> _Columns:
-        wanted = [] if self._file_config.start else list(self._file_config.time_columns)
+        wanted = [] if start_of(self._file_config) else list(self._file_config.time_columns)
         time = tuple(self._find(column, titles, number) for column in wanted)
         channels = tuple(self._find(channel.column, titles, number) for channel in self._channels)
         while titles and not titles[-1]:
@@ -158,13 +179,13 @@ class RowReader:
         what = "no column" if not found else f"{len(found)} columns"
         raise UnreadableFileError(
             f"{self._file}:{number}: the header has {what} {column!r}; it has {', '.join(map(repr, titles))}. "
-            "Correct the columns of the displacements in the configuration, or the logger's channel names"
+            "Correct the columns in the configuration, or the logger's channel names"
         )
 
 
-def _start_clock(config: DisplacementFileConfig) -> Callable[[str, int], float] | None:
+def _start_clock(config: LoggerFileConfig) -> Callable[[str, int], float] | None:
     """Return the time of a row by its number, for files without time columns."""
-    if config.start is None or config.interval_s is None:
+    if not isinstance(config, DisplacementFileConfig) or config.start is None or config.interval_s is None:
         return None
     start = datetime.fromisoformat(config.start)
     if start.tzinfo is None:
@@ -173,8 +194,10 @@ def _start_clock(config: DisplacementFileConfig) -> Callable[[str, int], float] 
     return lambda _, row: start_s + row * interval_s
 
 
-def _stamp_clock(config: DisplacementFileConfig) -> Callable[[str, int], float]:
-    """Return the time of a row by its time stamp."""
+def _stamp_clock(config: LoggerFileConfig) -> Callable[[str, int], float]:
+    """Return the time of a row by its time stamp; NaN where rows have none, because they count from their arrival."""
+    if not config.time_columns:
+        return lambda _stamp, _row: math.nan
     if config.time_format == "%s":
         number = _NUMBER[config.decimal]
 

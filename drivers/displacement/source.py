@@ -1,18 +1,18 @@
-"""Follows the files of an A/D logger as they grow."""
+"""Follows the files of a logger as they grow."""
 
 import asyncio
 import contextlib
 import math
 import threading
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from config.schema.displacements import DisplacementsConfig
 from drivers.clock import Clock
 from drivers.contract import LinkError
-from drivers.displacement.rows import RowReader, UnreadableFileError
+from drivers.displacement.rows import Logged, LoggedNumbers, RowReader, UnreadableFileError, start_of
 from drivers.displacement.tail import FileFollower, Look
 from models.records import DisplacementSample
 
@@ -54,7 +54,7 @@ class DisplacementCsvSource:
 
     def __init__(
         self,
-        config: DisplacementsConfig,
+        config: Logged,
         clock: Clock,
         *,
         after_utc_s: float | None = None,
@@ -66,10 +66,15 @@ class DisplacementCsvSource:
         """Rows, fields and files that could not be read."""
         self.last_problem: str | None = None
         self._config = config
+        self._owner = config.owner if isinstance(config, LoggedNumbers) else "displacement file"
+        self.caught_up = False
+        """What was in the files before has been read: what comes now has been written since."""
         self._clock = clock
         self._after_utc_s = -math.inf if after_utc_s is None else after_utc_s
         self._follower = FileFollower(
-            config.file.path, config.file.max_line_bytes, catch_up=after_utc_s is not None and config.file.start is None
+            config.file.path,
+            config.file.max_line_bytes,
+            catch_up=after_utc_s is not None and start_of(config.file) is None,
         )
         self._files: dict[Path, _File] = {}
         self._unreachable = 0
@@ -96,6 +101,7 @@ class DisplacementCsvSource:
                     yield sample
                 if row % ROWS_PER_TURN == 0:
                     await asyncio.sleep(0)
+            self.caught_up |= not look.more
             if self._refusal(file) is None:
                 self._on_reached()
 
@@ -112,15 +118,16 @@ class DisplacementCsvSource:
         if cause is None and self._files:
             cause = self._refusal(list(self._files.values())[-1])
         if cause is None:
+            self.caught_up = True
             self._unreachable = 0
             self._on_reached()
             return
         self._unreachable += 1
         if self._unreachable == 1 and cause != self.last_problem:
-            self._report(f"displacement file {self._config.file.path}: {cause}")
+            self._report(f"{self._owner} {self._config.file.path}: {cause}")
         if self._unreachable >= UNREACHABLE_LOOKS:
             raise LinkError(
-                f"displacement file {self._config.file.path}: {cause} ({self._unreachable} looks in a row). "
+                f"{self._owner} {self._config.file.path}: {cause} ({self._unreachable} looks in a row). "
                 "Check that the logger runs, that its folder is mounted, and `path` in the configuration"
             )
 
@@ -158,7 +165,7 @@ class DisplacementCsvSource:
     def _is_unplaced(self, file: _File) -> bool:
         """Whether the rows have no time: `start` is the time of one file's first row, not of the next file's."""
         first = next(iter(self._files.values()))
-        return self._config.file.start is not None and (file.began_anew or file is not first)
+        return start_of(self._config.file) is not None and (file.began_anew or file is not first)
 
     def _row(self, file: _File, line: bytes, number: int) -> DisplacementSample | None:
         if not file.usable or file.reader is None:
@@ -173,6 +180,8 @@ class DisplacementCsvSource:
         if sample is None:
             return None
         self._unreachable = 0
+        if math.isnan(sample.utc_s):
+            return replace(sample, utc_s=self._clock.now().utc_s)
         file.last_utc_s = max(file.last_utc_s, sample.utc_s)
         return sample if sample.utc_s > max(self._after_utc_s, file.repeated_until_s) else None
 
@@ -204,7 +213,7 @@ class DisplacementCsvSource:
         threading.Thread(target=work, name="displacement-files", daemon=True).start()
         done, _ = await asyncio.wait({answer}, timeout=PATIENCE_REAL_S)
         if not done:
-            self._report(f"displacement file {self._config.file.path}: no answer for {PATIENCE_REAL_S:g} s")
+            self._report(f"{self._owner} {self._config.file.path}: no answer for {PATIENCE_REAL_S:g} s")
         return await answer
 
 

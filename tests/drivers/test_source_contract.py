@@ -1,6 +1,10 @@
 """Every source of temperatures passes the same checks, each at a device on its own wire."""
 
-from collections.abc import AsyncIterator, Sequence
+import asyncio
+import json
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +12,15 @@ import pytest
 import pytest_asyncio
 from source_contract import CHECKS, NAME, SENSORS, Check, SourceBench
 
+from config.schema.cnc_drivers import drivers_of
 from config.schema.modbus import ModbusSensorConfig
 from config.schema.source_drivers import SourceConfig
 from drivers.clock import SystemClock
 from drivers.contract import TemperatureSource
+from drivers.displacement.temperatures import LoggerTemperatureSource
+from drivers.kernel import KernelSource
 from drivers.modbus.source import ModbusSource
+from drivers.process import ProcessSource
 from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, registers_of
 
 PERIOD_S = 0.02
@@ -70,9 +78,149 @@ class ModbusBench:
             await box.stop()
 
 
-@pytest_asyncio.fixture(params=["modbus-tcp", "modbus-rtu"])
+class Writing:
+    """What the benches share whose device writes again and again: the numbers, and the task that writes them."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[int, float] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    async def show(self, numbers: dict[int, float]) -> None:
+        self._numbers = numbers
+
+    def write(self) -> None:
+        raise NotImplementedError
+
+    async def _write_on(self) -> None:
+        while True:
+            self.write()
+            await asyncio.sleep(PERIOD_S)
+
+    async def bring_back(self) -> None:
+        self._task = asyncio.create_task(self._write_on())
+
+    async def lose(self) -> None:
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+
+
+def configured(driver: str, section: dict[str, Any], sensors: list[dict[str, Any]], **about: Any) -> SourceConfig:
+    content = {"name": NAME, "driver": driver, "cycle_period_s": PERIOD_S, driver: {**section, "sensors": sensors}}
+    return SourceConfig.model_validate_json(json.dumps(content | about))
+
+
+class CsvBench(Writing):
+    """A logger that appends a row with a time stamp, in Japanese text with a decimal comma."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._path = folder / "\u6e29\u5ea6.csv"
+        sensors = [{"id": i, **about, "column": f"T{i} \u2103"} for i, about in SENSORS.items()]
+        file = {
+            "path": str(self._path),
+            "encoding": "cp932",
+            "delimiter": ";",
+            "decimal": ",",
+            "header": "\u6642\u523b",
+        }
+        file |= {"time_format": "%s", "poll_period_s": PERIOD_S / 2}
+        self._config = configured("csv", {"file": file}, sensors)
+
+    def write(self) -> None:
+        new = not self._path.exists()
+        cells = [str(self._numbers[i]).replace(".", ",") if i in self._numbers else "" for i in SENSORS]
+        with self._path.open("a", encoding="cp932") as file:
+            if new:
+                file.write("maker;someone\n" + ";".join(["\u6642\u523b", *(f"T{i} \u2103" for i in SENSORS)]) + "\n")
+            file.write(";".join([f"{time.time():.3f}".replace(".", ","), *cells]) + "\n")
+
+    def open(self) -> TemperatureSource:
+        return LoggerTemperatureSource(self._config, SystemClock())
+
+    async def lose(self) -> None:
+        await super().lose()
+        self._path.unlink(missing_ok=True)
+
+
+class KernelBench:
+    """Files as those of the kernel."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._paths = {i: folder / f"hwmon{i}" / "temp1_input" for i in SENSORS}
+        sensors = [{"id": i, **about, "path": str(self._paths[i])} for i, about in SENSORS.items()]
+        for sensor in sensors:
+            sensor["open"] = [-999000]
+        self._config = configured("kernel", {}, sensors)
+
+    async def show(self, numbers: dict[int, float]) -> None:
+        for sensor_id, path in self._paths.items():
+            path.parent.mkdir(exist_ok=True)
+            if sensor_id in numbers:
+                fresh = path.with_suffix(".new")
+                fresh.write_text(f"{numbers[sensor_id] * 1000:.0f}\n")
+                fresh.replace(path)
+            else:
+                path.unlink(missing_ok=True)
+
+    def open(self) -> TemperatureSource:
+        return KernelSource(self._config, SystemClock())
+
+    async def bring_back(self) -> None:
+        pass
+
+    async def lose(self) -> None:
+        for path in self._paths.values():
+            path.unlink(missing_ok=True)
+
+
+class ProcessBench:
+    """A program that writes what stands in a file, and ends when there is none."""
+
+    PROGRAM = """
+import pathlib, sys, time
+path = pathlib.Path(sys.argv[1])
+while path.exists():
+    print(path.read_text(), flush=True)
+    time.sleep(float(sys.argv[2]))
+print("the device went away", file=sys.stderr)
+"""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "numbers"
+        sensors = [{"id": i, **about, "field": f"device.t{i}"} for i, about in SENSORS.items()]
+        command = [sys.executable, "-I", "-S", "-c", self.PROGRAM, str(self._path), str(PERIOD_S)]
+        self._config = configured("process", {"command": command}, sensors)
+
+    async def show(self, numbers: dict[int, float]) -> None:
+        fresh = self._path.with_suffix(".new")
+        fresh.write_text(json.dumps({"device": {f"t{i}": number for i, number in numbers.items()}}))
+        fresh.replace(self._path)
+
+    def open(self) -> TemperatureSource:
+        return ProcessSource(self._config, SystemClock())
+
+    async def bring_back(self) -> None:
+        pass
+
+    async def lose(self) -> None:
+        self._path.unlink(missing_ok=True)
+
+
+BENCHES: dict[str, Callable[[Path], SourceBench]] = {
+    "modbus-tcp": lambda folder: ModbusBench(folder, serial=False),
+    "modbus-rtu": lambda folder: ModbusBench(folder, serial=True),
+    "csv": CsvBench,
+    "kernel": KernelBench,
+    "process": ProcessBench,
+}
+
+
+@pytest_asyncio.fixture(params=list(BENCHES))
 async def bench(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[SourceBench]:
-    made = ModbusBench(tmp_path, serial=request.param == "modbus-rtu")
+    made = BENCHES[request.param](tmp_path)
     await made.bring_back()
     yield made
     await made.lose()
@@ -82,3 +230,7 @@ async def bench(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 async def test_every_source_does_what_the_daemon_relies_on(bench: SourceBench, check: Check) -> None:
     await check(bench)
+
+
+def test_every_driver_of_the_schema_is_on_a_bench() -> None:
+    assert set(drivers_of(SourceConfig)) == {name.partition("-")[0] for name in BENCHES}

@@ -1,0 +1,99 @@
+"""Temperatures in the files of a logger, read by what reads displacements there."""
+
+from config.schema.displacements import DisplacementChannelConfig
+from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import CsvConfig
+from drivers.clock import Clock
+from drivers.displacement.rows import LoggedNumbers
+from drivers.displacement.source import DisplacementCsvSource
+from drivers.pushing import PushedSource
+from drivers.readings import NOT_RECEIVED, NoReading, Readings
+from models.quality import Reason
+from models.records import DisplacementSample, Instant
+
+NEWEST_PERIODS = 3.0
+"""A row whose time stamp is more cycle periods old is of the past, and not shown as the present."""
+AHEAD_S = 5.0
+"""A time stamp may be so far ahead of this computer's clock [s]."""
+WHY = {
+    Reason.OVERFLOW: NoReading(
+        reason=Reason.OVERFLOW, why="the logger wrote that the value is out of its range or open"
+    ),
+    Reason.UNREADABLE: NoReading(reason=Reason.UNREADABLE, why="its field holds no number"),
+}
+
+
+class LoggerTemperatureSource(PushedSource):
+    """Each row is a cycle: at its time stamp, or, where rows have none, when it was read.
+
+    What was written before the source was opened is history and not delivered, but for the latest rows.
+    """
+
+    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+        super().__init__(source, clock)
+        assert isinstance(source.connection, CsvConfig)
+        config = source.connection
+        self._path = config.file.path
+        self._stamped = bool(config.file.time_columns)
+        self._ids = source.sensor_ids
+        channels = [DisplacementChannelConfig(name=f"sensor {s.id}", column=s.column) for s in config.sensors]
+        self._files = DisplacementCsvSource(
+            LoggedNumbers(file=config.file, channels=channels, owner=f"source {source.name}: file"), clock
+        )
+        self._newest_utc_s = clock.now().utc_s - NEWEST_PERIODS * source.cycle_period_s
+        self._pending: tuple[Readings, Instant] | None = None
+
+    async def follow(self) -> None:
+        """Follow the files; raises LinkError when they cannot be read for long."""
+        try:
+            async for row in self._files.samples(self._on_problem, self._on_look):
+                self._on_row(row)
+        finally:
+            await self._files.close()
+
+    def _on_problem(self, problem: str) -> None:
+        self.report(problem)
+
+    def _on_row(self, row: DisplacementSample) -> None:
+        readings = {
+            sensor_id: number if reason == Reason.NONE else WHY.get(Reason(reason), NOT_RECEIVED)
+            for sensor_id, number, reason in zip(self._ids, row.um.tolist(), row.reason.tolist(), strict=True)
+        }
+        now = self._clock.now()
+        if not self._stamped:
+            if self._files.caught_up:
+                self._pending = (readings, now)  # of rows that came at once only the last is of now
+            return
+        ahead_s = row.utc_s - now.utc_s
+        if ahead_s > AHEAD_S:
+            self.report(
+                f"{row.source}: the time stamp is {ahead_s:.0f} s ahead of this computer's clock: correct `time_zone`, "
+                "`time_format` or one of the two clocks; the row is not used"
+            )
+            return
+        if row.utc_s <= self._newest_utc_s:
+            return
+        self._newest_utc_s = row.utc_s
+        age_s = max(0.0, -ahead_s)
+        self.put_row(
+            readings,
+            Instant(
+                monotonic_s=now.monotonic_s - age_s,
+                utc_s=now.utc_s - age_s,
+                real_s=now.real_s - age_s / self._clock.speed,
+            ),
+        )
+
+    def _on_look(self) -> None:
+        if self._pending is not None:
+            self.put_row(*self._pending)
+            self._pending = None
+
+    def silent(self) -> str:
+        """Return what to check when no row comes."""
+        problem = self._files.last_problem
+        return (
+            f"file {self._path} has brought no new row for {NEWEST_PERIODS:g} cycle periods "
+            f"({self._source.cycle_period_s:g} s each){f' ({problem})' if problem else ''}: check that the logger "
+            "runs, that its folder is mounted, `file.path`, and that `cycle_period_s` is not shorter than its interval"
+        )

@@ -1,0 +1,35 @@
+"""Numbers in the fields of a JSON object. No I/O."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from drivers.readings import NoReading
+from models.quality import Reason
+
+QUOTED = 40
+
+
+def readings_in(content: Any, fields: Mapping[int, str]) -> dict[int, float | NoReading]:
+    """Return the numbers of a JSON value by sensor ID; a field that is absent or null is left out.
+
+    `a.b` is b within a; the empty field is the value itself.
+    """
+    found: dict[int, float | NoReading] = {}
+    for sensor_id, field in fields.items():
+        value = content
+        for step in field.split(".") if field else ():
+            value = value.get(step) if isinstance(value, dict) else None
+        if value is not None:
+            found[sensor_id] = number_of(value)
+    return found
+
+
+def number_of(value: Any) -> float | NoReading:
+    """Return a JSON value as a number; text and truth values are none."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf
+    return NoReading(reason=Reason.UNREADABLE, why=f"holds no number but {str(value)[:QUOTED]!r}: correct `field`")

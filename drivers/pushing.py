@@ -1,0 +1,147 @@
+"""A source that brings its sensors' numbers unasked: rows of all of them, or one number at a time."""
+
+import asyncio
+import contextlib
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import AsyncIterator
+
+from config.schema.source_drivers import SourceConfig
+from drivers.clock import Clock
+from drivers.contract import LinkError
+from drivers.readings import CycleMaker, NoReading, Readings
+from models.records import Instant, TemperatureCycle, Trace
+
+MOST_WAITING = 64
+"""Rows that may wait for the consumer; of more the oldest are dropped, and told."""
+SILENT_PERIODS = 3.0
+"""Without anything for so many cycle periods the source is given up, to be opened anew."""
+MIN_SILENT_REAL_S = 2.0
+"""But never sooner than this, even on a fast simulated clock."""
+
+
+class PushedSource(ABC):
+    """Follows in a task of its own (`drivers.contract.TemperatureSource`), to be used once."""
+
+    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+        self.name = source.name
+        self._source = source
+        self._clock = clock
+        self._maker = CycleMaker(source)
+        self._rows: deque[tuple[Readings, Instant]] = deque(maxlen=MOST_WAITING)
+        self._dropped = 0
+        self._single: dict[int, float | NoReading] = {}
+        self._single_since: Instant | None = None
+        self._problems: deque[str] = deque(maxlen=MOST_WAITING)
+        self._heard_s = 0.0
+        self._wake = asyncio.Event()
+        self._started = False
+        self._closed = False
+        self._task: asyncio.Task[None] | None = None
+
+    # --- what the driver calls ----------------------------------------------------------
+
+    def put_row(self, readings: Readings, measured: Instant) -> None:
+        """Take one number of each sensor that has one, measured at `measured`."""
+        self._dropped += len(self._rows) == MOST_WAITING
+        self._rows.append((readings, measured))
+        self.heard()
+
+    def put(self, sensor_id: int, reading: float | NoReading) -> None:
+        """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor."""
+        if self._single_since is None:
+            self._single_since = self._clock.now()
+        self._single[sensor_id] = reading
+        self.heard()
+
+    def heard(self) -> None:
+        """Note that the source lives."""
+        self._heard_s = self._clock.now().real_s
+        self._wake.set()
+
+    def report(self, problem: str) -> None:
+        """Take what could not be read; it is said with the next cycle."""
+        self._problems.append(problem)
+
+    @abstractmethod
+    async def follow(self) -> None:
+        """Open the source and bring what comes, until it is cancelled; raises LinkError or FatalDriverError."""
+
+    @abstractmethod
+    def silent(self) -> str:
+        """Return what to say and to check when nothing comes."""
+
+    # --- what the daemon calls ----------------------------------------------------------
+
+    async def cycles(self) -> AsyncIterator[TemperatureCycle]:
+        """Open the source and yield each cycle as it completes; raises LinkError when the source is lost."""
+        if self._started or self._closed:
+            raise RuntimeError(f"source {self.name}: it is used once; build a new one to open it again")
+        self._started = True
+        self.heard()
+        self._task = asyncio.create_task(self.follow(), name=f"source {self.name}")
+        self._task.add_done_callback(lambda _: self._wake.set())
+        try:
+            while not self._closed:
+                for cycle in self._due():
+                    yield cycle
+                if self._closed:
+                    return
+                if self._task.done():
+                    self._task.result()
+                    raise LinkError(f"source {self.name}: {self.silent()}")
+                await self._wait()
+        finally:
+            await self.close()
+
+    def _due(self) -> list[TemperatureCycle]:
+        cycles = []
+        while self._rows:
+            readings, measured = self._rows.popleft()
+            cycles.append(self._cycle(readings, measured))
+        since = self._single_since
+        if since is not None and (
+            len(self._single) == len(self._source.sensors) or self._left_real_s(since.real_s, 1.0) <= 0
+        ):
+            single, self._single, self._single_since = self._single, {}, None
+            cycles.append(self._cycle(single, since))
+        return cycles
+
+    def _cycle(self, readings: Readings, measured: Instant) -> TemperatureCycle:
+        problems, lost = tuple(self._problems), self._dropped
+        self._problems.clear()
+        self._dropped = 0
+        if lost:
+            words = f"source {self.name}: {lost} rows dropped, more came than can be taken: check what sends them"
+            problems = (words, *problems)
+        return self._maker.cycle(readings, Trace(first_byte=measured, last_byte=self._clock.now()), problems)
+
+    def _left_real_s(self, since_real_s: float, periods: float) -> float:
+        period_s = periods * self._source.cycle_period_s / self._clock.speed
+        return since_real_s + period_s - self._clock.now().real_s
+
+    async def _wait(self) -> None:
+        """Wait for something new, for the end of a cycle period, or until the source has been silent for too long."""
+        silent_s = max(
+            self._left_real_s(self._heard_s, SILENT_PERIODS), self._heard_s + MIN_SILENT_REAL_S - self._now()
+        )
+        if silent_s <= 0:
+            raise LinkError(f"source {self.name}: {self.silent()}")
+        since = self._single_since
+        wait_s = silent_s if since is None else min(silent_s, self._left_real_s(since.real_s, 1.0))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(max(wait_s, 0.0)):
+                await self._wake.wait()
+        self._wake.clear()
+
+    def _now(self) -> float:
+        return self._clock.now().real_s
+
+    async def close(self) -> None:
+        """End following. May be called in any state, more than once; never raises."""
+        self._closed = True
+        self._wake.set()
+        task = self._task
+        if task is not None and not task.done() and task is not asyncio.current_task():
+            task.cancel()
+            await asyncio.wait({task})

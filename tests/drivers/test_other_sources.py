@@ -1,0 +1,327 @@
+"""Logger files, the kernel's sensors and programs as sources: what each of them alone can do wrong."""
+
+import asyncio
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import KernelSensorConfig
+from config.schema.sources import SourceSensorConfig
+from drivers import displacement, kernel, process, pushing
+from drivers.clock import SystemClock
+from drivers.contract import FatalDriverError, LinkError
+from drivers.displacement.temperatures import LoggerTemperatureSource
+from drivers.json_fields import readings_in
+from drivers.kernel import KernelSource
+from drivers.process import ProcessSource
+from drivers.readings import NoReading, judged
+from models.quality import Quality, Reason
+from models.records import TemperatureCycle
+
+PATIENCE_S = 30.0
+PERIOD_S = 10.0
+SENSOR = {"id": 7, "component": "Bed"}
+
+
+def source(driver: str, section: dict[str, Any], *sensors: dict[str, Any], period_s: float = PERIOD_S) -> SourceConfig:
+    content = {"name": "s", "driver": driver, "cycle_period_s": period_s, driver: {**section, "sensors": sensors}}
+    return SourceConfig.model_validate_json(json.dumps(content))
+
+
+async def following(cycles: AsyncIterator[TemperatureCycle]) -> TemperatureCycle:
+    return await asyncio.wait_for(anext(cycles), PATIENCE_S)
+
+
+# --- no number that is no temperature ------------------------------------------------
+
+numbers = st.floats() | st.integers(-(2**33), 2**33).map(float)
+
+
+@given(
+    numbers,
+    st.sampled_from(["degC", "degF", "K"]),
+    st.floats(-1e6, 1e6, allow_nan=False).filter(lambda value: value != 0),
+    st.floats(-1e6, 1e6, allow_nan=False),
+    st.lists(st.floats(-1e6, 1e6, allow_nan=False), max_size=3),
+)
+def test_whatever_is_read_only_possible_temperatures_pass(
+    number: float, unit: str, scale: float, offset: float, signs: list[float]
+) -> None:
+    about = {**SENSOR, "unit": unit, "scale": scale, "offset": offset, "open": signs, "min_degc": -20.0}
+    sensor = SourceSensorConfig.model_validate({**about, "max_degc": 100.0})
+    found = judged(sensor, number)
+    if isinstance(found, NoReading):
+        assert found.reason != Reason.NONE and found.why
+    else:
+        assert -20.0 <= found <= 100.0 and math.isfinite(number) and number not in signs
+
+
+def test_units() -> None:
+    for about, number, degc in (
+        ({"unit": "degF"}, 68.0, 20.0),
+        ({"unit": "K", "scale": 0.01}, 29315.0, 20.0),
+        ({"scale": 0.1, "offset": -5.0}, 250.0, 20.0),
+    ):
+        sensor = SourceSensorConfig.model_validate({**SENSOR, **about})
+        assert sensor.degc(number) == pytest.approx(degc)
+        assert sensor.number(degc) == pytest.approx(number)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["a", "b", "t"]), inner, max_size=3),
+)
+
+
+@given(json_values, st.sampled_from(["", "a", "a.b", "t.a.b", "."]))
+def test_any_json_gives_numbers_or_a_reason(content: Any, field: str) -> None:
+    for reading in readings_in(content, {7: field}).values():
+        assert isinstance(reading, float) or reading.reason == Reason.UNREADABLE
+
+
+def test_fields_of_json() -> None:
+    content = {"a": {"b": 3, "c": "x", "d": None, "e": True}, "n": 10**400}
+    found = readings_in(content, {1: "a.b", 2: "a.c", 3: "a.d", 4: "a.e", 5: "z.z", 6: "n"})
+    assert found[1] == 3.0 and found[6] == math.inf and set(found) == {1, 2, 4, 6}
+    assert all(isinstance(found[i], NoReading) for i in (2, 4))
+
+
+# --- a logger's files -----------------------------------------------------------------
+
+
+def logger(path: Path, **file: Any) -> LoggerTemperatureSource:
+    section = {"file": {"path": str(path), "header": "t", "time_format": "%s", "poll_period_s": 0.01, **file}}
+    return LoggerTemperatureSource(source("csv", section, {**SENSOR, "column": "T7"}), SystemClock())
+
+
+def row(path: Path, text: str) -> None:
+    with path.open("a") as file:
+        file.write(text)
+
+
+async def test_what_a_logger_wrote_long_ago_is_not_shown_as_the_present(tmp_path: Path) -> None:
+    path, now_s = tmp_path / "log.csv", time.time()
+    row(path, "t,T7\n" + "".join(f"{now_s - 1000 + i},{i / 10}\n" for i in range(900)))
+    row(path, f"{now_s - 12.5},20.5\n")
+    opened = logger(path)
+    cycles = opened.cycles()
+    cycle = await following(cycles)
+    assert list(cycle.degc) == [20.5]
+    assert cycle.trace.first_byte.utc_s == pytest.approx(now_s - 12.5, abs=0.5)
+    assert cycle.trace.last_byte.monotonic_s - cycle.trace.first_byte.monotonic_s >= 12.4
+    row(path, f"{now_s - 12.5},30.5\n{now_s - 50},31.5\n{now_s:.3f},2")  # repeated, older, and half a line
+    await asyncio.sleep(0.05)
+    row(path, "1.25\n")
+    assert list((await following(cycles)).degc) == [21.25]
+    await opened.close()
+
+
+async def test_a_stamp_of_the_future_is_refused_and_says_what_to_correct(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    opened = logger(path)
+    row(path, f"t,T7\n{time.time() + 3600:.0f},20.0\n")
+    cycles = opened.cycles()
+    waiting = asyncio.ensure_future(following(cycles))
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    row(path, f"{time.time():.2f},20.0\n")
+    (fault,) = (await waiting).faults
+    assert "3600 s ahead of this computer's clock: correct `time_zone`" in fault and "log.csv:2" in fault
+    await opened.close()
+
+
+async def test_a_row_without_a_stamp_counts_from_its_arrival_and_rows_at_once_count_once(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    row(path, "t;T7\nx;11,5\n")
+    opened = logger(path, time_columns=[], delimiter=";", decimal=",")
+    cycles = opened.cycles()
+    waiting = asyncio.ensure_future(following(cycles))
+    await asyncio.sleep(0.1)
+    assert not waiting.done(), "what stood there before is of nobody knows when"
+    before_s = time.time()
+    row(path, "x;20,5\nx;20,6\nx;20,7\n")
+    cycle = await waiting
+    assert list(cycle.degc) == [20.7] and cycle.number == 1
+    assert cycle.trace.first_byte.utc_s >= before_s
+    await opened.close()
+
+
+async def test_a_new_file_is_followed_and_tokens_are_no_numbers(tmp_path: Path) -> None:
+    row(tmp_path / "1.csv", f"t,T7\n{time.time() - 1:.2f},20.0\n")
+    opened = logger(tmp_path / "*.csv")
+    cycles = opened.cycles()
+    assert list((await following(cycles)).degc) == [20.0]
+    row(tmp_path / "2.csv", f"t,T7\n{time.time():.2f},+OVER\n")
+    cycle = await following(cycles)
+    assert list(cycle.reason) == [Reason.OVERFLOW] and np.isnan(cycle.degc).all()
+    row(tmp_path / "2.csv", f"{time.time() + 0.05:.2f},nan\n")
+    cycle = await following(cycles)
+    assert list(cycle.reason) == [Reason.UNREADABLE] and list(cycle.quality) == [Quality.MISSING]
+    await opened.close()
+
+
+async def test_a_logger_that_stops_is_a_lost_link_with_what_to_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pushing, "MIN_SILENT_REAL_S", 0.1)
+    section = {"file": {"path": str(tmp_path / "x.csv"), "header": "t", "poll_period_s": 0.01}}
+    config = source("csv", section, {**SENSOR, "column": "T7"}, period_s=0.01)
+    with pytest.raises(LinkError, match=r"source s: file .*x\.csv has brought no new row.*check that the logger runs"):
+        await following(LoggerTemperatureSource(config, SystemClock()).cycles())
+    assert displacement.__doc__
+
+
+# --- the kernel's sensors ---------------------------------------------------------------
+
+
+def one_wire(folder: Path, name: str = "28-0316a2796fff") -> Path:
+    path = folder / "w1_bus_master1" / name / "temperature"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def test_85_degrees_of_a_one_wire_sensor_are_its_power_up() -> None:
+    here = {**SENSOR, "path": "/sys/bus/w1/devices/28-1/temperature"}
+    assert isinstance(judged(KernelSensorConfig.model_validate_json(json.dumps(here)), 85000.0), NoReading)
+    assert judged(KernelSensorConfig.model_validate_json(json.dumps(here)), 84937.0) == pytest.approx(84.937)
+    there = {**SENSOR, "path": "/sys/class/hwmon/hwmon1/temp1_input"}
+    assert judged(KernelSensorConfig.model_validate_json(json.dumps(there)), 85000.0) == pytest.approx(85.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("23125", 23125.0),
+        ("-1250", -1250.0),
+        ("23.5", 23.5),
+        ("72 01 4b 46 7f ff 0e 10 57 : crc=57 YES\n72 01 4b 46 7f ff 0e 10 57 t=23125", 23125.0),
+        ("72 01 4b 46 7f ff 0e 10 57 : crc=57 NO\n72 01 4b 46 7f ff 0e 10 57 t=23125", Reason.DEVICE_ERROR),
+        ("", Reason.UNREADABLE),
+        ("nan", Reason.UNREADABLE),
+        ("1e400", Reason.UNREADABLE),
+        ("23125 23125", Reason.UNREADABLE),
+    ],
+)
+def test_texts_of_the_kernel(text: str, found: float | Reason) -> None:
+    number = kernel.number_of(text, Path("x"))
+    assert (number.reason if isinstance(number, NoReading) else number) == found
+
+
+@given(st.text(max_size=300))
+def test_any_text_of_the_kernel_gives_a_number_or_a_reason(text: str) -> None:
+    number = kernel.number_of(text, Path("x"))
+    assert isinstance(number, NoReading) or math.isfinite(number)
+
+
+async def test_a_sensor_that_hangs_costs_itself_only_and_no_thread_joins_the_first(tmp_path: Path) -> None:
+    good, hangs = one_wire(tmp_path), one_wire(tmp_path, "28-2")
+    good.write_text("21500\n")
+    os.mkfifo(hangs)
+    (tmp_path / "w1_bus_master1" / "therm_bulk_read").write_text("0")
+    config = source(
+        "kernel",
+        {"timeout_s": 0.1},
+        {**SENSOR, "path": str(good)},
+        {**SENSOR, "id": 8, "path": str(hangs)},
+        period_s=0.01,
+    )
+    opened = KernelSource(config, SystemClock())
+    cycles = opened.cycles()
+    first = await following(cycles)
+    assert first.degc[0] == 21.5 and first.reason[1] == Reason.NOT_RECEIVED
+    assert "has not answered within 0.1 s" in first.faults[0]
+    for _ in range(5):
+        assert "since it was last read" in (await following(cycles)).faults[0]
+    assert (tmp_path / "w1_bus_master1" / "therm_bulk_read").read_text() == "trigger\n"
+    hangs.open("w").close()  # lets the reader go
+    async with asyncio.timeout(PATIENCE_S):
+        while kernel_threads():
+            await asyncio.sleep(0.01)
+    await opened.close()
+
+
+def kernel_threads() -> list[str]:
+    import threading
+
+    return [thread.name for thread in threading.enumerate() if thread.name == "kernel-s" and thread.is_alive()]
+
+
+# --- a program's lines -------------------------------------------------------------------
+
+
+def program(code: str, **section: Any) -> ProcessSource:
+    command = [sys.executable, "-I", "-S", "-u", "-c", code]
+    config = source("process", {"command": command, **section}, {**SENSOR, "field": "t"}, period_s=0.05)
+    return ProcessSource(config, SystemClock())
+
+
+async def test_lines_that_say_nothing_are_told_and_the_next_good_one_counts() -> None:
+    opened = program(
+        "import time\n"
+        "print('no json'); print('{\"u\": 1}'); print('['*5000); print('x'*100000); print('{\"t\": NaN}')\n"
+        "print('{\"t\": 21.5}'); time.sleep(60)",
+        max_line_bytes=20000,
+    )
+    cycles = opened.cycles()
+    first = await following(cycles)
+    assert np.isnan(first.degc).all() and list(first.reason) == [Reason.UNREADABLE]
+    assert list((await following(cycles)).degc) == [21.5]
+    text = "\n".join(first.faults)
+    assert "line 1 is no JSON and is skipped: 'no json'" in text
+    assert "line 2 has none of the configured fields" in text
+    assert "longer than max_line_bytes (20000)" in text
+    await opened.close()
+
+
+async def test_a_program_ends_with_its_source_and_so_does_what_it_started(tmp_path: Path) -> None:
+    note = tmp_path / "pid"
+    opened = program(
+        "import subprocess, sys, time\n"
+        f"child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(note)!r}, 'w').write(str(child.pid))\n"
+        "print('{\"t\": 20}'); time.sleep(60)"
+    )
+    await following(opened.cycles())
+    child = int(note.read_text())
+    await opened.close()
+    async with asyncio.timeout(PATIENCE_S):
+        while alive(child):
+            await asyncio.sleep(0.01)
+
+
+def alive(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(") ")[2][0] != "Z"
+
+
+async def test_a_program_that_ends_says_its_last_words_and_one_that_is_not_there_is_fatal() -> None:
+    dying = program("import sys\nprint('probe is unplugged', file=sys.stderr)\nsys.exit(3)")
+    with pytest.raises(LinkError, match=r"source s: .* ended with status 3; it last said: probe is unplugged"):
+        await following(dying.cycles())
+    gone = source("process", {"command": ["/nonexistent/reader"]}, {**SENSOR, "field": "t"})
+    with pytest.raises(FatalDriverError, match=r"source s: /nonexistent/reader cannot be started.*process\.command"):
+        await following(ProcessSource(gone, SystemClock()).cycles())
+    assert process.__doc__
+
+
+async def test_a_program_that_floods_is_bounded_and_told() -> None:
+    opened = program("import sys\nwhile True: sys.stdout.write('{\"t\": 20}\\n' * 1000)")
+    cycles = opened.cycles()
+    await following(cycles)
+    await asyncio.sleep(0.2)
+    async with asyncio.timeout(PATIENCE_S):
+        while not any("rows dropped" in fault for fault in (await following(cycles)).faults):
+            await asyncio.sleep(0)
+    assert len(opened._rows) <= pushing.MOST_WAITING
+    await opened.close()
