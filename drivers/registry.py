@@ -75,6 +75,18 @@ def _process() -> TemperatureFactory:
     return _of_source(ProcessSource)
 
 
+def _mqtt() -> TemperatureFactory:
+    from drivers.mqtt import MqttSource
+
+    return _of_source(MqttSource)
+
+
+def _opcua_tags() -> TemperatureFactory:
+    from drivers.opcua.temperatures import OpcUaTemperatureSource
+
+    return _of_source(OpcUaTemperatureSource)
+
+
 def _file() -> DisplacementFactory:
     from drivers.displacement.source import DisplacementCsvSource
 
@@ -89,6 +101,8 @@ TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {
     "csv": _csv,
     "kernel": _kernel,
     "process": _process,
+    "mqtt": _mqtt,
+    "opcua": _opcua_tags,
 }
 """Driver of a line or of a source -> the same."""
 DISPLACEMENT_SOURCES: Mapping[str, Callable[[], DisplacementFactory]] = {"file": _file}

@@ -33,6 +33,7 @@ CHANNEL_PATTERN = r"^\S([^\x00-\x1f\x7f]*\S)?$"
 RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
 READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
+TOPIC_PATTERN = r"^[^+#\x00]+$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
 
 FORMS = {
@@ -41,6 +42,7 @@ FORMS = {
     RANGE_PATTERN: "a range such as 7-12",
     NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
+    TOPIC_PATTERN: "a topic without the wildcards + and #",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }
 """What the patterns ask for, in words."""

@@ -144,7 +144,11 @@ class FocasConfig(CncConnection):
     path: int = Field(1, ge=1, le=15, description="path (channel) of the control")
     tool_macro: MacroNumber = Field(4120, description="variable that holds the number of the tool in the spindle")
     motor_temperature_diagnosis: int | None = Field(
-        None, ge=0, le=99999, description="number of the diagnosis that shows the spindle motor [degC]; none: not read"
+        None,
+        ge=0,
+        le=99999,
+        description="number of the diagnosis that shows the spindle motor [degC]; none: not read",
+        examples=[403],
     )
 
     @property

@@ -7,7 +7,7 @@ from pydantic import ConfigDict, Field, model_validator
 from config.schema.base import KeyPath, KeyProblems, Name, Seconds, Section
 from config.schema.cnc_drivers import drivers_of, section_of_driver
 from config.schema.modbus import ModbusConfig
-from config.schema.source_sections import CsvConfig, KernelConfig, ProcessConfig
+from config.schema.source_sections import CsvConfig, KernelConfig, MqttConfig, OpcUaTagsConfig, ProcessConfig
 from config.schema.sources import SourceConnection, SourceSensorConfig
 
 
@@ -17,7 +17,7 @@ class SourceConfig(Section):
     model_config = ConfigDict(json_schema_extra=section_of_driver)
 
     name: Name = Field(description="name of the source in logs, history and commands", examples=["pt100"])
-    driver: Literal["modbus", "csv", "kernel", "process"] = Field(
+    driver: Literal["modbus", "csv", "kernel", "process", "mqtt", "opcua"] = Field(
         description="how it is read; the section of that name says where", examples=["modbus"]
     )
     cycle_period_s: Seconds = Field(10.0, description="time from one cycle of its sensors to the next")
@@ -27,6 +27,8 @@ class SourceConfig(Section):
     csv: CsvConfig | None = Field(None, description="files of a logger, followed as they grow")
     kernel: KernelConfig | None = Field(None, description="sensors of this computer's kernel: 1-Wire, hwmon, IIO")
     process: ProcessConfig | None = Field(None, description="a program that writes JSON lines")
+    mqtt: MqttConfig | None = Field(None, description="a broker to which devices publish")
+    opcua: OpcUaTagsConfig | None = Field(None, description="tags of an OPC UA server")
 
     @model_validator(mode="after")
     def _only_the_section_of_the_driver(self) -> Self:

@@ -25,7 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "latency": "Measure the delay from the sensor to the CNC.",
     "check": "Check the configuration and everything it names.",
     "doctor": "Examine this computer and the installation.",
-    "sources": "Read temperature sources: Modbus boxes.",
+    "sources": "Read temperature sources, and find what is on a bus.",
     "guard": "Print the NC programs for the control, or their sheet.",
     "sample-config": "Print a commented configuration to begin with.",
     "config-schema": "Print the JSON Schema of the configuration.",

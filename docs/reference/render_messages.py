@@ -28,7 +28,17 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/focas/requests.py",
     ),
     "Temperatures and lines": ("drivers/latsis", "models/quality.py", "daemon/links.py"),
-    "Other temperature sources": ("drivers/readings.py", "drivers/polling.py", "drivers/modbus"),
+    "Other temperature sources": (
+        "drivers/readings.py",
+        "drivers/polling.py",
+        "drivers/pushing.py",
+        "drivers/json_fields.py",
+        "drivers/modbus",
+        "drivers/kernel.py",
+        "drivers/process.py",
+        "drivers/mqtt.py",
+        "drivers/opcua/temperatures.py",
+    ),
     "Displacements": ("drivers/displacement",),
     "The estimate and its model": (
         "daemon/estimation",

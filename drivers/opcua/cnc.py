@@ -122,15 +122,15 @@ class OpcUaCnc:
         try:
             if self._lost is None:
                 async with asyncio.timeout(self._config.timeout_s):
-                    await _cancelled_plainly(client.close_session())
-                    await _cancelled_plainly(client.close_secure_channel())
+                    await cancelled_plainly(client.close_session())
+                    await cancelled_plainly(client.close_secure_channel())
         except (OSError, UaError) as error:
             log.debug("%s: the session could not be closed properly: %r", self._endpoint, error)
         except Exception as error:
             log.warning("%s: closing the session failed: %r", self._endpoint, error)
         finally:
             self._lost = self._lost or "closed"
-            _abort(client)
+            abort(client)
         await asyncio.sleep(0)
 
     async def _connect(self, credentials: OpcUaCredentials | None) -> None:
@@ -141,7 +141,7 @@ class OpcUaCnc:
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         client.session_timeout = SESSION_TIMEOUT_MS
         if credentials:
-            _secure(client, credentials)
+            secure(client, credentials)
         await client.connect_socket()
         await client.send_hello()
         await client.open_secure_channel()
@@ -233,7 +233,7 @@ class OpcUaCnc:
         """Await a call within the time-out and turn what the library raises into the contract's errors."""
         try:
             async with asyncio.timeout(self._config.timeout_s):
-                return await _cancelled_plainly(call)
+                return await cancelled_plainly(call)
         except DriverError:
             raise
         except TimeoutError as error:
@@ -260,7 +260,7 @@ class OpcUaCnc:
         return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
 
 
-async def _cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
+async def cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
     """Await a call of the library with cancellation as asyncio's time-out knows it.
 
     When a call ends in the instant it is given up, the library raises a class of its own below CancelledError; asyncio
@@ -278,7 +278,7 @@ def _security_of(credentials: OpcUaCredentials | None) -> tuple[ua.MessageSecuri
     return ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
 
 
-def _secure(client: Any, credentials: OpcUaCredentials) -> None:
+def secure(client: Any, credentials: OpcUaCredentials) -> None:
     """Prepare the client (Any: the library declares its policy attribute as the policy None)."""
     make_policy: Any = SecurityPolicyBasic256Sha256
     client.application_uri = credentials.application_uri
@@ -291,7 +291,7 @@ def _secure(client: Any, credentials: OpcUaCredentials) -> None:
     client.uaclient.set_security(client.security_policy)
 
 
-def _abort(client: Client) -> None:
+def abort(client: Client) -> None:
     """Drop the socket at once: a graceful close would wait for a peer that may be gone."""
     client.uaclient.request_disconnect()
     protocol = client.uaclient.protocol

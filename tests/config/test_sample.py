@@ -55,7 +55,7 @@ def test_sample_is_valid_with_everything_in_use() -> None:
 
 def test_sample_holds_every_key_with_its_meaning() -> None:
     sample = sample_configuration()
-    flat = re.sub(r"\s*\n\s*#*\s*# (?!\()", " ", sample)
+    flat = re.sub(r"\s*\n[\s#]*# (?!\()", " ", sample)
     for path, knob in walk(Configuration):
         assert re.search(rf"^[\s#-]*{knob.name}:", sample, re.MULTILINE), path
         assert knob.description, f"{'.'.join(path)} has no description"

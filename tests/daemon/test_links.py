@@ -153,7 +153,7 @@ async def test_one_bad_row_among_good_ones_is_named_with_its_column(tmp_path: Pa
     await asyncio.gather(running, return_exceptions=True)
     ((kind, text),) = told.events
     assert kind == "displacements"
-    assert text == f"{path}:3:2: '1x' is no displacement for Y; it is left out"
+    assert text == f"{path}:3:2: '1x' is no number for Y; it is left out"
     assert links.snapshots()[-1].up
 
 

@@ -74,7 +74,7 @@ async def test_decimal_comma(path: Path) -> None:
     path.write_text("time;Y1;Z1\n2026-01-31T08:00:00;1,5;-,25\n2026-01-31T08:01:00;1.5;2\n")
     follower, values = await read_all(config(path, delimiter=";", decimal=","), 2, problems=1)
     assert values == [[1.5, -0.25], [None, 2.0]]
-    assert follower.source.last_problem == f"{path}:3:2: '1.5' is no displacement for Y; it is left out"
+    assert follower.source.last_problem == f"{path}:3:2: '1.5' is no number for Y; it is left out"
 
 
 async def test_quoted_fields(path: Path) -> None:

@@ -1,29 +1,38 @@
-"""Logger files, the kernel's sensors and programs as sources: what each of them alone can do wrong."""
+"""Logger files, the kernel's sensors, programs, MQTT and OPC UA as sources: what each alone can do wrong."""
 
 import asyncio
+import contextlib
 import json
 import math
 import os
+import shutil
+import socket
+import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
+import aiomqtt
 import numpy as np
 import pytest
+from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
 
 from config.schema.source_drivers import SourceConfig
 from config.schema.source_sections import KernelSensorConfig
 from config.schema.sources import SourceSensorConfig
+from daemon.simulation.processes import free_port
 from drivers import displacement, kernel, process, pushing
 from drivers.clock import SystemClock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.displacement.temperatures import LoggerTemperatureSource
 from drivers.json_fields import readings_in
 from drivers.kernel import KernelSource
+from drivers.mqtt import LARGEST_BYTES, MqttSource, numbers_in
+from drivers.opcua.temperatures import reading_of
 from drivers.process import ProcessSource
 from drivers.readings import NoReading, judged
 from models.quality import Quality, Reason
@@ -32,6 +41,7 @@ from models.records import TemperatureCycle
 PATIENCE_S = 30.0
 PERIOD_S = 10.0
 SENSOR = {"id": 7, "component": "Bed"}
+UNCERTAIN = ua.StatusCode(ua.UInt32(ua.StatusCodes.UncertainLastUsableValue))
 
 
 def source(driver: str, section: dict[str, Any], *sensors: dict[str, Any], period_s: float = PERIOD_S) -> SourceConfig:
@@ -325,3 +335,107 @@ async def test_a_program_that_floods_is_bounded_and_told() -> None:
             await asyncio.sleep(0)
     assert len(opened._rows) <= pushing.MOST_WAITING
     await opened.close()
+
+
+# --- MQTT and OPC UA --------------------------------------------------------------------
+
+
+@given(st.binary(max_size=200) | json_values.map(lambda value: json.dumps(value).encode()) | st.none() | st.integers())
+def test_any_message_gives_numbers_or_a_reason(payload: Any) -> None:
+    for field in ("", "a.b"):
+        for reading in numbers_in(payload, {7: field}).values():
+            assert isinstance(reading, float) or (reading.reason == Reason.UNREADABLE and reading.why)
+
+
+def test_messages_of_devices() -> None:
+    assert numbers_in(b"21.5", {7: ""}) == {7: 21.5}
+    assert numbers_in(b'{"t": {"c": 21.5}}', {7: "t.c", 8: "t.f"}) == {7: 21.5}
+    assert isinstance(numbers_in(b"[" * 100000, {7: ""})[7], NoReading)
+    assert isinstance(numbers_in(b"1" * (LARGEST_BYTES + 1), {7: ""})[7], NoReading)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+    if program is None:
+        pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
+    port, passwords = free_port(), tmp_path / "passwords"
+    maker = shutil.which("mosquitto_passwd", path=f"{os.environ.get('PATH', '')}:/usr/bin")
+    assert maker is not None
+    subprocess.run([maker, "-b", "-c", str(passwords), "toolpoint", "right"], check=True)
+    passwords.chmod(0o644)
+    tmp_path.chmod(0o755)
+    (tmp_path / "m.conf").write_text(
+        f"listener {port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nuser root\n"
+    )
+    process = subprocess.Popen([program, "-c", str(tmp_path / "m.conf")], stderr=subprocess.DEVNULL)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline_s:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+            break
+        time.sleep(0.02)
+    yield port
+    process.kill()
+    process.wait()
+
+
+def subscribed(port: int, folder: Path, password: str) -> MqttSource:
+    secret = folder / "secret"
+    secret.write_text(password + "\n")
+    section = {"host": "127.0.0.1", "port": port, "user_name": "toolpoint", "password_file": str(secret)}
+    return MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
+
+
+@pytest.mark.wires
+async def test_a_retained_message_is_of_nobody_knows_when_and_a_wrong_password_is_named(
+    broker: int, tmp_path: Path
+) -> None:
+    with pytest.raises(LinkError, match=r"source s: broker 127\.0\.0\.1:\d+: refuses .*`user_name` and"):
+        await following(subscribed(broker, tmp_path, "wrong").cycles())
+    async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
+        await device.publish("m/7", "11.5", retain=True, qos=1)
+        opened = subscribed(broker, tmp_path, "right")
+        waiting = asyncio.ensure_future(following(opened.cycles()))
+        async with asyncio.timeout(PATIENCE_S):
+            while not opened._retained:
+                await asyncio.sleep(0.01)
+        assert not waiting.done()
+        await device.publish("m/7", "21.5", retain=True, qos=1)
+        assert list((await waiting).degc) == [21.5]
+        await opened.close()
+
+
+def test_what_goes_over_a_network_says_whether_it_is_encrypted() -> None:
+    plain = {"host": "x"}
+    for driver, section, sensor, exposed in (
+        ("modbus", plain, {"address": 0}, True),
+        ("modbus", {"serial_port": "/dev/ttyS0"}, {"address": 0}, False),
+        ("mqtt", plain, {"topic": "t"}, True),
+        ("mqtt", {**plain, "tls": True}, {"topic": "t"}, False),
+        ("opcua", {"endpoint": "opc.tcp://x", "namespace_uri": "u"}, {"node": "i=1"}, True),
+        ("kernel", {}, {"path": "/x"}, False),
+    ):
+        words = source(driver, section, {**SENSOR, **sensor}).connection.exposed
+        assert ("NOT encrypted" in words) == exposed, driver
+
+
+@pytest.mark.parametrize(
+    ("answer", "found"),
+    [
+        (ua.DataValue(ua.Variant(21.5, ua.VariantType.Double)), 21.5),
+        (ua.DataValue(ua.Variant(21, ua.VariantType.Int16)), 21.0),
+        (ua.DataValue(ua.Variant(True, ua.VariantType.Boolean)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant("21.5", ua.VariantType.String)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant([21.5], ua.VariantType.Double)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant(None, ua.VariantType.Null)), Reason.NOT_RECEIVED),
+        (ua.DataValue(None), Reason.NOT_RECEIVED),
+        (
+            ua.DataValue(ua.Variant(21.5), UNCERTAIN),
+            Reason.DEVICE_ERROR,
+        ),
+        (ua.DataValue(None, ua.StatusCode(ua.UInt32(ua.StatusCodes.BadNodeIdUnknown))), Reason.NOT_RECEIVED),
+    ],
+)
+def test_tags(answer: ua.DataValue, found: float | Reason) -> None:
+    number = reading_of(answer, "s=T")
+    assert (number.reason if isinstance(number, NoReading) else number) == found

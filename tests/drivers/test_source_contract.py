@@ -1,27 +1,37 @@
 """Every source of temperatures passes the same checks, each at a device on its own wire."""
 
 import asyncio
+import contextlib
 import json
+import os
+import shutil
+import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import aiomqtt
 import pytest
 import pytest_asyncio
-from source_contract import CHECKS, NAME, SENSORS, Check, SourceBench
+from asyncua import Server, ua
+from source_contract import CHECKS, NAME, PATIENCE_S, SENSORS, Check, SourceBench
 
 from config.schema.cnc_drivers import drivers_of
 from config.schema.modbus import ModbusSensorConfig
 from config.schema.source_drivers import SourceConfig
+from daemon.simulation.processes import free_port
 from drivers.clock import SystemClock
 from drivers.contract import TemperatureSource
 from drivers.displacement.temperatures import LoggerTemperatureSource
 from drivers.kernel import KernelSource
 from drivers.modbus.source import ModbusSource
+from drivers.mqtt import MqttSource
+from drivers.opcua.temperatures import OpcUaTemperatureSource
 from drivers.process import ProcessSource
 from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, registers_of
+from drivers.sim.wires.tcp_relay import TcpRelay
 
 PERIOD_S = 0.02
 
@@ -209,12 +219,111 @@ print("the device went away", file=sys.stderr)
         self._path.unlink(missing_ok=True)
 
 
+class MqttBench(Writing):
+    """Debian's broker, and a device that publishes each sensor to a topic of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._broker = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+        if self._broker is None:
+            pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
+        self._port = free_port()
+        self._file = folder / "mosquitto.conf"
+        self._file.write_text(f"listener {self._port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
+        sensors = [{"id": i, **about, "topic": f"machine/{i}", "field": "v"} for i, about in SENSORS.items()]
+        del sensors[0]["field"]
+        section = {"host": "127.0.0.1", "port": self._port, "timeout_s": 2.0}
+        self._config = configured("mqtt", section, sensors, cycle_period_s=0.1)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def open(self) -> TemperatureSource:
+        return MqttSource(self._config, SystemClock())
+
+    async def _write_on(self) -> None:
+        with contextlib.suppress(aiomqtt.MqttError):
+            async with aiomqtt.Client("127.0.0.1", self._port) as client:
+                while True:
+                    for sensor_id, number in self._numbers.items():
+                        payload = str(number) if sensor_id == 401 else json.dumps({"v": number, "unit": "C"})
+                        await client.publish(f"machine/{sensor_id}", payload)
+                    await asyncio.sleep(PERIOD_S)
+
+    async def bring_back(self) -> None:
+        assert self._broker is not None
+        command = [self._broker, "-c", str(self._file)]
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        async with asyncio.timeout(PATIENCE_S):
+            while not await listens(self._port):
+                await asyncio.sleep(0.02)
+        await super().bring_back()
+
+    async def lose(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+        await super().lose()
+
+
+async def listens(port: int) -> bool:
+    try:
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+    except OSError:
+        return False
+    writer.close()
+    return True
+
+
+class OpcUaBench:
+    """A gateway with three tags; it goes away by the wire before it."""
+
+    URI = "urn:gateway"
+
+    def __init__(self, folder: Path) -> None:
+        self._port, self._server, self._relay = free_port(), None, None
+        sensors = [{"id": i, **about, "node": f"s=T{i}"} for i, about in SENSORS.items()]
+        section = {"endpoint": f"opc.tcp://127.0.0.1:{self._port}/g", "namespace_uri": self.URI, "timeout_s": 5.0}
+        self._config = configured("opcua", section, sensors)
+
+    def open(self) -> TemperatureSource:
+        return OpcUaTemperatureSource(self._config, SystemClock())
+
+    async def show(self, numbers: dict[int, float]) -> None:
+        for sensor_id, node in self._nodes.items():
+            good = sensor_id in numbers
+            status = ua.StatusCode(ua.UInt32(0 if good else ua.StatusCodes.BadSensorFailure))
+            value = ua.Variant(numbers.get(sensor_id, 20.0), ua.VariantType.Double)
+            await self._server.write_attribute_value(node.nodeid, ua.DataValue(value, status))
+
+    async def bring_back(self) -> None:
+        if self._server is None:
+            self._server = Server()
+            await self._server.init()
+            inner = free_port()
+            self._server.set_endpoint(f"opc.tcp://127.0.0.1:{inner}/g")
+            self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+            index = await self._server.register_namespace(self.URI)
+            objects = self._server.nodes.objects
+            self._nodes = {i: await objects.add_variable(ua.NodeId(f"T{i}", index), f"T{i}", 20.0) for i in SENSORS}
+            await self._server.start()
+            self._relay = TcpRelay(port=self._port, target_port=inner)
+        await self._relay.start()
+
+    async def lose(self) -> None:
+        await self._relay.stop()
+
+    async def end(self) -> None:
+        await self._server.stop()
+
+
 BENCHES: dict[str, Callable[[Path], SourceBench]] = {
     "modbus-tcp": lambda folder: ModbusBench(folder, serial=False),
     "modbus-rtu": lambda folder: ModbusBench(folder, serial=True),
     "csv": CsvBench,
     "kernel": KernelBench,
     "process": ProcessBench,
+    "mqtt": MqttBench,
+    "opcua": OpcUaBench,
 }
 
 
@@ -224,6 +333,8 @@ async def bench(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator
     await made.bring_back()
     yield made
     await made.lose()
+    if isinstance(made, OpcUaBench):
+        await made.end()
 
 
 @pytest.mark.wires

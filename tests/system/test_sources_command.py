@@ -130,3 +130,50 @@ def test_the_demo_compensates_with_its_sensors_on_modbus_boxes() -> None:
     result = json.loads(done.stdout)
     assert result["cycles"]["received"] == result["cycles"]["expected"] > 500
     assert result["error_um"]["z"]["verdict"] == "passed"
+
+
+def pasted(output: str, path: Path) -> Path:
+    """Put what a scan printed into a configuration, as a person would."""
+    content = yaml.safe_load(shipped_file("pt100.yaml").read_text(encoding="utf-8"))
+    content["temperatures"] = yaml.safe_load(output)["temperatures"]
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+@pytest.mark.wires
+def test_a_scan_finds_the_registers_of_a_box_and_what_it_prints_can_be_pasted(tmp_path: Path, box: Box) -> None:
+    runner = CliRunner()
+    found = runner.invoke(main, ["sources", "scan", "modbus", f"127.0.0.1:{box.port}", "--registers", "8"])
+    assert found.exit_code == 0, found.output
+    assert "# 23.1 degC" in found.stdout and "# open sensor" in found.stdout
+    assert "150" not in found.stdout, "150 degC are not proposed"
+    path = pasted(found.stdout, tmp_path / "toolpoint.yaml")
+    read = runner.invoke(main, ["sources", "read", "--config", str(path), "--json", "-"])
+    source = json.loads(read.stdout)["sources"]["modbus"]
+    assert source["sensors"]["401"]["degc"] == 23.1
+    assert source["sensors"]["402"] == {"degc": None, "reason": "sensor reports an error"}
+
+
+@pytest.mark.wires
+def test_a_scan_that_finds_nothing_says_what_to_try(tmp_path: Path) -> None:
+    runner = CliRunner()
+    nobody = runner.invoke(main, ["sources", "scan", "modbus", "127.0.0.1:1"])
+    assert nobody.exit_code == 1 and "127.0.0.1:1 cannot be reached" in nobody.output
+    odd = runner.invoke(main, ["sources", "scan", "modbus", "127.0.0.1:1", "--units", "1-900"])
+    assert odd.exit_code == 2 and "such as 1 or 1-16" in odd.output
+    empty = runner.invoke(main, ["sources", "scan", "kernel", str(tmp_path)])
+    assert empty.exit_code == 1 and "the kernel shows no temperature" in empty.output
+    silent = runner.invoke(main, ["sources", "scan", "mqtt", "127.0.0.1:1", "--seconds", "0.5"])
+    assert silent.exit_code == 1 and "127.0.0.1:1 cannot be reached" in silent.output
+
+
+def test_a_scan_of_the_kernel_lists_its_files(tmp_path: Path) -> None:
+    for name, text in (("bus/w1/devices/28-01/temperature", "21500"), ("class/hwmon/hwmon0/temp1_input", "40000")):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text(text)
+    runner = CliRunner()
+    found = runner.invoke(main, ["sources", "scan", "kernel", str(tmp_path)])
+    assert found.exit_code == 0, found.output
+    assert "# 1-Wire: 21.5 degC" in found.output and "# hwmon: 40 degC" in found.output
+    read = runner.invoke(main, ["sources", "read", "--config", str(pasted(found.stdout, tmp_path / "t.yaml"))])
+    assert read.exit_code == 0, read.output

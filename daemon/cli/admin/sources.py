@@ -11,6 +11,7 @@ import click
 
 from config.schema import Configuration
 from config.schema.source_drivers import SourceConfig
+from daemon.cli.admin.scanning import scan
 from daemon.cli.common import config_option, json_option, option, read_configuration, refuse, say, write_json
 from drivers import registry
 from drivers.clock import SystemClock
@@ -26,7 +27,10 @@ PATIENCE_S = 5.0
 
 @click.group()
 def sources() -> None:
-    """Temperature sources beside the LATSIS lines: Modbus boxes."""
+    """Temperature sources beside the LATSIS lines: Modbus, logger files, the kernel, programs, MQTT, OPC UA tags."""
+
+
+sources.add_command(scan)
 
 
 @sources.command()

@@ -1,0 +1,141 @@
+"""Temperatures that devices publish over MQTT: a number, or a JSON object with it, per message."""
+
+import json
+import logging
+import math
+import ssl
+from typing import Any
+
+import aiomqtt
+
+from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import MqttConfig, MqttSensorConfig
+from drivers.clock import Clock
+from drivers.contract import FatalDriverError, LinkError
+from drivers.json_fields import number_of, readings_in
+from drivers.pushing import MOST_WAITING, PushedSource
+from drivers.readings import NoReading
+from models.quality import Reason
+
+LARGEST_BYTES = 1 << 16
+"""A longer message is not read."""
+QUOTED = 80
+
+logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is raised here
+
+
+class MqttSource(PushedSource):
+    """Subscribes to the sensors' topics; the newest number of each sensor within a cycle period makes the cycle.
+
+    A retained message is the last word of nobody knows when, and does not count.
+    """
+
+    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+        super().__init__(source, clock)
+        assert isinstance(source.connection, MqttConfig)
+        self._config = source.connection
+        self._where = f"source {source.name}: broker {self._config.host}:{self._config.port}"
+        self._topics: dict[str, list[MqttSensorConfig]] = {}
+        for sensor in self._config.sensors:
+            self._topics.setdefault(sensor.topic, []).append(sensor)
+        self._retained = 0
+
+    async def follow(self) -> None:
+        """Connect, subscribe and take what comes; raises LinkError when the broker is lost."""
+        config = self._config
+        try:
+            async with aiomqtt.Client(
+                config.host,
+                config.port,
+                username=config.user_name,
+                password=self._password(),
+                tls_context=self._tls(),
+                timeout=config.timeout_s,
+                max_queued_incoming_messages=MOST_WAITING * len(config.sensors),
+            ) as client:
+                await client.subscribe([(topic, 0) for topic in self._topics])
+                async for message in client.messages:
+                    self._take(message)
+        except (aiomqtt.MqttError, OSError, TimeoutError) as error:
+            raise LinkError(f"{self._where}: {self._why(error)}") from error
+
+    def _why(self, error: BaseException) -> str:
+        text = str(error)
+        if "uthori" in text or "user name or password" in text:
+            return f"refuses the connection ({text}): check `user_name` and `password_file`"
+        if isinstance(error.__cause__, ssl.SSLError) or isinstance(error, ssl.SSLError):
+            return f"shows no certificate that `ca_certificate` vouches for ({error.__cause__ or error})"
+        return f"{text or type(error).__name__}: check address, port, network, and that the broker runs"
+
+    def _password(self) -> str | None:
+        path = self._config.password_file
+        if path is None:
+            return None
+        try:
+            return path.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise FatalDriverError(f"{self._where}: password_file {path} cannot be read: {error}") from error
+
+    def _tls(self) -> ssl.SSLContext | None:
+        if not self._config.tls:
+            return None
+        path = self._config.ca_certificate
+        try:
+            return ssl.create_default_context(cafile=None if path is None else str(path))
+        except (OSError, ssl.SSLError) as error:
+            raise FatalDriverError(f"{self._where}: ca_certificate {path} cannot be used: {error}") from error
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        if message.retain:
+            self._retained += 1
+            return
+        sensors = self._topics.get(str(message.topic), [])
+        readings = numbers_in(message.payload, {sensor.id: sensor.field for sensor in sensors})
+        for sensor_id, reading in readings.items():
+            self.put(sensor_id, reading)
+
+    def silent(self) -> str:
+        """Return what to check when no message comes."""
+        retained = f"; {self._retained} retained messages came, which do not count" if self._retained else ""
+        return (
+            f"broker {self._config.host}:{self._config.port} has passed on no message for three cycle periods "
+            f"({self._source.cycle_period_s:g} s each){retained}: check that the devices publish, and `topic`"
+        )
+
+
+def numbers_in(payload: Any, fields: dict[int, str]) -> dict[int, float | NoReading]:
+    """Return the numbers of a message's payload by sensor ID."""
+    content = payload.encode() if isinstance(payload, str) else payload
+    if not isinstance(content, bytes | bytearray) or len(content) > LARGEST_BYTES:
+        return dict.fromkeys(fields, _unreadable(content))
+    try:
+        value = json.loads(content)
+    except (ValueError, RecursionError):
+        return dict.fromkeys(fields, _unreadable(content))
+    return readings_in(value, fields)
+
+
+def fields_of(payload: Any) -> dict[str, float]:
+    """Return every number of a message's payload by the field that names it."""
+    if not isinstance(payload, bytes | bytearray) or len(payload) > LARGEST_BYTES:
+        return {}
+    try:
+        waiting: list[tuple[str, Any]] = [("", json.loads(payload))]
+    except (ValueError, RecursionError):
+        return {}
+    found: dict[str, float] = {}
+    while waiting:
+        field, value = waiting.pop()
+        if isinstance(value, dict):
+            waiting += [(f"{field}.{key}" if field else key, inner) for key, inner in value.items()]
+        elif isinstance(number := number_of(value), float) and math.isfinite(number):
+            found[field] = number
+    return found
+
+
+def _unreadable(content: Any) -> NoReading:
+    quoted = (
+        bytes(content[:QUOTED]).decode("utf-8", errors="replace") if isinstance(content, bytes | bytearray) else content
+    )
+    why = f"was sent a message that is no number and no JSON of at most {LARGEST_BYTES >> 10} KiB: {quoted!r}"
+    return NoReading(reason=Reason.UNREADABLE, why=why)

@@ -1,0 +1,111 @@
+"""Temperatures that stand as tags in an OPC UA server, beside the CNC or in a gateway."""
+
+import asyncio
+import contextlib
+from typing import Any
+
+from asyncua import ua
+from asyncua.client.client import Client
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.uaerrors import UaError
+
+from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import OpcUaTagsConfig
+from drivers.clock import Clock
+from drivers.contract import FatalDriverError, LinkError
+from drivers.json_fields import number_of
+from drivers.opcua.certificates import load_credentials
+from drivers.opcua.cnc import abort, cancelled_plainly, secure
+from drivers.opcua.log import limit_library_log
+from drivers.polling import PolledSource
+from drivers.readings import NoReading, Readings
+from models.quality import Reason
+
+
+class OpcUaTemperatureSource(PolledSource):
+    """Reads all tags in one request; a tag whose status is not good has no temperature."""
+
+    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+        super().__init__(source, clock)
+        limit_library_log()
+        assert isinstance(source.connection, OpcUaTagsConfig)
+        self._config = source.connection
+        self._where = f"source {source.name}: {self._config.endpoint}"
+        self._client: Client | None = None
+        self._nodes: list[Any] = []
+
+    async def open(self) -> None:
+        """Connect and find the namespace; raises LinkError or FatalDriverError."""
+        security = self._config.security
+        credentials = load_credentials(security) if security else None
+        client = self._client = Client(self._config.endpoint, timeout=self._config.timeout_s)
+        client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
+        if credentials:
+            secure(client, credentials)
+            client.set_user(credentials.user_name)
+            client.set_password(credentials.password)
+        await self._call("connecting", client.connect())
+        namespaces = await self._call("reading its namespaces", client.get_namespace_array())
+        uri = self._config.namespace_uri
+        if uri not in namespaces:
+            raise FatalDriverError(
+                f"{self._where} has no namespace {uri!r} (`namespace_uri`); it has {', '.join(namespaces)}"
+            )
+        index = namespaces.index(uri)
+        self._nodes = [client.get_node(self._node_id(sensor.node, index)) for sensor in self._config.sensors]
+
+    def _node_id(self, text: str, namespace_index: int) -> ua.NodeId:
+        try:
+            node_id = ua.NodeId.from_string(f"ns={namespace_index};{text}")
+        except (UaError, ValueError) as error:
+            raise FatalDriverError(
+                f"{self._where}: {text!r} is no node id such as s=Temperature.1 or i=1001"
+            ) from error
+        assert isinstance(node_id, ua.NodeId)
+        return node_id
+
+    async def read(self) -> Readings:
+        """Return the number of each tag; raises LinkError when the server is lost."""
+        assert self._client is not None
+        answers = await self._call("reading", self._client.read_attributes(self._nodes, AttributeIds.Value))
+        if len(answers) != len(self._nodes):
+            raise LinkError(f"{self._where} answered {len(answers)} values to a request for {len(self._nodes)}")
+        return {
+            sensor.id: reading_of(answer, sensor.node)
+            for sensor, answer in zip(self._config.sensors, answers, strict=True)
+        }
+
+    async def _call(self, what: str, call: Any) -> Any:
+        try:
+            async with asyncio.timeout(self._config.timeout_s):
+                return await cancelled_plainly(call)
+        except TimeoutError as error:
+            words = f"{self._where} did not answer within {self._config.timeout_s:g} s while {what}"
+            raise LinkError(f"{words}: check address, network, and that the server runs") from error
+        except (OSError, UaError) as error:
+            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
+
+    async def release(self) -> None:
+        """Close the session and the socket; never waits longer than the time-out."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        with contextlib.suppress(Exception):
+            async with asyncio.timeout(self._config.timeout_s):
+                await cancelled_plainly(client.disconnect())
+        with contextlib.suppress(Exception):
+            abort(client)
+
+
+def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
+    """Return the number of a tag."""
+    status = answer.StatusCode
+    if status is not None and not status.is_good():
+        if status.name in ("BadNodeIdUnknown", "BadNodeIdInvalid"):
+            why = f"has no tag {node!r} in the server: correct `node`"
+            return NoReading(reason=Reason.NOT_RECEIVED, why=why)
+        return NoReading(reason=Reason.DEVICE_ERROR, why=f"has a tag {node!r} whose status is {status.name}")
+    value = None if answer.Value is None else answer.Value.Value
+    if value is None:
+        return NoReading(reason=Reason.NOT_RECEIVED, why=f"has a tag {node!r} without a value")
+    return number_of(value)
