@@ -29,9 +29,9 @@ function in_force(model, scores = null) {
 }
 
 function candidates(found) {
-  const head = ["model", "made", "trained on", "error left", "band of its limit", "verdict"];
+  const head = ["model", "made", "trained on", "error left, held out", "band of its limit", "verdict"];
   return table(head, found.map((one) => [one.model_id, one.scores ? [day(one.scores.created), h("small", { class: "dim" }, ` ${one.scores.kind}`)] : NONE, one.scores ? trained(one.scores) : NONE,
-    one.scores ? left(one.scores) : NONE, one.scores ? bands(one.scores) : NONE, verdict(one)]), { caption: "Candidates", classes: "candidates" });
+    one.scores ? left(one.scores, "") : NONE, one.scores ? bands(one.scores) : NONE, verdict(one)]), { caption: "Candidates", classes: "candidates" });
 }
 
 // Whether it would be released, and why not: the check that it does no harm among others.
@@ -43,13 +43,13 @@ function verdict({ against, released_as: number, file }) {
 
 const trained = ({ recordings, hours }) => h("span", { title: recordings.join("\n") }, `${recordings.length} ${recordings.length === 1 ? "recording" : "recordings"}, ${number(hours, 0)} h`);
 
-function left({ error_left: share }) {
-  return share === null ? h("span", { class: "dim" }, "not in its file") : h("span", { title: "RMSE with the model / without, on what was left out of the training" }, `${number(100 * share, 0)} % of the error on what was left out`);
+function left({ error_left: share }, of = " of the error on what was held out") {
+  return share === null ? h("span", { class: "dim" }, "not in its file") : h("span", { title: "RMSE with the model / without, on what was held out of the training" }, `${number(100 * share, 0)} %${of}`);
 }
 
 function bands({ bands: found }) {
   return h("ul", { class: "plain" }, found.map(({ channel, band_um: band, widest_um: widest }) => h("li", {}, `${channel} `,
-    band === null ? "not known: nothing was left out" : h("b", { class: widest !== null && band > widest ? "said" : "" }, `± ${number(band)} µm`), widest === null ? "" : h("span", { class: "dim" }, ` of ${number(widest, 0)}`))));
+    band === null ? "not known: nothing was held out" : h("b", { class: widest !== null && band > widest ? "said" : "" }, `± ${number(band)} µm`), widest === null ? "" : h("span", { class: "dim" }, ` of ${number(widest, 0)}`))));
 }
 
 function releases(found) {
