@@ -1,7 +1,6 @@
 """The inbox of the control task: messages in their order, and the event that wakes it."""
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Callable
 
@@ -39,6 +38,8 @@ class Inbox:
         """Return when something comes or the time is over [s of the wall clock]."""
         self._event.clear()
         if within_s > 0:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(within_s):
-                    await self._event.wait()
+            over = asyncio.get_running_loop().call_later(within_s, self._event.set)
+            try:
+                await self._event.wait()
+            finally:
+                over.cancel()

@@ -225,9 +225,9 @@ class HistoryWriter:
 
         return self._put("references", execute)
 
-    def put_state(self, key: str, value: Any) -> Commit:
-        """Keep a JSON value for the next start of the daemon."""
-        text, time_ms = json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
+    def put_state(self, key: str, value: Any, text: str = "") -> Commit:
+        """Keep a JSON value for the next start of the daemon, or the `text` that it has."""
+        text, time_ms = text or json.dumps(value, allow_nan=False), rows.utc_ms(self._clock.now())
         self._state[key] = text
         return self._audit("states", rows.PUT_STATE, lambda: (key, text, time_ms))
 

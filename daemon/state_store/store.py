@@ -1,5 +1,7 @@
 """Puts documents into the history's store and gets them back, whichever version wrote them."""
 
+import json
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 import structlog
@@ -49,10 +51,24 @@ class StateStore:
     def __init__(self, history: HistoryWriter, clock: Clock) -> None:
         self._history = history
         self._clock = clock
+        self._coded: dict[type, tuple[Any, str]] = {}
+        """The latest record of each kind within a document, and its text."""
 
     def put(self, document: Any) -> Commit:
         """Keep a document for the next start of the daemon."""
-        return self._history.put_state(KEYS[type(document)], document_json(document))
+        key = KEYS[type(document)]
+        texts = (f'"{field.name}": {self._text(getattr(document, field.name))}' for field in fields(document))
+        return self._history.put_state(key, document, f'{{"{VERSION_KEY}": {FORMAT_VERSION}, {", ".join(texts)}}}')
+
+    def _text(self, value: Any) -> str:
+        """Return a member as JSON text; a record that is the very one of before is not coded anew."""
+        if not is_dataclass(value):
+            return json.dumps(to_json(value), allow_nan=False)
+        record, text = self._coded.get(type(value), (None, ""))
+        if record is not value:
+            text = json.dumps(to_json(value), allow_nan=False)
+            self._coded[type(value)] = value, text
+        return text
 
     def get(self, kind: type[Document]) -> Document | None:
         """Return the document of this kind, None where there is none; may be called before the history's start.

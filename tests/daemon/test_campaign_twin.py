@@ -192,12 +192,13 @@ class Judged:
     def say(self, *, disturbed: bool = False) -> None:
         self.watch.heard(self.now_s, self.claims, APPLIED, disturbed=disturbed)
 
-    def stand(self, duration_s: float, *, guard: bool = True, **applied: float) -> int:
+    def stand(self, duration_s: float, *, guard: bool = True, says: bool = True, **applied: float) -> int:
         """Let the tool stand there; return how often that was wrong."""
         until_s = self.now_s + duration_s
         while self.now_s < until_s:
             self.now_s += 1.0
-            self.say()
+            if says:
+                self.say()
             self.watch.applied(self.now_s, {**APPLIED, **applied}, self.now_s if guard else 0.0)
         return self.ledger.counts[TruthWatch.NAME].violated
 
@@ -235,6 +236,14 @@ def test_while_something_is_wrong_and_for_a_while_after_nothing_is_judged(judged
     judged.watch.busy(judged.now_s + 1000.0)
     assert judged.stand(1000.0 + PASSED_S, z=30.0) == 0
     assert judged.stand(600.0, z=30.0) == 1
+
+
+def test_a_daemon_that_was_killed_says_nothing_of_where_the_tool_stands(judged: Judged) -> None:
+    judged.watch.busy(judged.now_s + 600.0)
+    assert judged.stand(600.0 + PASSED_S, says=False, z=30.0) == 0
+    judged.watch.heard(judged.now_s, None, {}, disturbed=True)
+    assert judged.stand(1000.0, says=False, z=30.0) == 0
+    assert judged.stand(PASSED_S + 600.0, z=30.0) == 1, "the next one is asked"
 
 
 def test_a_refused_request_changes_nothing_and_one_that_was_taken_does(judged: Judged) -> None:

@@ -3,7 +3,7 @@
 import json
 import math
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -168,9 +168,9 @@ def test_a_value_of_another_type_is_refused(kind, value):
 
 
 def test_nobody_goes_round_the_typed_documents():
-    found = subprocess.run(
-        ["grep", "-rlE", r"\b(put_state|get_state)\(", str(ROOT / "daemon")], capture_output=True, text=True, check=True
-    )
+    calls = r"\b(put_state|get_state)\("
+    grep = ["grep", "-rlE", calls, str(ROOT / "daemon")]
+    found = subprocess.run(grep, capture_output=True, text=True, check=True)
     files = {str(Path(line).relative_to(ROOT)) for line in found.stdout.split() if line.endswith(".py")}
     layer = {"daemon/history/writer.py", "daemon/history/reader.py", "daemon/state_store/store.py"}
     assert files == layer
@@ -227,3 +227,16 @@ def test_an_old_rest_without_weight_and_tools_counts_whole(history, store):
 def test_where_only_the_control_was_seen_there_is_no_reference(history, store):
     document = reference_of_0_1_0(history, store, **dict.fromkeys(set(OF_REFERENCE) - {"cnc_seen"}))
     assert (document.state, document.record, document.seen is None) == (ReferenceState.NONE, None, False)
+
+
+def test_a_record_that_is_put_again_is_coded_once_and_another_one_anew(history, store, monkeypatch):
+    coded = []
+    monkeypatch.setattr("daemon.state_store.store.to_json", lambda value: coded.append(value) or to_json(value))
+    seen = CncSeen(utc_s=1.5e9, clock_s=7.0, sequence_number=100, idle=False)
+    later = replace(seen, clock_s=8.0)
+    documents = [ReferenceDocument(state=ReferenceState.NONE, ended=why, seen=seen) for why in ("first", "then")]
+    documents.append(replace(documents[1], seen=later))
+    for document in documents:
+        store.put(document)
+        assert store.get(ReferenceDocument) == document
+    assert [value for value in coded if isinstance(value, CncSeen)] == [seen, later]

@@ -43,7 +43,7 @@ from models.records import TemperatureCycle, ThermalErrorEstimate
 
 HOUSEKEEPING_S = 6 * 3600.0
 """Time between housekeeping runs [virtual s]."""
-COMMIT_EVERY_S = 5.0
+COMMIT_EVERY_S = 10.0
 """Records wait for their commit at most this long, so that one carries many: a kill loses more than it would in
 truth, where it is some hundredths of a second [virtual s]."""
 COMMIT_PATIENCE_S = 10.0

@@ -191,6 +191,7 @@ class Observer:
         before = self.claims
         self.claims = claims
         if claims is None:
+            self._twins.heard(time_s, None, {}, disturbed=True)
             return
         if self.follows_since_s is None:
             self.follows_since_s = time_s

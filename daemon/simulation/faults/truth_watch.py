@@ -84,8 +84,7 @@ class TruthWatch:
             self.twin.model(time_s, claims.model)
         self._active = claims.wanted
         self._trust = f"confidence {claims.confidence:.2f}, {len(claims.left_out)} sensors imputed, {claims.model}"
-        calm = time_s - self._busy_until_s > PASSED_S
-        self._judges = claims.state == "ACTIVE" and claims.link and calm and self.twin.known
+        self._judges = claims.state == "ACTIVE" and claims.link and self.twin.known
 
     def answered(self, request: Request | None, value: float, applied_um: Mapping[str, float]) -> None:
         """Take the answer to a request of the NC program; a negative one changes nothing."""
@@ -108,7 +107,7 @@ class TruthWatch:
             self._guard_time = guard_time
             self._runs += 1
         self.twin.settled(time_s, applied_um)
-        if not self._judges:
+        if not self._judges or time_s - self._busy_until_s <= PASSED_S:
             self._ways.clear()
             return
         for name, on in zip(self.configuration.compensation.axes, self._active, strict=False):

@@ -71,6 +71,8 @@ class Twin:
         self._tool_terms = {name: axes[name].tool_term for name in self._axes}
         self._bounds_um = {name: axes[name].absolute_bound_um for name in self._axes}
         self._recent: deque[tuple[float, FloatArray]] = deque()
+        self._mean_degc: FloatArray = np.full(len(position), np.nan)
+        self._label_means: dict[str, float] = {}
         self._labels_then: dict[str, float] = {}
         self._model: str | None = None
         self._tool_number = 0
@@ -85,19 +87,20 @@ class Twin:
         self._recent.append((time_s, degc))
         while self._recent[0][0] <= time_s - MEAN_S:
             self._recent.popleft()
-        mean_degc = self._mean_degc()
+        self._mean_degc = np.mean([degc for _, degc in self._recent], axis=0)
+        self._label_means = {label: float(self._mean_degc[places].mean()) for label, places in self._labels.items()}
         for name, online in self._online.items():
-            online.on_sample(time_s / 60.0, mean_degc[self._places[name]], speed_rpm)
+            online.on_sample(time_s / 60.0, self._mean_degc[self._places[name]], speed_rpm)
         if tool_number != self._tool_number:
             self._tool_number = tool_number
-            self._labels_then = self._label_means()
+            self._labels_then = self._label_means
         self._renew(time_s)
 
     def reference(self, time_s: float, model: str | None, applied_um: Mapping[str, float]) -> None:
         """Take a new reference: nothing moves, and the tool in the spindle is set by it."""
         self._renew(time_s)
         self._reference_s = time_s
-        self._labels_then = self._label_means()
+        self._labels_then = self._label_means
         for name, axis in self._axes.items():
             here = self._tool_number in axis.tools
             axis.tools = {
@@ -134,12 +137,12 @@ class Twin:
         self._renew(time_s)
         axis = self._axes[name]
         axis.tools[self._tool_number] = _Setting(um=applied_um, nose_um=axis.nose_um, offset_um=axis.offset_um)
-        self._labels_then = self._label_means()
+        self._labels_then = self._label_means
 
     def tool_changed(self, number: int) -> None:
         """Another tool is in the spindle: its own setting counts, and its expansion from now."""
         self._tool_number = number
-        self._labels_then = self._label_means()
+        self._labels_then = self._label_means
 
     def probed(self, name: str, deviation_um: float, applied_um: float) -> None:
         """A probe found a deviation with what is applied: it is cancelled."""
@@ -176,7 +179,7 @@ class Twin:
         term = self._tool_terms[name]
         if term is None:
             return 0.0
-        now = self._label_means()
+        now = self._label_means
         increment_k = sum(
             weight * (now[label] - self._labels_then[label]) for label, weight in term.temperatures.items()
         )
@@ -186,7 +189,7 @@ class Twin:
         self._model = model
         self.known = model in self._online
         if model is not None and model in self._online:
-            degc = self._mean_degc()[self._places[model]]
+            degc = self._mean_degc[self._places[model]]
             time_min = time_s / 60.0
             self._online[model].set_reference(OnlineReference(time_min=time_min, now_min=time_min, degc=degc))
 
@@ -194,7 +197,7 @@ class Twin:
         """Renew the nose's error by the model in use."""
         if not self.known or self._model is None:
             return
-        degc = self._mean_degc()[self._places[self._model]]
+        degc = self._mean_degc[self._places[self._model]]
         found, _ = self._online[self._model].estimate(time_s / 60.0, degc, np.zeros(len(degc), dtype=bool))
         if found is None:
             self.known = False
@@ -202,11 +205,3 @@ class Twin:
         errors_um = dict(zip(self._models[self._model].channels, found.thermal_error_um.tolist(), strict=True))
         for axis in self._axes.values():
             axis.nose_um = axis.before_um + errors_um.get(axis.channel, math.nan)
-
-    def _mean_degc(self) -> FloatArray:
-        mean: FloatArray = np.mean([degc for _, degc in self._recent], axis=0)
-        return mean
-
-    def _label_means(self) -> dict[str, float]:
-        mean_degc = self._mean_degc()
-        return {label: float(mean_degc[places].mean()) for label, places in self._labels.items()}

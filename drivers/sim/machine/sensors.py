@@ -50,6 +50,7 @@ class SensorArray:
         rng = np.random.default_rng([machine_seed, 302])
         count = len(sensors)
         self._row = {sensor.id: row for row, sensor in enumerate(sensors)}
+        self._rows: dict[tuple[int, ...], npt.NDArray[np.intp]] = {}
         self.ids = tuple(self._row)
         self._infrared = np.array([sensor.device == "MLX90615" for sensor in sensors], dtype=bool)
         self.offset_k = rng.uniform(-OFFSET_LIMIT_K, OFFSET_LIMIT_K, count)
@@ -82,7 +83,11 @@ class SensorArray:
 
     def pick(self, codes: CodeVector, sensor_ids: Sequence[int]) -> list[int]:
         """Return the codes of the sensors asked for; raises KeyError for an unknown sensor."""
-        return [int(codes[self._row[sensor_id]]) for sensor_id in sensor_ids]
+        asked = tuple(sensor_ids)
+        if asked not in self._rows:
+            self._rows[asked] = np.array([self._row[sensor_id] for sensor_id in asked], dtype=np.intp)
+        picked: list[int] = codes[self._rows[asked]].tolist()
+        return picked
 
     def degc(self, codes: CodeVector) -> FloatArray:
         """Return what a reader of the registers understands [degC]."""

@@ -44,6 +44,7 @@ class SafePointApplication:
         guard = guard or simulated_guard(axes)
         self._map = macro_map
         self._axes = guard_axes(axes, guard)
+        self._places = {axis: settings.number - 1 for axis, settings in self._axes.items()}
         self._memory = guard.memory_of(len(axes))
         self.programs = GuardPrograms.of(macro_map, guard)
         self.text = guard_text(macro_map, axes, guard)
@@ -62,19 +63,20 @@ class SafePointApplication:
     @property
     def applied_um(self) -> dict[str, float]:
         """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um]."""
-        return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
+        external_mm, places = self.control.external_mm, self._places
+        return {axis: round((external_mm[places[axis]] - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
 
     def change_own_offset(self, axis: str, by_um: float) -> None:
         """Let the operator add to the own offset by hand [um]."""
         self._own_mm[axis] += by_um / 1000.0
-        self.control.external_mm[self._axes[axis].number - 1] += by_um / 1000.0
+        self.control.external_mm[self._places[axis]] += by_um / 1000.0
 
     def place(self, macros: Macros, applied_um: Mapping[str, float]) -> None:
         """Make the control one that applies these offsets [um] and remembers it."""
         for place, axis in enumerate(self._axes):
             if axis in applied_um:
                 mm = applied_um[axis] / 1000.0
-                self.control.external_mm[self._axes[axis].number - 1] = self._own_mm[axis] + mm
+                self.control.external_mm[self._places[axis]] = self._own_mm[axis] + mm
                 macros.set(self._map.echo_applied[axis], mm * 1000.0 / self._map.unit_um)
                 macros.set(self._memory[-len(self._axes)] + place, mm)
 
@@ -107,7 +109,7 @@ class SafePointApplication:
         self.control.power_on()
 
     def _external_mm(self, axis: str) -> float:
-        return self.control.external_mm[self._axes[axis].number - 1]
+        return self.control.external_mm[self._places[axis]]
 
 
 class _NoMacros:

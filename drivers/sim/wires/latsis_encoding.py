@@ -194,11 +194,12 @@ class LineTransmitter:
         reach = min(
             [int(f.amount) for f in active if f.kind is FaultKind.DEAD_LINE and f.amount > 0], default=len(chain)
         )
-        codes = dict(zip(chain, self._read(chain), strict=True))
-        frames = [
-            self._frame(position, sensor_id, self._faulted(sensor_id, codes[sensor_id], active, now_s))
-            for position, sensor_id in enumerate(chain[:reach], start=1)
-        ]
+        codes = self._read(chain)
+        if active:
+            codes = [self._faulted(i, code, active, now_s) for i, code in zip(chain, codes, strict=True)]
+        sent = self._frames.get
+        nodes = zip(range(1, reach + 1), chain, codes, strict=False)
+        frames = [sent(node) or self._frame(*node) for node in nodes]
         shaping = [f for f in active if f not in self._byte_faults]
         return b"".join(reversed(frames)), bool(shaping)
 
@@ -219,12 +220,9 @@ class LineTransmitter:
         return code
 
     def _frame(self, position: int, sensor_id: int, code: int) -> bytes:
-        key = (position, sensor_id, code)
-        frame = self._frames.get(key)
-        if frame is None:
-            if len(self._frames) >= KEPT_FRAMES:
-                self._frames.clear()
-            frame = self._frames[key] = self._new_frame(position, sensor_id, code)
+        if len(self._frames) >= KEPT_FRAMES:
+            self._frames.clear()
+        frame = self._frames[position, sensor_id, code] = self._new_frame(position, sensor_id, code)
         return frame
 
     def _new_frame(self, position: int, sensor_id: int, code: int) -> bytes:
