@@ -190,6 +190,8 @@ class ThermalErrorEstimate:
     """0..1: the share of the model's weight that rests on sensors with a usable value."""
     imputed: tuple[int, ...]
     """IDs of the sensors that were imputed."""
+    fading_um: float = 0.0
+    """What it is still off for the step that a sensor's return would have been [um], of the worst channel and tool."""
     inhibit: str = ""
     """Why the model cannot be followed yet, '' when it can."""
     model_id: str

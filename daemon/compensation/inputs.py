@@ -54,6 +54,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         confidence=estimate.confidence if estimate is not None else 0.0,
         inhibit=estimate.inhibit if estimate is not None else "",
         in_domain=estimate.in_domain if estimate is not None else False,
+        fading_um=estimate.fading_um if estimate is not None else 0.0,
         reference_id=reference.reference_id if reference is not None else None,
         reference_ended=view.reference.ended,
         estimate_reference_id=estimate.reference_id if estimate is not None else None,

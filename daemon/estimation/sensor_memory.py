@@ -95,6 +95,17 @@ class SinceReference:
         self._before = (model.model_id, imputed, now_um + rest_um)
         return now_um + rest_um
 
+    def fading_um(self, channels: Sequence[str], time_min: float, tool_um_per_k: FloatArray) -> float:
+        """Return what is still to fade, of the worst channel and of the tool [um].
+
+        `tool_um_per_k`: what the tool term goes with each sensor [um/K].
+        """
+        tool_um = sum(
+            abs(float(mean.rest.at(time_min)[0])) * float(tool_um_per_k[self._labels[label]].sum())
+            for label, mean in self._means.items()
+        )
+        return float(np.abs(self._rest_um(channels, time_min)).max(initial=0.0)) + tool_um
+
     def _rest_um(self, channels: Sequence[str], time_min: float) -> FloatArray:
         nothing = Fading(amount=np.zeros(1))
         return np.array([self._rest.get(name, nothing).at(time_min)[0] for name in channels])

@@ -107,8 +107,7 @@ class ThermalTask:
         self.latest_estimate: ThermalErrorEstimate | None = None
         self.cycles_received = 0
         self.line_faults: dict[str, tuple[str, ...]] = {}
-        self.cycles_incomplete = 0
-        self.estimates = 0
+        self.cycles_incomplete = self.estimates = 0
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = -np.inf
         self._online = self._in_use(model)
@@ -273,6 +272,7 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),
+            fading_um=self._since.fading_um(model.channels, time_min, self._tool_um_per_k),
             inhibit=unsure or self.inhibit(),
             model_id=model.model_id,
             reference_id=reference.reference_id,

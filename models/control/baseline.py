@@ -21,6 +21,8 @@ SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
 """States in which the output is meant to stay where the reference found it."""
 ROUNDED_UM = 1.0
 """A control rounds what it applies to its least increment [um]."""
+FADED_UM = 0.3
+"""Where more of a step is still to fade, nothing that is measured now can be counted from [um]."""
 SETTLED_UM = 1e-3
 """The CNC holds a value when what was read back differs by less than this [um]."""
 
@@ -218,7 +220,13 @@ def tool_setting_inhibit(
 
 
 def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
-    """Return why what is measured now cannot be counted from: so many sensors are imputed that the weight falls."""
+    """Return why what is measured now cannot be counted from: sensors are missing, or have only just returned."""
+    if inputs.fading_um > FADED_UM:
+        return Inhibit(
+            code=InhibitCode.CONFIDENCE,
+            text=f"sensors have just returned: the estimate goes over to what they say by {inputs.fading_um:.1f} um",
+            remedy="measure again in two minutes",
+        )
     if inputs.confidence >= limits.full_confidence:
         return None
     return Inhibit(

@@ -75,6 +75,8 @@ class OutputInputs:
     """Age of the estimate [s], inf when there is none."""
     confidence: float
     in_domain: bool
+    fading_um: float = 0.0
+    """What the estimate is still off for the step that a sensor's return would have been [um]."""
     inhibit: str = ""
     """Why confidence is low when no sensor is missing: states that are not filled yet."""
     reference_id: str | None

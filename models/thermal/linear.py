@@ -47,6 +47,7 @@ class LinearOnline:
         self._speed_rpm = float("nan")
         self._excluded: tuple[int, ...] = ()
         self._latest: ModelState | None = None
+        self._contributions_um: FloatArray | None = None
 
     @property
     def history_min(self) -> float:
@@ -84,6 +85,7 @@ class LinearOnline:
         """Keep the states at the reference; those of one that lies back come from its history."""
         self._left_out = {}
         readmitted_ids: tuple[int, ...] = ()
+        before = self._state
         if reference.excluded is None:
             readmitted_ids = self._readmit()
         elif self.model.watch is None:
@@ -95,7 +97,10 @@ class LinearOnline:
         else:
             state = self._now(reference.now_min, reference.degc)
         self._reference = None if state is None else state_reference(self._estimator, state)
-        self._reference_min, self._anew = reference.time_min, set()
+        self._reference_min, self._anew, self._contributions_um = reference.time_min, set(), None
+        if readmitted_ids and before is not None and self._state is not None and self._reference is not None:
+            self._anew = {i for i in map(self.model.sensor_ids.index, readmitted_ids) if not before.missing[i]}
+            self._reference = replace(self._reference, shift_degc=self._state.lagged - before.lagged)
         if reference.excluded is not None and self._state is not None:
             self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None and reference.kept["model_id"] == self.model.model_id:
@@ -153,7 +158,7 @@ class LinearOnline:
             self._anew |= set(back)
             anew = tuple(self.model.sensor_ids[i] for i in back)
         self._excluded = excluded_sensors(state, self._reference.state)
-        self._latest = state
+        self._latest, self._contributions_um = state, None
         return estimate_since(self._estimator, state, self._reference), anew
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
@@ -164,7 +169,9 @@ class LinearOnline:
         """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels)."""
         if self._latest is None or self._reference is None:
             return None
-        return contributions_um(self._estimator, self._latest, self._reference.state)
+        if self._contributions_um is None:
+            self._contributions_um = contributions_um(self._estimator, self._latest, self._reference.state)
+        return self._contributions_um
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""
@@ -192,11 +199,17 @@ class LinearOnline:
         self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
 
     def _readmit(self) -> tuple[int, ...]:
-        """Let sensors that were found faulty count again from a new reference on; return their IDs."""
+        """Let sensors that were found faulty count again from a new reference on; return their IDs.
+
+        What their lags and the watch remember is from when they were wrong: both begin where the others expect it.
+        """
         if self._state is None or self._state.watch is None:
             return ()
         out = self._state.watch.excluded
-        self._state = readmitted(self._state, out)
+        state = readmitted(self._state, out)
+        if here := [i for i in out if not state.missing[i]]:
+            state = self._estimator.reinitialised(self._estimator.begun(state, here), here)
+        self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
 
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from models.records import FloatArray
 
-FADE_MIN = 2.0
-"""Time constant [min]; a step of 20 um has 0.13 um left after ten minutes."""
+FADE_MIN = 0.5
+"""Time constant [min]; a step of 20 um has 0.4 um left after two minutes. The slew rate limits what the tool does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -196,6 +196,24 @@ async def test_a_sensor_that_returns_at_another_level_moves_nothing(task):
     assert task.task._cleansing.levels.shift_k == pytest.approx([7.0, 0.0, 0.0, 0.0, 0.0])
 
 
+async def test_what_a_return_still_has_to_fade_is_told_and_is_gone_two_minutes_later(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(5, spindle=22.0, column=None)
+    assert task.estimates[-1].imputed and task.estimates[-1].fading_um == 0.0
+    begun = len(task.estimates)
+    await task.minutes(4, spindle=22.0, column=20.0)
+    returned = [each for each in task.estimates[begun:] if not each.imputed]
+    first = returned[0]
+    later = [
+        each for each in returned if each.trace.first_byte.monotonic_s >= first.trace.first_byte.monotonic_s + 120.0
+    ]
+    assert first.fading_um > 0.5
+    assert later[0].fading_um < 0.02 * first.fading_um
+    off_um = np.abs(first.thermal_error_um - later[-1].thermal_error_um).max()
+    assert off_um == pytest.approx(first.fading_um, rel=0.3), "the input has not changed since"
+
+
 async def test_a_sensor_that_was_missing_at_the_reference_counts_from_its_first_value_on(task):
     await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
     await task.ask()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from output_machine import LIMITS, ON, Machine
 
-from models.control.baseline import probe_inhibit, request_um, weight_of
+from models.control.baseline import probe_inhibit, request_um, tool_setting_inhibit, weight_of
 from models.control.compensation import LONGEST_INTERVAL_S, first_inhibit, step
 from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest
@@ -101,12 +101,20 @@ def test_a_probe_value_is_cancelled_from_then_on():
         ([np.nan, np.nan], {}, None, "no axis was probed"),
         ([np.nan, 1.0], {}, STALE, "temperatures are stale"),
         ([np.nan, 1.0], {"thermal_error_um": np.array([0.0, np.nan])}, None, "no estimate"),
+        ([np.nan, 1.0], {"fading_um": 1.4}, None, "goes over to what they say by 1.4 um; measure again"),
     ],
 )
 def test_a_probe_value_that_cannot_be_used_is_refused_in_words(deviation, changes, inhibit, words):
     machine = Machine().following()
     inputs = machine.inputs(**changes)
     assert words in str(probe_inhibit(machine.memory, inputs, LIMITS, inhibit, np.array(deviation)))
+
+
+def test_a_tool_is_not_set_while_the_step_of_a_sensor_s_return_still_fades():
+    machine = Machine().following()
+    assert tool_setting_inhibit(machine.memory, machine.inputs(fading_um=0.2), LIMITS, None) is None
+    refusal = tool_setting_inhibit(machine.memory, machine.inputs(fading_um=1.4), LIMITS, None)
+    assert "sensors have just returned" in str(refusal)
 
 
 # --- confidence --------------------------------------------------------------------------

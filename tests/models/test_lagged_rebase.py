@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.estimator import LinearEstimator
 from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
@@ -225,3 +226,42 @@ def test_whoever_comes_and_goes_a_return_is_never_a_step(
         assert before is not None and after is not None
         np.testing.assert_allclose(after.thermal_error_um, before.thermal_error_um, atol=1e-6)
         run.run(5, offset_k=np.array(offsets))
+
+
+@pytest.fixture(scope="module")
+def watching() -> LinearModel:
+    made = train_family([machine(0)], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    assert isinstance(made, LinearModel) and made.watch is not None
+    return made
+
+
+def after_a_drift(model: LinearModel, drift_k_per_h: float) -> tuple[FloatArray, list[int]]:
+    """A sensor drifts for an hour and a half, is right again, and ten minutes later the work is positioned.
+
+    Returns the thermal error of every minute since then [um], and who counts no longer in the end.
+    """
+    of, none = machine(5), np.zeros(SENSORS, dtype=bool)
+    assert of.speed_rpm is not None
+    online = model.runtime(Machine(components={}))
+    online.rebuild([(float(i), of.temperatures_degc[i], float(of.speed_rpm[i])) for i in range(REFERENCE)])
+    first = OnlineReference(time_min=REFERENCE - 1.0, now_min=REFERENCE - 1.0, degc=of.temperatures_degc[REFERENCE - 1])
+    online.set_reference(first)
+    errors = []
+    for minute in range(160):
+        time_min, degc = float(REFERENCE + minute), of.temperatures_degc[REFERENCE + minute].copy()
+        degc[2] += drift_k_per_h * minute / 60.0 if minute < 90 else 0.0
+        online.on_sample(time_min, degc, float(of.speed_rpm[REFERENCE + minute]))
+        if minute == 100:
+            online.set_reference(OnlineReference(time_min=time_min, now_min=time_min, degc=degc))
+        estimation, _ = online.estimate(time_min, degc, none)
+        assert estimation is not None
+        if minute >= 100:
+            errors.append(estimation.thermal_error_um)
+    return np.array(errors), list(online.excluded)
+
+
+def test_a_sensor_that_is_right_again_leaves_nothing_behind_once_the_work_is_positioned(watching: LinearModel) -> None:
+    clean, _ = after_a_drift(watching, 0.0)
+    after, excluded = after_a_drift(watching, 12.0)
+    np.testing.assert_allclose(after, clean, atol=0.1)
+    assert excluded == []
