@@ -199,6 +199,9 @@ class ThermalErrorEstimate:
     line: str
     """The line whose cycle renewed the estimate."""
     trace: Trace
+    probe_wander: tuple[FloatArray, FloatArray] | None = None
+    """Variance that what the model misses gains per minute [um^2/min], and the time constant with which it returns to
+    zero [min], per channel; None: not known."""
 
     def __post_init__(self) -> None:
         _lock(self.thermal_error_um, self.band_um)

@@ -99,6 +99,14 @@ class ReferenceConfig(Section):
     probe_bound_um: float = Field(
         20.0, gt=0, le=500, description="a probe value that would correct the estimate by more is refused [um]"
     )
+    probe_noise_um: float | None = Field(
+        None,
+        ge=0,
+        le=50,
+        description="standard deviation of a probe value [um]: the noisier the probe, the less it moves the estimate; "
+        "none: values that are repeated within two minutes tell it, and until there are three a probe counts as exact",
+        examples=[1.0],
+    )
     mean_s: Seconds = Field(60.0, description="the reference is the mean of this long; so is the model's input")
     max_outage_s: Seconds = Field(
         600.0, description="after a longer outage of the daemon an old reference is not used again"

@@ -48,7 +48,7 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
     excess = factors.excess if isinstance(factors, CommissionedFactors) else {}
     certain = np.array([1.0 / excess.get(axis, 1.0) for axis in axes])
     share = np.minimum(certain, [abs((factors or {}).get(axis, 1.0)) for axis in axes])
-    output = configuration.compensation.output
+    output, noise_um = configuration.compensation.output, configuration.compensation.reference.probe_noise_um
     return OutputLimits(
         axes=tuple(axes),
         absolute_bound_um=share * [axis.absolute_bound_um for axis in axes.values()],
@@ -60,6 +60,7 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
         min_confidence=output.min_confidence,
         full_confidence=output.full_confidence,
         probe_bound_um=configuration.compensation.reference.probe_bound_um,
+        probe_noise_um=float("nan") if noise_um is None else noise_um,
     )
 
 

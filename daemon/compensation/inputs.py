@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.control.axis_map import AxisSource, nose_errors_um, tool_terms_um
+from models.control.axis_map import AxisSource, nose_errors_um, probe_wander, tool_terms_um
 from models.control.inhibit import Inhibit
 from models.control.reference import tool_begin_degc
 from models.control.reference_records import ReferenceMemory
@@ -67,6 +67,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         tool_number=view.tool_number,
         tool_setting=view.tool_setting,
         probe_um=view.probe_um,
+        probe_wander=probe_wander(view.sources, estimate),
     )
 
 

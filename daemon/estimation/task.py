@@ -258,6 +258,7 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
+        wander = model.probing
         time_min = now_s / 60.0
         since_labels = self._since.label_increments(degc, time_min)
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, time_min)
@@ -278,6 +279,7 @@ class ThermalTask:
             reference_id=reference.reference_id,
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
+            probe_wander=None if wander is None else (wander.um2_per_min, wander.correlation_min),
         )
 
     def _deliver_sensors(self) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.control.probing import Wander
 from models.records import FloatArray, ThermalErrorEstimate
 
 
@@ -70,6 +71,19 @@ def nose_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate
     by_channel = dict(zip(estimate.channels, estimate.thermal_error_um, strict=True))
     errors = (np.nan if source.channel is None else by_channel.get(source.channel, np.nan) for source in sources)
     return np.array(list(errors), dtype=np.float64)
+
+
+def probe_wander(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate | None) -> Wander | None:
+    """Return how what the model misses wanders per axis; None: unknown.
+
+    An axis without a channel wanders infinitely: a probe resets its offset, which then stays.
+    """
+    if estimate is None or estimate.probe_wander is None:
+        return None
+    by_channel = dict(zip(estimate.channels, zip(*estimate.probe_wander, strict=True), strict=True))
+    found = [by_channel.get(one.channel or "", (np.inf, np.inf)) for one in sources]
+    um2_per_min, correlation_min = np.array(found, dtype=np.float64).reshape(-1, 2).T
+    return Wander(um2_per_min=um2_per_min, correlation_min=correlation_min)
 
 
 def tool_terms_um(

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.control.inhibit import Inhibit, InhibitCode
+from models.control.probing import ADVANCED_MIN, BiasFilter, BiasState, Wander, full_reset, unknown_bias
 from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray, OutputState, Phase
 
@@ -236,25 +237,53 @@ def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
     )
 
 
-def take_probe(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
-    """Let the request cancel a probe's deviation from now on.
+def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    """Let the request cancel a probe's deviation from now on, as far as the probe is surer than the estimate.
 
     Parameters
     ----------
-    memory, inputs
-        `inputs.probe_um` is what is left with what is applied now [um]; `probe_inhibit` was asked before.
+    memory, inputs, limits
+        `inputs.probe_um` is what is left with what is applied now [um]; `probe_inhibit` was asked before. The noise
+        of a probe is in the limits.
 
     Returns
     -------
     OutputMemory
-        With the offset that makes the request `applied - deviation` on the probed axes.
+        With the offset that makes the request `applied - deviation` on the probed axes, of a probe without noise.
 
     """
     if inputs.probe_um is None or memory.reference_id is None:
-        return memory
+        return _offset_now(memory, inputs, limits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
-    known = np.isfinite(correction)
-    return replace(memory, offset_um=memory.offset_um + np.where(known, correction, 0.0))
+    probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)
+    kalman = _bias_filter(inputs.probe_wander, limits)
+    probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction)
+    return replace(memory, offset_um=-probed.bias_um, probed=probed)
+
+
+def _offset_now(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    """Let the offset of earlier probes return, as what the model misses does."""
+    probed, now_min = memory.probed, inputs.now_s / 60.0
+    if probed is None or inputs.probe_wander is None or not memory.offset_um.any():
+        return memory
+    if now_min - probed.time_min < ADVANCED_MIN or memory.reference_id is None:
+        return memory
+    probed = replace(probed, bias_um=-memory.offset_um)
+    probed = _bias_filter(inputs.probe_wander, limits).advanced(probed, now_min)
+    return replace(memory, offset_um=-probed.bias_um, probed=probed)
+
+
+def _bias_filter(wander: Wander | None, limits: OutputLimits) -> BiasFilter:
+    """Return how a probe corrects the offset; a model that does not say how it wanders is reset by every probe."""
+    if wander is None:
+        return full_reset(len(limits.axes))
+    nothing = np.zeros(len(limits.axes))
+    return BiasFilter(
+        wander_um2_per_min=wander.um2_per_min,
+        noise_um=nothing + limits.probe_noise_um,
+        largest_step_um=nothing + np.inf,
+        correlation_min=wander.correlation_min,
+    )
 
 
 def weight_of(confidence: float, limits: OutputLimits) -> float:
@@ -352,6 +381,7 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         model_id=inputs.model_id,
         baseline_um=inputs.applied_um.copy(),
         offset_um=np.zeros_like(memory.offset_um),
+        probed=_probed(memory, inputs.now_s).begin(inputs.now_s / 60.0),
         command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
         settling=memory.state in SETTLING_STATES,
         settling_axes=(),
@@ -362,6 +392,11 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         error_reference_id=inputs.reference_id,
         tools=_tools_since(memory, inputs, stale_after_s),
     )
+
+
+def _probed(memory: OutputMemory, now_s: float) -> BiasState:
+    """Return what is known of the offset of probes: nothing after a start of the daemon."""
+    return unknown_bias(len(memory.offset_um), now_s / 60.0) if memory.probed is None else memory.probed
 
 
 def _tools_since(

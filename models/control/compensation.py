@@ -143,7 +143,7 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     """
     memory = _heed_requests(memory, inputs, limits)
     memory = follow_tool(follow_reference(memory, inputs, limits.stale_after_s), inputs)
-    memory = follow_confidence(take_probe(memory, inputs), inputs, limits)
+    memory = follow_confidence(take_probe(memory, inputs, limits), inputs, limits)
     memory = _change_state(memory, inputs, limits)
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)

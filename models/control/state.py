@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from models.control.inhibit import Inhibit
+from models.control.probing import BiasState, Wander
 from models.records import FloatArray, OutputState, Phase
 
 
@@ -26,6 +27,8 @@ class OutputLimits:
     """From here on the estimate counts whole; between the two its weight falls to 0."""
     probe_bound_um: float = 0.0
     """A probe value that would correct the estimate by more is refused [um]."""
+    probe_noise_um: float = float("nan")
+    """Standard deviation of a probe value [um]; NaN: repeat readings tell it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +103,8 @@ class OutputInputs:
     """Axes that were set with the tool in the spindle since the last step."""
     probe_um: FloatArray | None = None
     """A probe's deviation per axis, actual minus nominal with what is applied [um]; NaN where not probed."""
+    probe_wander: Wander | None = None
+    """How what the model misses wanders, per axis; None: a probe resets the offset."""
 
     @property
     def error_of_tool_point_um(self) -> FloatArray:
@@ -142,6 +147,8 @@ class OutputMemory:
     """The last finite estimate since `error_reference_id`, shifted so, without the tool [um]."""
     error_s: float = 0.0
     """Time of that estimate [s]."""
+    probed: BiasState | None = None
+    """How well the offset of probes is known since the reference; None before the first reference of this run."""
     error_reference_id: str | None = None
     """The reference that this estimate and the tool settings count from; it may have ended."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))

@@ -6,6 +6,7 @@ A family is a form of model with a file and a way to run of its own. It touches 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from models.control.probing import Wander
 from models.model_file import ModelError, family_of, parse, record_from, unsigned
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineModel
@@ -50,6 +51,11 @@ class ThermalModel(Protocol):
     @property
     def band_um(self) -> FloatArray:
         """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN: nothing was held out."""
+        ...
+
+    @property
+    def probing(self) -> Wander | None:
+        """How what it misses wanders between probes, per channel; None: not known."""
         ...
 
     @property

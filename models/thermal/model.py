@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.control.probing import Wander
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
 from models.thermal.features import IntArray, Layout
@@ -109,6 +110,9 @@ class LinearParameters:
     """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
     start: StartDeviation | None = None
     """How wrong it may be while the past is not known; None without lags, and in files of versions before."""
+    probing: Wander | None = None
+    """How what it misses wanders between probes, per channel; None where nothing was held out, and in files of versions
+    before: every probe then resets the offset fully."""
 
     def __post_init__(self) -> None:
         _check_names(self)
@@ -202,6 +206,8 @@ def _check_arrays(model: LinearParameters) -> None:
         if key != "band_um" and not np.isfinite(array).all():
             raise ModelError(key, "holds a number that is not finite")
         array.flags.writeable = False
+    if model.probing is not None and model.probing.um2_per_min.shape != (channels,):
+        raise ModelError("probing", f"has shape {model.probing.um2_per_min.shape}, but {(channels,)} is needed")
     if not np.all(np.isnan(model.band_um) | (model.band_um >= 0.0)) or np.isinf(model.band_um).any():
         raise ModelError("band_um", "a band is not negative and finite, or null where nothing was held out")
     if np.any(domain.lowest > domain.highest):

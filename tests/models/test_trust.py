@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
 from models.thermal.features import lag_table
@@ -13,7 +14,7 @@ from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import default_family
 from models.thermal.training.folds import cycles, inner_folds, spindle_starts
 from models.thermal.training.inputs import build_inputs
-from models.thermal.training.probing import BiasFilter, probed_residual_um, wander_um2_per_min
+from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
 from models.thermal.training.trust import excursions, few_folds_factor, fit_bias_filter, independent_folds, judge
 
 

@@ -11,6 +11,7 @@ from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
 from daemon.workbench.thermal.reading import read_alike
 from daemon.workbench.thermal.result_pages import Stretch
+from models.control.probing import BiasFilter
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
@@ -199,7 +200,8 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     online: list[_Online] = []
     if not inputs.axis_positions:
         watched = watch if inputs.layout.sensors <= MOST_WATCHED else None
-        online = _online(_made(chosen, model, prepared, fit, trust, watched), inputs, trials, protocol.probe_min)
+        made = _made(chosen, model, prepared, fit, trust, watched)
+        online = _online(made, inputs, trials, protocol.probe_min, trust.bias_filter)
     return _Outcome(
         name=part.name,
         trials=trials,
@@ -235,11 +237,17 @@ def _made(
     )
 
 
-def _online(model: ThermalModel, inputs: Inputs, trials: Sequence[Trial], probe_min: float | None) -> list[_Online]:
+def _online(
+    model: ThermalModel,
+    inputs: Inputs,
+    trials: Sequence[Trial],
+    probe_min: float | None,
+    bias_filter: BiasFilter | None,
+) -> list[_Online]:
     found = []
     for trial in trials:
         followed = follow(model, inputs, trial.rows)
-        held_um = compensated_um(followed, inputs.time_min[trial.rows], trial.measured_um, probe_min)
+        held_um = compensated_um(followed, inputs.time_min[trial.rows], trial.measured_um, probe_min, bias_filter)
         found.append(_Online(followed=followed, left_um=since_first_known(trial.measured_um - held_um)))
     return found
 

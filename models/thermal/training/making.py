@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from models.control.probing import Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.features import BoolArray, Design, Layout
@@ -80,6 +81,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
             leverage_limit=farthest_leverage(inputs, rows, fit.solutions),
         ),
         band_um=trust.band_um.copy(),
+        probing=_wander(trust),
         watch=None if fitted.watch is None else replace(fitted.watch, precision=_single(fitted.watch.precision)),
         hyper_parameters=fitted.hyper_parameters,
         refused=trust.refused,
@@ -99,6 +101,13 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
     )
 
 
+def _wander(trust: Trust) -> Wander | None:
+    found = trust.bias_filter
+    if found is None or found.correlation_min is None:
+        return None
+    return Wander(um2_per_min=found.wander_um2_per_min.copy(), correlation_min=found.correlation_min.copy())
+
+
 def _telescoped(fitted: Fitted) -> LinearModel:
     inputs, fit = fitted.inputs, fitted.fit
     coefficients = np.ascontiguousarray(fit.coefficients.T)
@@ -114,6 +123,7 @@ def _telescoped(fitted: Fitted) -> LinearModel:
         lowest_increment_k=fitted.increments_k[0],
         highest_increment_k=fitted.increments_k[1],
         band_um=fitted.trust.band_um.copy(),
+        probing=_wander(fitted.trust),
         training=fitted.training,
         created=fitted.created,
         test_pairs=[(inputs.degc[row].copy(), inputs.degc[first].copy()) for row in others],
@@ -143,6 +153,7 @@ def increment_model(
     period_min: float = 1.0,
     refused: str | None = None,
     axis_positions: tuple[str, ...] = (),
+    probing: Wander | None = None,
 ) -> LinearModel:
     """Return the telescoped model of increments since the reference: a linear model without lags.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.control.probing import BiasFilter, full_reset
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import ThermalModel
@@ -76,13 +77,17 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
 
 
 def compensated_um(
-    followed: Followed, time_min: FloatArray, measured_um: FloatArray, probe_min: float | None = None
+    followed: Followed,
+    time_min: FloatArray,
+    measured_um: FloatArray,
+    probe_min: float | None = None,
+    bias_filter: BiasFilter | None = None,
 ) -> FloatArray:
     """Return what the output would hold against the thermal error since the reference [um], shape (n, n_channels).
 
     The estimate counts by its confidence; where it must not be followed the output stays where it is for ten minutes
     and then goes back to zero, from where a person switches it on again when the estimate may be followed. A probe
-    moves the output to what it measured; what the estimate says since then comes on top.
+    corrects the output as `models.control.probing` says; what the estimate says since then comes on top.
 
     Parameters
     ----------
@@ -94,12 +99,15 @@ def compensated_um(
         Thermal error since the reference [um], which the probe sees; NaN where missing.
     probe_min
         Time between two probes [min]; None for none.
+    bias_filter
+        How a probe corrects; None resets the offset fully.
 
     """
     weight = np.clip((followed.confidence - NO_WEIGHT) / (FULL_WEIGHT - NO_WEIGHT), 0.0, 1.0)
     follows = (followed.confidence >= NO_WEIGHT) & followed.in_domain
     held = np.zeros(measured_um.shape[1])
-    offset = held.copy()
+    bias_filter = bias_filter or full_reset(measured_um.shape[1])
+    state = bias_filter.begin(float(time_min[0]))
     found = np.empty_like(measured_um)
     since_min, due_min = float(time_min[0]), np.inf if probe_min is None else float(time_min[0]) + probe_min
     for row, now_min in enumerate(time_min):
@@ -107,10 +115,11 @@ def compensated_um(
             held, since_min = weight[row] * followed.estimate_um[row], float(now_min)
         elif now_min - since_min > HOLD_MIN:
             held = np.zeros_like(held)
+        state = bias_filter.advanced(state, float(now_min))
         if now_min >= due_min - 1e-9:
-            offset = np.where(np.isfinite(measured_um[row]), measured_um[row] - held, offset)
+            state = bias_filter.correct(state, float(now_min), measured_um[row] - held)
             due_min += (probe_min or 0.0) * max(1.0, np.floor((now_min - due_min) / (probe_min or 1.0) + 1.0))
-        found[row] = held + offset
+        found[row] = held + state.bias_um
     return found
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from models.control.probing import BiasFilter
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray, lag_table
 from models.thermal.sensor_watch import SensorWatch
@@ -13,7 +14,7 @@ from models.thermal.solution import band_factor
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.probing import BiasFilter, probed_residual_um
+from models.thermal.training.probing import probed_residual_um
 from models.thermal.watch import SensorFault, Watcher, WatchState
 
 OPEN_CIRCUIT_DEGC = 850.0

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError
 from models.recordings.jumps import scatter_um
 from models.records import FloatArray
@@ -14,7 +15,7 @@ from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.families import Fit, Problem, fold_numbers, held_out_metrics, relative_rmse
 from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.probing import BiasFilter, probed_residual_um, wander_um2_per_min
+from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
 from models.thermal.training.watch_fit import smoothed
 
 BAND_QUANTILE = 0.9
@@ -27,6 +28,14 @@ the tuning half of the zoo outside 85 to 97 %. One channel of the public recordi
 too narrow a band is worse than too wide a one."""
 SHORTEST_WANDER_MIN = 30.0
 """How far an offset wanders is not seen over less than this [min]; 10 to 60 min do equally well."""
+LATER = np.array([1.5, 2.0, 3.0, 4.0, 6.0, 8.0])
+"""The farthest that an offset goes is looked for over so many times the time between probes."""
+LONGEST_CORRELATION_MIN = 6000.0
+"""An offset that does not wander stays for so long [min]."""
+LEAST_WANDER = 0.1
+"""No more than the rest of what an offset was seen to wander is put down to noise."""
+USUAL_PROBE_MIN = 60.0
+"""How far an offset wanders between probes is told for this time between them [min], where none is asked for."""
 NORMAL_90 = 1.282
 """90 % point of the normal distribution."""
 FEWEST_FOLDS_BEFORE = 2
@@ -57,7 +66,7 @@ class Trust:
     forward_skill: tuple[float, ...]
     """1 - RMSE with / without of each fold, predicted from the folds before it."""
     bias_filter: BiasFilter | None = None
-    """How a probe corrects the offset, from what was left out; None without probes."""
+    """How a probe corrects the offset, from what was left out; None where nothing was."""
     held_out: ResidualMetrics | None = None
     """Residuals on what was left out; None when nothing was."""
 
@@ -94,7 +103,7 @@ def judge(
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         score = relative_rmse(inputs, rows, fold, fits, probe_min)
         series_um = left_out_series_um(inputs, rows, fold, fits)
-        bias_filter = None if probe_min is None else fit_bias_filter(inputs, rows, series_um, probe_min)
+        bias_filter = fit_bias_filter(inputs, rows, series_um, USUAL_PROBE_MIN if probe_min is None else probe_min)
         few = few_folds_factor(independent_folds(inputs, rows, len(numbers)))
         if probe_min is None:
             band_um = few**FEW_FOLDS_POWER * _band_um(inputs, rows, fold, series_um, fits)
@@ -285,15 +294,23 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
     """
     segments = fold_segments(inputs, rows)
     noise_um = scatter_um([inputs.measured_um[part] for part in segments])
-    over_min = max(probe_min, SHORTEST_WANDER_MIN)
+    longest_min = max(float(inputs.time_min[part[-1]] - inputs.time_min[part[0]]) for part in segments)
+    over_min = min(max(probe_min, SHORTEST_WANDER_MIN), max(0.5 * longest_min, inputs.period_min))
     wander = np.zeros(len(inputs.channels))
     for part in segments:
         wander = np.maximum(wander, wander_um2_per_min(inputs.time_min[part], series_um[part], over_min))
+    most_um2 = wander * over_min
+    for longer_min in LATER * over_min:
+        gained = [wander_um2_per_min(inputs.time_min[part], series_um[part], longer_min) for part in segments]
+        most_um2 = np.maximum(most_um2, longer_min * np.max(gained, axis=0))
     span = np.nanmax(inputs.measured_um[rows], axis=0) - np.nanmin(inputs.measured_um[rows], axis=0)
     return BiasFilter(
-        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / over_min, 0.0),
+        wander_um2_per_min=np.maximum(wander - 2.0 * np.square(noise_um) / over_min, LEAST_WANDER * wander),
         noise_um=noise_um,
         largest_step_um=np.maximum(span, 1e-9),
+        correlation_min=np.maximum(
+            np.divide(most_um2, wander, out=np.full_like(wander, LONGEST_CORRELATION_MIN), where=wander > 0.0), over_min
+        ),
     )
 
 

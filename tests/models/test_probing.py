@@ -1,0 +1,138 @@
+"""Probe values in the output and on recordings: one filter, never worse than the model or the probe alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from output_machine import LIMITS, Machine
+
+from models.control.probing import ENOUGH_REPEATED, BiasFilter, Wander, unknown_bias
+from models.recordings.dataset import Recording
+from models.records import FloatArray
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.probing import probed_residual_um
+from models.thermal.training.trust import fit_bias_filter
+
+WANDER = Wander(um2_per_min=np.array([0.02, 0.02]), correlation_min=np.array([240.0, 240.0]))
+
+
+def kalman(noise_um: float, correlation_min: float = 240.0) -> BiasFilter:
+    one = np.ones(1)
+    return BiasFilter(
+        wander_um2_per_min=0.02 * one,
+        noise_um=noise_um * one,
+        largest_step_um=np.inf * one,
+        correlation_min=correlation_min * one,
+    )
+
+
+def test_the_output_corrects_as_the_evaluation_of_a_recording_does() -> None:
+    """Probes of known noise at odd times: the request's offset is what the filter says of the same values."""
+    machine = Machine(limits=replace(LIMITS, probe_noise_um=1.5)).following()
+    machine.set(probe_wander=WANDER)
+    rng = np.random.default_rng(3)
+    missed_um, offline = 0.0, kalman(1.5).begin(0.0)
+    for pause_s in (600.0, 60.0, 2400.0, 30.0, 1200.0):
+        missed_um += float(rng.normal(0.0, 2.0))
+        for _ in range(20):
+            machine.step(elapsed_s=pause_s / 20.0)
+        left_um = -20.0 + missed_um + machine.applied[1]
+        machine.step(elapsed_s=1.0, probe_um=np.array([np.nan, left_um]))
+        offline = kalman(1.5).correct(offline, machine.now_s / 60.0, np.array([missed_um]))
+        assert -machine.memory.offset_um[1] == pytest.approx(offline.bias_um[0], abs=0.05)
+        assert machine.memory.offset_um[0] == 0.0
+        assert abs(machine.command.compensation_um - machine.applied).max() <= LIMITS.step_um.max()
+
+
+def test_left_alone_the_offset_returns_slowly_and_within_the_slew_rate() -> None:
+    machine = Machine().following().set(probe_wander=WANDER)
+    machine.step(probe_um=np.array([np.nan, 4.0])).step(60)
+    assert machine.applied[1] == pytest.approx(16.0, abs=0.1)
+    for _ in range(480):
+        before = machine.applied[1]
+        machine.step(elapsed_s=30.0)
+        assert abs(machine.applied[1] - before) < 0.1
+    assert machine.applied[1] == pytest.approx(20.0 - 4.0 * np.exp(-1.0), abs=0.05)
+    assert machine.memory.offset_um[0] == 0.0
+
+
+def test_a_model_that_says_nothing_of_its_wander_is_reset_by_a_probe() -> None:
+    machine = Machine(limits=replace(LIMITS, probe_noise_um=5.0)).following()
+    machine.step(probe_um=np.array([np.nan, 4.0])).step(60)
+    assert machine.applied == pytest.approx([3.0, 16.0], abs=0.02)
+
+
+def test_after_a_restart_the_first_probe_resets_and_a_new_reference_begins_at_nothing() -> None:
+    machine = Machine(limits=replace(LIMITS, probe_noise_um=1.0)).following()
+    machine.set(probe_wander=WANDER)
+    machine.memory = replace(machine.memory, probed=None)
+    machine.step(probe_um=np.array([np.nan, 4.0]))
+    assert machine.memory.offset_um[1] == pytest.approx(-4.0, abs=0.02)
+    machine.set(reference_id="r2", estimate_reference_id="r2").step()
+    assert machine.memory.probed is not None and not machine.memory.probed.variance_um2.any()
+
+
+def test_repeat_readings_tell_the_noise() -> None:
+    unsure = kalman(float("nan"))
+    state, rng = unsure.begin(0.0), np.random.default_rng(5)
+    for repeat in range(400):
+        state = unsure.correct(state, 0.3 * repeat, rng.normal(0.0, 2.0, 1))
+    assert np.sqrt(0.5 * state.repeated_um2[0] / state.repeated[0]) == pytest.approx(2.0, rel=0.15)
+    assert abs(state.bias_um[0]) < 1.0
+    few = unsure.begin(0.0)
+    for repeat in range(ENOUGH_REPEATED):
+        few = unsure.correct(few, 0.3 * repeat, np.array([float(repeat)]))
+    assert few.bias_um[0] == ENOUGH_REPEATED - 1.0, "until then a probe counts as exact"
+    assert state.begin(500.0).repeated[0] == state.repeated[0], "what is known of the probe outlasts a reference"
+
+
+def test_nothing_known_takes_the_value_whatever_the_noise() -> None:
+    state = kalman(3.0).correct(unknown_bias(1, 0.0), 5.0, np.array([7.0]))
+    assert (state.bias_um[0], state.variance_um2[0]) == (7.0, 9.0)
+
+
+def recording(time_min: FloatArray, um: FloatArray) -> Recording:
+    return Recording(
+        name="days",
+        time_s=60.0 * time_min,
+        speed_rpm=None,
+        temperature_names=("T1",),
+        temperatures_degc=20.0 + np.sin(time_min / 100.0)[:, None],
+        displacement_names=("z",),
+        displacements_um=um,
+    )
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("noise_um", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("probes", ["10", "30", "60", "random"])
+@pytest.mark.parametrize("missed", ["slow", "fast", "much", "little"])
+def test_a_probe_never_makes_it_worse_than_the_better_of_the_two(noise_um: float, probes: str, missed: str) -> None:
+    """What the model misses wanders over hours; how fast comes from other days of the same kind."""
+    hours, tau_min, missed_um = 400.0, {"fast": 40.0}.get(missed, 200.0), {"much": 12.0, "little": 0.5}.get(missed, 3.0)
+    time_min = np.arange(0.0, 60.0 * hours)
+    rng = np.random.default_rng([int(noise_um), len(probes), len(missed)])
+
+    def wandering(size_um: float, over_min: float) -> FloatArray:
+        found, keep = np.zeros(len(time_min)), np.exp(-1.0 / over_min)
+        steps = rng.normal(0.0, size_um * np.sqrt(1.0 - keep**2), len(time_min))
+        for row in range(1, len(time_min)):
+            found[row] = keep * found[row - 1] + steps[row]
+        return found[:, None]
+
+    trained_um, residual_um = wandering(missed_um, tau_min), wandering(missed_um, tau_min)
+    error_um = residual_um + 15.0 * np.sin(time_min / 45.0)[:, None]
+    if probes == "random":
+        at_min: float | FloatArray = np.sort(rng.uniform(0.0, time_min[-1], int(time_min[-1] / 45.0)))
+    else:
+        at_min = float(probes)
+    noise = rng.normal(0.0, noise_um, residual_um.shape)
+    inputs = build_inputs([recording(time_min, trained_um)], sample_s=60.0, lags_min=(), speed_lags_min=())
+    both = fit_bias_filter(inputs, np.ones(inputs.rows, dtype=np.bool_), trained_um, 60.0)
+    both = replace(both, noise_um=np.array([noise_um]), largest_step_um=np.array([np.inf]))
+    left = rms(probed_residual_um(time_min, residual_um, at_min, both, noise))
+    alone = rms(residual_um), rms(probed_residual_um(time_min, error_um, at_min, None, noise))
+    assert left <= 1.02 * min(alone), (left, alone)
