@@ -258,10 +258,8 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
-        wander = model.probing
-        time_min = now_s / 60.0
-        since_labels = self._since.label_increments(degc, time_min)
-        goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, time_min)
+        since_labels = self._since.label_increments(degc, now_s / 60.0)
+        goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0)
         self._since.update(degc, online)
         unsure = _unsure_of_levels(online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids)
         return ThermalErrorEstimate(
@@ -279,7 +277,7 @@ class ThermalTask:
             reference_id=reference.reference_id,
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
-            probe_wander=None if wander is None else (wander.um2_per_min, wander.correlation_min),
+            probe_wander=_probe_wander(model),
         )
 
     def _deliver_sensors(self) -> None:
@@ -348,6 +346,11 @@ def _log_faults(cycle: TemperatureCycle, left_out: int) -> None:
     event = "cycle.faults" if cycle.complete else "cycle.incomplete"
     more = {"left_out": left_out} if left_out else {}
     log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more", **more)
+
+
+def _probe_wander(model: ThermalModel) -> tuple[FloatArray, FloatArray] | None:
+    """Return how what the model misses wanders, per channel, see `models.control.probing`."""
+    return None if model.probing is None else (model.probing.um2_per_min, model.probing.correlation_min)
 
 
 def _unsure_of_levels(
