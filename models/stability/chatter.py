@@ -3,7 +3,10 @@
 A stable cut shakes the machine at the tooth-passing frequency and its harmonics, and at harmonics of
 the spindle's own turn when the teeth run out. Chatter is a narrow line elsewhere. A frame's
 strongest line elsewhere counts when it stands out from what surrounds it and is not negligible
-beside the strongest forced line; a verdict needs several frames in a row.
+beside the strongest forced line; a verdict needs several frames in a row. Lines that the machine has without the cut
+(gear mesh, mains) count by what the cut adds to them. Flip chatter, the period-doubling kind, lies half-way between
+the harmonics of the tooth passing, with an even number of teeth on harmonics of the turn: it counts when these lines
+carry more than the other harmonics of the turn, with two teeth, where there are no others, than runout would explain.
 """
 
 import math
@@ -11,16 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.signal_checks import check_clipping, check_length
+from models.stability.spectra import OVERLAP, SpectrumFrame, spectrum, window_samples
 
-WINDOW_S = 0.64
-"""4096 samples at 6400 Hz, as in the dissertation."""
+BoolArray = npt.NDArray[np.bool_]
 HARMONICS_FOR_SPEED = 6
 LEAST_SPACING = 2.0
 """Harmonics of the tooth passing lie at least so many times apart as is taken out around each."""
+SPEED_REMARK = 0.005
+"""A spindle speed that differs from the given one by this share is worth a sentence."""
+MAINS_HZ, MAINS_ORDERS = (50.0, 60.0), 8
 ALWAYS_RUNOUT = 2.5
 """Harmonics below this multiple of the spindle's turn are unbalance, however strong."""
 
@@ -29,7 +36,7 @@ ALWAYS_RUNOUT = 2.5
 class ChatterSettings:
     """What counts as chatter."""
 
-    overlap: float = 0.75
+    overlap: float = OVERLAP
     """Share of a window that the next one repeats."""
     power_ratio: float = 0.1
     """Power of the line over that of the strongest forced line."""
@@ -42,22 +49,23 @@ class ChatterSettings:
     """Forced lines are removed this many lines of the spectrum to both sides."""
     half_width_share: float = 0.0015
     """And at least this share of their frequency."""
-    speed_tolerance: float = 0.005
+    speed_tolerance: float = 0.03
     """The true speed is searched within this share of the given one."""
     runout_ratio: float = 4.0
     """A line on a harmonic of the spindle's turn needs this power over the strongest tooth-passing line."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpectrumFrame:
-    """The spectrum of one window."""
-
-    time_s: float
-    """Middle of the window [s]."""
-    frequency_hz: FloatArray
-    """Shape (n,) [Hz]."""
-    power_density: FloatArray
-    """One-sided [(m/s^2)^2/Hz], shape (n,)."""
+    flip_ratio: float = 5.0
+    """Lines half-way between harmonics of the tooth passing need in the mean this power over that of the other
+    harmonics of the turn."""
+    flip_of_two_ratio: float = 0.5
+    """With two teeth, where every harmonic of the turn is such a line, this power over the tooth-passing lines'."""
+    turn_width_lines: float = 1.25
+    """Lines on harmonics of the turn are taken for runout this many lines to both sides."""
+    turn_width_share: float = 0.0008
+    """And at least this share of their frequency."""
+    standing_ratio: float = 4.0
+    """A line that the machine has without the cut needs this power over what it has there."""
+    mains_ratio: float = 0.5
+    """A line on a harmonic of the mains needs this power over the strongest tooth-passing line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,51 +103,12 @@ class ChatterVerdict:
     frames: tuple[FrameVerdict, ...]
 
 
-def window_samples(sample_rate_hz: float) -> int:
-    """Return the samples of a window: the power of two nearest to `WINDOW_S`."""
-    return int(2 ** round(math.log2(WINDOW_S * sample_rate_hz)))
-
-
-def short_time_spectra(
-    acceleration_m_s2: FloatArray, sample_rate_hz: float, overlap: float = 0.75, window: int | None = None
-) -> list[SpectrumFrame]:
-    """Return spectra of overlapping windows (Hann).
-
-    Result: in the order of time. Raises StabilityError when the signal is shorter than a window.
-
-    Parameters
-    ----------
-    acceleration_m_s2
-        Shape (n,) [m/s^2].
-    sample_rate_hz
-        Samples per second [Hz].
-    overlap
-        Share of a window that the next one repeats, below 1.
-    window
-        Samples of a window; None takes `window_samples`.
-
-    """
-    length = window or window_samples(sample_rate_hz)
-    check_length(len(acceleration_m_s2), sample_rate_hz, length)
-    hop = max(int(length * (1.0 - overlap)), 1)
-    starts = range(0, len(acceleration_m_s2) - length + 1, hop)
-    return [_spectrum(acceleration_m_s2[start : start + length], start, sample_rate_hz) for start in starts]
-
-
-def _spectrum(samples: FloatArray, start: int, sample_rate_hz: float) -> SpectrumFrame:
-    length = len(samples)
-    window = np.hanning(length + 1)[:-1]
-    lines = np.fft.rfft((samples - samples.mean()) * window)
-    density = 2.0 * np.abs(lines) ** 2 / (sample_rate_hz * float(np.sum(window**2)))
-    return SpectrumFrame(
-        time_s=(start + length / 2.0) / sample_rate_hz,
-        frequency_hz=np.linspace(0.0, sample_rate_hz / 2.0, len(lines)),
-        power_density=density,
-    )
-
-
 def judge_frame(
-    frame: SpectrumFrame, speed_rpm: float, teeth: int, settings: ChatterSettings | None = None
+    frame: SpectrumFrame,
+    speed_rpm: float,
+    teeth: int,
+    settings: ChatterSettings | None = None,
+    machine: FloatArray | None = None,
 ) -> FrameVerdict:
     """Return the verdict of one window.
 
@@ -156,6 +125,9 @@ def judge_frame(
         Number of teeth.
     settings
         What counts as chatter; None: the defaults.
+    machine
+        What the machine has without this cut, from `models.stability.spectra`, shape (n,); None when that is not
+        known.
 
     """
     rules = settings or ChatterSettings()
@@ -169,13 +141,20 @@ def judge_frame(
         )
     forced = _on_multiples(frame.frequency_hz, passing_hz, width_hz)
     turn_hz = passing_hz / teeth
-    turning = _on_multiples(frame.frequency_hz, turn_hz, width_hz) & ~forced
+    turn_width_hz = np.maximum(rules.turn_width_lines * spacing_hz, rules.turn_width_share * frame.frequency_hz)
+    turning = _on_multiples(frame.frequency_hz, turn_hz, turn_width_hz) & ~forced
     heard = frame.frequency_hz >= rules.lowest_hz
-    power = np.convolve(frame.power_density, np.ones(5), mode="same") * spacing_hz
+    density = frame.power_density
+    power = np.convolve(density, np.ones(5), mode="same") * spacing_hz
     forced_power = float(power[forced & heard].max(initial=0.0))
     runout = frame.frequency_hz < ALWAYS_RUNOUT * turn_hz
-    counted = heard & ~forced & ~(turning & (runout | (power < rules.runout_ratio * forced_power)))
-    density = frame.power_density
+    of_turn = turning & (runout | (power < rules.runout_ratio * forced_power))
+    if teeth % 2 == 0:
+        of_turn &= ~_flip(frame.frequency_hz, power, passing_hz, teeth, rules)
+    counted = heard & ~forced & ~of_turn
+    counted &= ~(_of_mains(frame.frequency_hz) & (power < rules.mains_ratio * forced_power))
+    if machine is not None:
+        counted &= density > rules.standing_ratio * machine
     own = np.convolve(np.where(counted, density, 0.0), np.ones(5), mode="same") * spacing_hz
     crest = np.concatenate(([False], (density[1:-1] >= density[:-2]) & (density[1:-1] >= density[2:]), [False]))
     place = int(np.argmax(np.where(counted & crest, density, 0.0)))
@@ -191,9 +170,39 @@ def judge_frame(
     )
 
 
-def _on_multiples(frequency_hz: FloatArray, base_hz: float, width_hz: FloatArray) -> np.ndarray:
+def _flip(
+    frequency_hz: FloatArray, power: FloatArray, passing_hz: float, teeth: int, rules: ChatterSettings
+) -> BoolArray:
+    """Return which lines are flip chatter, on harmonics of the turn half-way between those of the tooth passing."""
+    orders = np.arange(1, int(float(frequency_hz[-1]) * teeth / passing_hz) + 1)
+    middles = np.rint(orders * passing_hz / teeth / float(frequency_hz[1])).astype(np.intp)
+    near = np.clip(middles[:, None] + np.arange(-2, 3), 0, len(power) - 1)
+    strongest = power[near].max(axis=1)
+    half, tooth = orders % teeth == teeth // 2, orders % teeth == 0
+    if teeth == 2:  # runout lies on the same lines
+        needed = rules.flip_of_two_ratio * float(strongest[tooth].mean())
+    else:
+        needed = rules.flip_ratio * float(strongest[~half & ~tooth].mean())
+    flips: BoolArray = np.zeros(len(power), dtype=np.bool_)
+    if half.any() and float(strongest[half].mean()) >= needed:
+        flips[near[half].ravel()] = True
+    return flips
+
+
+def _of_mains(frequency_hz: FloatArray) -> BoolArray:
+    """Return which lines of a spectrum hold a harmonic of the mains."""
+    spacing_hz = float(frequency_hz[1])
+    on: BoolArray = np.zeros(len(frequency_hz), dtype=np.bool_)
+    for mains_hz in MAINS_HZ:
+        order = np.maximum(np.rint(frequency_hz / mains_hz), 1.0)
+        near = np.abs(frequency_hz - order * mains_hz) <= 0.75 * spacing_hz
+        on |= near & (order <= MAINS_ORDERS)
+    return on
+
+
+def _on_multiples(frequency_hz: FloatArray, base_hz: float, width_hz: FloatArray) -> BoolArray:
     orders = np.maximum(np.rint(frequency_hz / base_hz), 1.0)
-    on: np.ndarray = np.abs(frequency_hz - orders * base_hz) <= width_hz
+    on: BoolArray = np.abs(frequency_hz - orders * base_hz) <= width_hz
     return on
 
 
@@ -206,7 +215,9 @@ def _passing_hz(frame: SpectrumFrame, given_hz: float, rules: ChatterSettings) -
             "check speed and teeth, or sample faster"
         )
     orders = np.arange(1, min(HARMONICS_FOR_SPEED, int(highest / (given_hz * (1.0 + rules.speed_tolerance)))) + 1)
-    trials = given_hz * np.linspace(1.0 - rules.speed_tolerance, 1.0 + rules.speed_tolerance, 81)
+    reach_hz = rules.speed_tolerance * given_hz * orders[-1]
+    steps = 2 * math.ceil(reach_hz / (0.25 * float(frame.frequency_hz[1]))) + 1
+    trials = given_hz * np.linspace(1.0 - rules.speed_tolerance, 1.0 + rules.speed_tolerance, steps)
     floor = float(np.median(frame.power_density)) + 1e-300
     level = np.log(frame.power_density + floor)
     score = np.interp(trials[:, None] * orders, frame.frequency_hz, level).sum(axis=1)
@@ -214,7 +225,7 @@ def _passing_hz(frame: SpectrumFrame, given_hz: float, rules: ChatterSettings) -
     return float(trials[best][np.argmin(np.abs(trials[best] - given_hz))])
 
 
-def _prominence(density: FloatArray, place: int, forced: np.ndarray) -> float:
+def _prominence(density: FloatArray, place: int, forced: BoolArray) -> float:
     around = np.arange(max(place - 18, 1), min(place + 19, len(density)))
     around = around[(np.abs(around - place) > 3) & ~forced[around]]
     floor = float(np.median(density[around])) if len(around) else float(np.median(density))
@@ -261,6 +272,23 @@ def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None =
     )
 
 
+def speed_warning(
+    verdict: ChatterVerdict, speed_rpm: float, teeth: int, settings: ChatterSettings | None = None
+) -> str | None:
+    """Return what the recording says against the given spindle speed [1/min] and number of teeth, None for nothing."""
+    tolerance = (settings or ChatterSettings()).speed_tolerance
+    found_rpm = verdict.tooth_passing_hz * 60.0 / teeth
+    off = found_rpm / speed_rpm - 1.0
+    if abs(off) >= 0.95 * tolerance:
+        return (
+            f"the teeth seem to pass at {verdict.tooth_passing_hz:.1f} Hz ({found_rpm:.0f} 1/min), at the edge of what "
+            f"is searched around {speed_rpm:g} 1/min: check speed and teeth; the verdict may be wrong"
+        )
+    if abs(off) > SPEED_REMARK:
+        return f"the recording shows {found_rpm:.0f} 1/min, {100.0 * off:+.1f} % from the given {speed_rpm:g} 1/min"
+    return None
+
+
 class ChatterMonitor:
     """Judges a stream of samples, window by window, as they arrive.
 
@@ -268,8 +296,14 @@ class ChatterMonitor:
     """
 
     def __init__(
-        self, sample_rate_hz: float, speed_rpm: float, teeth: int, settings: ChatterSettings | None = None
+        self,
+        sample_rate_hz: float,
+        speed_rpm: float,
+        teeth: int,
+        settings: ChatterSettings | None = None,
+        machine: FloatArray | None = None,
     ) -> None:
+        self._machine = machine
         self._rate_hz, self._teeth = sample_rate_hz, teeth
         self._rules = settings or ChatterSettings()
         self._length = window_samples(sample_rate_hz)
@@ -292,8 +326,8 @@ class ChatterMonitor:
         self._held = np.concatenate((self._held, acceleration_m_s2))
         verdicts = []
         while len(self._held) >= self._length:
-            frame = _spectrum(self._held[: self._length], self._start, self._rate_hz)
-            verdict = judge_frame(frame, self._speed_rpm, self._teeth, self._rules)
+            frame = spectrum(self._held[: self._length], self._start, self._rate_hz)
+            verdict = judge_frame(frame, self._speed_rpm, self._teeth, self._rules, self._machine)
             self._run = self._run + 1 if verdict.chatter else 0
             verdicts.append(verdict)
             self._held = self._held[self._hop :]
@@ -307,6 +341,7 @@ def detect_chatter(
     speed_rpm: float,
     teeth: int,
     settings: ChatterSettings | None = None,
+    machine: FloatArray | None = None,
 ) -> ChatterVerdict:
     """Judge a whole recording.
 
@@ -329,5 +364,5 @@ def detect_chatter(
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))
     check_clipping(acceleration_m_s2)
-    monitor = ChatterMonitor(sample_rate_hz, speed_rpm, teeth, settings)
+    monitor = ChatterMonitor(sample_rate_hz, speed_rpm, teeth, settings, machine)
     return summarise(monitor.push(acceleration_m_s2), settings)

@@ -271,8 +271,8 @@ def cut(seconds: float, chatter: float) -> np.ndarray:
     return signal + chatter * np.sin(2.0 * np.pi * 609.0 * time_s)
 
 
-def write_csv(path: Path, signal: np.ndarray) -> Path:
-    rows = [f"{i / RATE_HZ:.8f},{value:.6f}" for i, value in enumerate(signal)]
+def write_csv(path: Path, signal: np.ndarray, rate_hz: float = RATE_HZ) -> Path:
+    rows = [f"{i / rate_hz:.8f},{value:.6f}" for i, value in enumerate(signal)]
     path.write_text("\n".join(["time_s,acceleration_m_s2", *rows]) + "\n")
     return path
 
@@ -309,6 +309,25 @@ def test_chatter_per_depth_with_a_spectrogram(tmp_path: Path) -> None:
         assert "not inside the recording" in refusal(
             "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", outside
         )
+
+
+def test_what_the_machine_has_without_the_cut_is_no_chatter(tmp_path: Path) -> None:
+    """609 Hz at the same power in every recording: a gear mesh, as far as anybody can tell."""
+    arguments = ("--speed-rpm", 6100, "--teeth", 4)
+    cut_path = write_csv(tmp_path / "cut.csv", cut(2.0, 1.0))
+    assert answer("chatter", cut_path, *arguments)["chatter"]
+    idle_path = write_csv(tmp_path / "idle.csv", cut(2.0, 1.0) - 0.9 * cut(2.0, 0.0))
+    found = answer("chatter", cut_path, *arguments, "--idle", idle_path)
+    assert not found["chatter"]
+    (warning,) = found["warnings"]
+    assert "shows 6000 1/min, -1.6 % from the given 6100 1/min" in warning
+    louder = write_csv(tmp_path / "louder.csv", cut(2.0, 3.0))
+    assert answer("chatter", louder, *arguments, "--idle", idle_path)["chatter"]
+    depths = write_csv(tmp_path / "depths.csv", np.concatenate((cut(2.0, 1.0), cut(2.0, 1.0))))
+    assert not answer("chatter", depths, *arguments, "--passage=0:2:4", "--passage=2:4:6")["chatter"]
+    assert answer("chatter", depths, *arguments, "--passage=0:2:4", "--passage=2:4:4.5")["chatter"]
+    other_rate = write_csv(tmp_path / "other.csv", cut(2.0, 1.0), 2 * RATE_HZ)
+    assert "record both alike" in refusal("chatter", cut_path, *arguments, "--idle", other_rate)
 
 
 def test_recordings_that_cannot_be_judged(tmp_path: Path) -> None:

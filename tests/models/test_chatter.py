@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cut_recordings import IN_DEPTHS, ROWS, Row, wrong, wrong_in_depths
 
 from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
 from models.errors import StabilityError
@@ -12,10 +13,11 @@ from models.stability.chatter import (
     ChatterMonitor,
     ChatterSettings,
     detect_chatter,
-    short_time_spectra,
+    speed_warning,
     summarise,
 )
 from models.stability.signal_checks import check_clipping
+from models.stability.spectra import short_time_spectra, standing_spectrum
 
 RATE_HZ = 6400.0
 RNG = np.random.default_rng(8)
@@ -177,3 +179,42 @@ def test_what_no_accelerometer_reads_is_no_verdict(scale: float) -> None:
     signal = (forced(6000.0, 2.0) + tone(655.3, 2.0, 5.0)) * scale
     with pytest.raises(StabilityError, match="which no accelerometer reads"):
         detect_chatter(signal, RATE_HZ, 6000.0, 4)
+
+
+JUDGED = range(1, 61, 2)
+"""Odd seeds: the settings were chosen on even ones."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", ROWS, ids=[row.name for row in ROWS])
+def test_the_verdict_is_right_on_recordings_that_nothing_was_chosen_on(row: Row) -> None:
+    """5 % of thirty, rounded up: the whole table is made by tests/benchmarks/bench_chatter.py."""
+    assert sum(wrong(row, seed) for seed in JUDGED) <= 2
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[row.name for row in ROWS])
+def test_the_verdict_is_right_on_a_few_recordings_of_every_kind(row: Row) -> None:
+    assert sum(wrong(row, seed) for seed in JUDGED[:4]) <= 1
+
+
+@pytest.mark.parametrize("row", IN_DEPTHS, ids=[row.name for row in IN_DEPTHS])
+def test_what_stands_still_between_depths_is_no_chatter(row: Row) -> None:
+    false, missed, stable, chattering = (
+        sum(each) for each in zip(*(wrong_in_depths(row, seed) for seed in range(1, 9, 2)), strict=True)
+    )
+    assert false <= math.ceil(0.05 * stable)
+    assert missed <= math.ceil(0.05 * chattering)
+
+
+def test_a_speed_that_the_recording_contradicts_is_said() -> None:
+    signal = forced(6000.0, 3.0)
+    assert speed_warning(detect_chatter(signal, RATE_HZ, 6010.0, 4), 6010.0, 4) is None
+    off = speed_warning(detect_chatter(signal, RATE_HZ, 5880.0, 4), 5880.0, 4)
+    assert off is not None and "shows 6000 1/min, +2.0 %" in off
+    lost = speed_warning(detect_chatter(signal, RATE_HZ, 5810.0, 4), 5810.0, 4)
+    assert lost is not None and "check speed and teeth" in lost
+
+
+def test_one_depth_says_nothing_of_what_stands_still() -> None:
+    with pytest.raises(StabilityError, match="two depths or more"):
+        standing_spectrum([forced(6000.0, 2.0)], RATE_HZ)

@@ -31,7 +31,12 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
 
 @click.command()
 @click.argument("recording_path", metavar="RECORDING", type=FILE)
-@option("--speed-rpm", type=POSITIVE, required=True, help="Spindle speed [1/min], to within 0.5 %.")
+@option(
+    "--speed-rpm",
+    type=POSITIVE,
+    required=True,
+    help="Spindle speed [1/min], to within 3 %.",
+)
 @option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
 @option(
     "--passage",
@@ -41,6 +46,13 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
     callback=_passages,
     help="A part of the recording cut at one depth (may be repeated); without, the whole is judged.",
 )
+@option(
+    "--idle",
+    "idle_path",
+    metavar="RECORDING",
+    type=FILE,
+    help="The same sensor while the spindle turns without a cut: what the machine has there is not taken for chatter.",
+)
 @option("--full-scale-m-s2", type=SCALE, help="What full scale of a WAV file means [m/s^2].")
 @picture_option
 @json_option
@@ -49,6 +61,7 @@ def chatter(
     speed_rpm: float,
     teeth: int,
     passages: "tuple[Passage, ...]",
+    idle_path: Path | None,
     full_scale_m_s2: float | None,
     picture: Path | None,
     json_path: str | None,
@@ -60,14 +73,17 @@ def chatter(
 
     try:
         recording = read_acceleration(recording_path, full_scale_m_s2)
-        content = judge_recording(recording, speed_rpm, teeth, passages)
+        idle = None if idle_path is None else read_acceleration(idle_path, full_scale_m_s2)
+        content = judge_recording(recording, speed_rpm, teeth, passages, idle)
     except StabilityError as error:
         refuse(f"{recording_path}: {error}")
     for part in content.get("depths", [content]):
         _show(part)
+    for warning in content["warnings"]:
+        say(warning)
     if picture is not None:
         from daemon.workbench.stability.pictures import spectrogram_picture
-        from models.stability.chatter import short_time_spectra
+        from models.stability.spectra import short_time_spectra
 
         spectrogram_picture(
             picture,

@@ -8,10 +8,10 @@ import numpy as np
 from daemon.workbench.dynamics.pictures import response_figure
 from daemon.workbench.figures import INK, Axes, Curve, Figure, Heat, save
 from models.records import FloatArray
-from models.stability.chatter import SpectrumFrame
 from models.stability.frf_modal_fit import ModalFit
 from models.stability.lobes import StabilityLobes
 from models.stability.response import ComplexArray, modal_receptance
+from models.stability.spectra import SpectrumFrame
 
 SHOWN_OVER_MINIMUM = 8.0
 """Lobes are drawn up to this multiple of their lowest depth, unless a deeper one is asked for."""

@@ -1,7 +1,8 @@
 """Chatter and roughness from files."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,17 @@ from drivers.files.accelerometer_recording import AccelerationRecording
 from models.errors import StabilityError
 from models.json_values import finite_or_none
 from models.records import FloatArray
-from models.stability.chatter import ChatterVerdict, detect_chatter
+from models.stability.chatter import (
+    ChatterVerdict,
+    detect_chatter,
+    speed_warning,
+)
 from models.stability.roughness import roughness_per_depth
-from models.stability.signal_checks import check_clipping
+from models.stability.signal_checks import check_clipping, check_length
+from models.stability.spectra import machine_spectrum, standing_spectrum, window_samples
+
+GROWTH = 1.25
+"""Depths that differ by this factor tell what the cut makes from what the machine makes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,28 +37,66 @@ class Passage:
 
 
 def judge_recording(
-    recording: AccelerationRecording, speed_rpm: float, teeth: int, passages: Sequence[Passage]
+    recording: AccelerationRecording,
+    speed_rpm: float,
+    teeth: int,
+    passages: Sequence[Passage],
+    idle: AccelerationRecording | None = None,
 ) -> dict[str, Any]:
-    """Return the verdict of the whole recording, or of each depth; raises StabilityError."""
+    """Return the verdict of the whole recording, or of each depth; raises StabilityError.
+
+    `idle`: the same sensor while the spindle turns without a cut; where there is none, what stands still between
+    depths counts as the machine's own.
+    """
     signal, rate_hz = recording.acceleration_m_s2, recording.sample_rate_hz
     check_clipping(signal)
+    machine = None if idle is None else _machine(idle, rate_hz)
     if not passages:
-        return _content(detect_chatter(signal, rate_hz, speed_rpm, teeth), recording, 0.0)
-    depths = []
-    for passage in passages:
-        part, begin_s = _part(recording, passage)
-        try:
-            verdict = detect_chatter(part, rate_hz, speed_rpm, teeth)
-        except StabilityError as error:
-            raise StabilityError(
-                f"{passage.from_s:g} to {passage.to_s:g} s, {passage.depth_mm:g} mm: {error}"
-            ) from None
-        depths.append({"depth_mm": passage.depth_mm, **_content(verdict, recording, begin_s)})
+        verdict = detect_chatter(signal, rate_hz, speed_rpm, teeth, machine=machine)
+        return _content(verdict, recording, 0.0) | _warnings([verdict], speed_rpm, teeth)
+    depths, verdicts = [], []
+    parts = [_part(recording, passage) for passage in passages]
+    if machine is None and max(one.depth_mm for one in passages) >= GROWTH * min(one.depth_mm for one in passages):
+        machine = _standing(passages, [part for part, _ in parts], rate_hz)
+    for passage, (part, begin_s) in zip(passages, parts, strict=True):
+        with _named(passage):
+            verdicts.append(detect_chatter(part, rate_hz, speed_rpm, teeth, machine=machine))
+        depths.append({"depth_mm": passage.depth_mm, **_content(verdicts[-1], recording, begin_s)})
     chattering = [entry for entry in depths if entry["chatter"]]
     first = min(chattering, key=lambda entry: float(entry["depth_mm"])) if chattering else depths[0]
     whole = {name: value for name, value in first.items() if name != "depth_mm"}
     lowest = {"lowest_chatter_depth_mm": first["depth_mm"] if chattering else None}
-    return {**whole, **lowest, "depths": depths}
+    return {**whole, **lowest, "depths": depths} | _warnings(verdicts, speed_rpm, teeth)
+
+
+def _machine(idle: AccelerationRecording, rate_hz: float) -> FloatArray:
+    if not math.isclose(idle.sample_rate_hz, rate_hz, rel_tol=1e-3):
+        raise StabilityError(
+            f"the idle recording has {idle.sample_rate_hz:g} samples a second, the cut {rate_hz:g}; record both alike"
+        )
+    return machine_spectrum(idle.acceleration_m_s2, rate_hz)
+
+
+def _standing(passages: Sequence[Passage], parts: Sequence[FloatArray], rate_hz: float) -> FloatArray:
+    """Return what stands still between the shallowest and the deepest cut, and those between."""
+    for passage, part in zip(passages, parts, strict=True):
+        with _named(passage):
+            check_length(len(part), rate_hz, window_samples(rate_hz))
+    return standing_spectrum(parts, rate_hz)
+
+
+@contextmanager
+def _named(passage: Passage) -> Iterator[None]:
+    """Say in a refusal which passage it is about."""
+    try:
+        yield
+    except StabilityError as error:
+        raise StabilityError(f"{passage.from_s:g} to {passage.to_s:g} s, {passage.depth_mm:g} mm: {error}") from None
+
+
+def _warnings(verdicts: Sequence[ChatterVerdict], speed_rpm: float, teeth: int) -> dict[str, list[str]]:
+    found = [speed_warning(verdict, speed_rpm, teeth) for verdict in verdicts]
+    return {"warnings": list(dict.fromkeys(warning for warning in found if warning is not None))}
 
 
 def _part(recording: AccelerationRecording, passage: Passage) -> tuple[FloatArray, float]:
