@@ -27,6 +27,8 @@ MOST_NODES = 160
 """More nodes take too long."""
 MOST_SQUARINGS = 14
 """The bounds then lie within a thousandth of the spectral radius."""
+STIFFEST_CUT = 3.0
+"""In a cut the structure may swing so many times faster than its fastest mode."""
 LARGEST_ENTRY = 1e100
 NARROWEST = 1e-9
 """Pieces of the arc below this share of a tooth passing are none."""
@@ -81,10 +83,73 @@ def radius_bounds(
     return _bounds(maps, limits)
 
 
-def passing_maps(
-    response: ModalResponse, cut: Cut, *, feeds_deg: Sequence[float], speeds_rpm: FloatArray, depth_mm: float
+def spectral_radii(
+    response: ModalResponse, cut: Cut, *, feed_deg: float, speed_rpm: float, depths_mm: FloatArray
 ) -> FloatArray:
-    """Return the maps of modes and surface over one tooth passing, shape (n_feeds, n_speeds, size, size); as above."""
+    """Return the spectral radius per tooth passing at each depth of cut; below 1 the cut is stable.
+
+    Result: shape (n,); inf where the vibration grows beyond all numbers. Raises StabilityError when nothing can move,
+    the speed or a depth is not above 0, or a mode vibrates too often from tooth to tooth.
+
+    Parameters
+    ----------
+    response
+        Modes of the structure, in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    feed_deg
+        Direction of the feed against X [deg].
+    speed_rpm
+        Spindle speed [1/min].
+    depths_mm
+        Axial depths of cut [mm], shape (n,).
+
+    """
+    depths = np.asarray(depths_mm, dtype=np.float64)
+    if not (speed_rpm > 0.0 and bool(np.all(depths > 0.0))):
+        raise StabilityError("speed and depth of cut must be above 0")
+    speeds = np.array([speed_rpm])
+    with np.errstate(over="ignore", invalid="ignore"):
+        maps = passing_maps(response, cut, feeds_deg=[feed_deg], speeds_rpm=speeds, depth_mm=depths)[:, 0, 0]
+    radii = np.full(len(maps), np.inf)
+    largest = np.abs(maps).max(axis=(1, 2))
+    countable = np.isfinite(largest) & (largest < LARGEST_ENTRY)
+    radii[countable] = np.abs(np.linalg.eigvals(maps[countable])).max(axis=1)
+    return radii
+
+
+def follows(response: ModalResponse, cut: Cut, speed_rpm: float, depth_mm: float) -> bool:
+    """Return whether the nodes follow the vibration from tooth to tooth, at a speed [1/min] and a depth of cut [mm].
+
+    They are as many as the fastest mode needs: neither may that be more than `MOST_NODES`, nor may the cut be so stiff
+    that the structure swings much faster in it.
+    """
+    modes = [mode for _, _, entry in response.entries() for mode in entry]
+    stiffness_n_per_m = depth_mm * 1e-3 * cut.tangential_n_per_m2
+    softest_per_kg = max((abs(mode.displacement_gain_per_kg) for mode in modes), default=0.0)
+    fastest = max((mode.angular_rad_s for mode in modes), default=0.0)
+    if stiffness_n_per_m * softest_per_kg > (STIFFEST_CUT * fastest) ** 2:
+        return False
+    try:
+        for piece in _pieces(cut) if modes else ():
+            _node_count(modes, cut, piece, np.array([speed_rpm]))
+    except StabilityError:
+        return False
+    return True
+
+
+def passing_maps(
+    response: ModalResponse,
+    cut: Cut,
+    *,
+    feeds_deg: Sequence[float],
+    speeds_rpm: FloatArray,
+    depth_mm: float | FloatArray,
+) -> FloatArray:
+    """Return the maps of modes and surface over one tooth passing, as above.
+
+    Result: shape (n_feeds, n_speeds, size, size), behind one of the depths where these are an array.
+    """
     entries = [(out, into, mode) for out, into, modes in response.entries() for mode in modes]
     if not entries:
         raise StabilityError("both directions are rigid, so no cut can chatter; give modes or an FRF for one")
@@ -97,7 +162,7 @@ def passing_maps(
 
     nodes, places, angles = _surface(cut, pieces, counts)
     normal, force = _tooth_vectors(angles, cut.radial_ratio, feeds_deg)
-    gain = depth_mm * 1e-3 * cut.tangential_n_per_m2
+    gain = np.asarray(depth_mm)[..., None, None, None, None] * 1e-3 * cut.tangential_n_per_m2
     outs = np.array([out for out, _, _ in entries])
     intos = np.array([into for _, into, _ in entries])
 
@@ -105,11 +170,12 @@ def passing_maps(
     pushed = np.zeros((len(feeds_deg), len(speeds_rpm), size, size))
     for (out, into), block in kernel.items():
         pushed += (normal[:, out, :, None] * force[:, into, None, :])[:, None] * block[:, places[:, None], places]
-    pushed *= gain
+    pushed = gain * pushed
     solve = np.linalg.inv(np.eye(size) - pushed)
     seen = normal[:, outs].repeat(2, axis=1).transpose(0, 2, 1)[:, None] * to_nodes[:, places]
     acts = gain * force[:, intos].repeat(2, axis=1)[:, None] * to_end[:, :, places]
 
+    seen = np.broadcast_to(seen, (*pushed.shape[:-2], *seen.shape[-2:]))
     surface = solve @ np.concatenate((seen, -pushed), axis=-1)
     chip = surface.copy()
     chip[..., states:] -= np.eye(size)

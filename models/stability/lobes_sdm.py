@@ -1,8 +1,13 @@
-"""Stability lobes and charts by semi-discretisation: the first depth at which the spectral radius is 1."""
+"""Stability lobes from spectral radii: the first depth at which that of one tooth passing is 1.
+
+Radii come from the collocation in the engaged arc, which needs fewest unknowns and follows any immersion; where a mode
+vibrates too often from tooth to tooth for it, or the number of steps is given, from the semi-discretisation.
+"""
 
 import numpy as np
 
 from models.records import FloatArray
+from models.stability.collocation import follows, spectral_radii
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_range, lowest_of
 from models.stability.milling import Cut, directional_matrix
 from models.stability.response import ModalResponse
@@ -13,14 +18,17 @@ from models.stability.semi_discretisation import (
     semi_discretisation,
     spectral_radius,
 )
-from models.stability.state_space import StateSpace, state_space
+from models.stability.state_space import state_space
 from models.units import mm_from_m
 
-LEVELS = 36
+LEVELS = 48
 """Depths tried at each speed, in a geometric row, before the first limit is narrowed down."""
 SHALLOWEST = 0.5
 DEEPEST = 60.0
 """First and, by default, last of these depths, in multiples of `typical_depth_mm`."""
+LOOKED_INTO = 0.9
+"""A depth whose radius is above this and above its neighbours' may hide an island of instability beside it."""
+ISLAND_POINTS, ISLAND_ROUNDS = 9, 3
 NARROWING_POINTS = 3
 NARROWING_ROUNDS = 3
 MINIMUM_POINTS = 9
@@ -69,13 +77,13 @@ def semi_discretised_lobes(
         Direction of the feed against X [deg].
     max_depth_mm
         Greatest depth tried [mm]; None takes 60 times `typical_depth_mm`. An island of instability
-        that spans less than some 15 % of its depth may be missed.
+        is looked for wherever the radius has a maximum over depth, sampled every 11 %.
     steps
-        Steps per tooth passing; None chooses them at each speed.
+        Steps per tooth passing of the semi-discretisation; None: by collocation.
 
     """
     check_range(from_rpm, to_rpm, points)
-    methods = _Methods(state_space(response, feed_deg), cut, steps)
+    methods = _Methods(response, cut, feed_deg, steps)
     typical_mm = typical_depth_mm(response, cut)
     deepest_mm = max_depth_mm or DEEPEST * typical_mm
     levels_mm = np.geomspace(min(SHALLOWEST * typical_mm, 0.5 * deepest_mm), deepest_mm, LEVELS)
@@ -127,11 +135,20 @@ def semi_discretised_over_feed_directions(
 
 
 class _Methods:
-    """The prepared steps, kept per number of steps."""
+    """Spectral radii at any speed; prepared steps are kept per number of steps."""
 
-    def __init__(self, structure: StateSpace, cut: Cut, steps: int | None) -> None:
-        self._structure, self._cut, self._steps = structure, cut, steps
+    def __init__(self, response: ModalResponse, cut: Cut, feed_deg: float, steps: int | None) -> None:
+        self._response, self._cut, self._feed_deg, self._steps = response, cut, feed_deg, steps
+        self._structure = state_space(response, feed_deg)
         self._prepared: dict[int, SemiDiscretisation] = {}
+
+    def radii(self, speed_rpm: float, depths_mm: FloatArray) -> FloatArray:
+        """Return the spectral radius at a spindle speed [1/min] and depths [mm], shape (n,)."""
+        if self._steps is None and follows(self._response, self._cut, speed_rpm, float(depths_mm.max())):
+            return spectral_radii(
+                self._response, self._cut, feed_deg=self._feed_deg, speed_rpm=speed_rpm, depths_mm=depths_mm
+            )
+        return spectral_radius(self.at(speed_rpm), speed_rpm, depths_mm)
 
     def at(self, speed_rpm: float) -> SemiDiscretisation:
         """Return the discretised cut at a spindle speed [1/min]."""
@@ -143,14 +160,14 @@ class _Methods:
 
 def _limit_mm(methods: _Methods, speed_rpm: float, levels_mm: FloatArray) -> float:
     """Return the first depth with spectral radius 1 [mm], inf when there is none."""
-    method = methods.at(speed_rpm)
-    depths = levels_mm
+    radius = methods.radii(speed_rpm, levels_mm)
+    depths, radius = _with_islands(methods, speed_rpm, levels_mm, radius)
     low_mm, low = 0.0, 0.0
     high_mm, high = np.inf, np.inf
     for number in range(NARROWING_ROUNDS + 1):
         if number:
             depths = np.linspace(low_mm, high_mm, NARROWING_POINTS + 2)[1:-1]
-        radius = spectral_radius(method, speed_rpm, depths)
+            radius = methods.radii(speed_rpm, depths)
         unstable = np.flatnonzero(radius >= 1.0)
         first = int(unstable[0]) if len(unstable) else len(depths)
         if first > 0:
@@ -162,6 +179,29 @@ def _limit_mm(methods: _Methods, speed_rpm: float, levels_mm: FloatArray) -> flo
     if low_mm == 0.0 or high <= low:
         return high_mm
     return low_mm + (high_mm - low_mm) * (1.0 - low) / (high - low)
+
+
+def _with_islands(
+    methods: _Methods, speed_rpm: float, depths_mm: FloatArray, radius: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return depths and radii with those around every maximum below the first unstable depth, ascending."""
+    unstable = np.flatnonzero(radius >= 1.0)
+    end = int(unstable[0]) if len(unstable) else len(radius)
+    for place in range(1, end - 1):
+        if radius[place] < LOOKED_INTO or radius[place] < max(radius[place - 1], radius[place + 1]):
+            continue
+        low_mm, high_mm = float(depths_mm[place - 1]), float(depths_mm[place + 1])
+        for _ in range(ISLAND_ROUNDS):
+            between = np.linspace(low_mm, high_mm, ISLAND_POINTS + 2)[1:-1]
+            found = methods.radii(speed_rpm, between)
+            if bool(np.any(found >= 1.0)):
+                depths = np.concatenate((depths_mm[:place], between))
+                together = np.concatenate((radius[:place], found))
+                order = np.argsort(depths, kind="stable")
+                return depths[order], together[order]
+            top, width = float(between[int(np.argmax(found))]), (high_mm - low_mm) / (ISLAND_POINTS + 1)
+            low_mm, high_mm = top - width, top + width
+    return depths_mm, radius
 
 
 def _chatter_hz(methods: _Methods, speed_rpm: float, limit_mm: float) -> float:

@@ -24,7 +24,8 @@ from models.spindle_speed.choice import SpeedDemand, choose_speed
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
 from models.spindle_speed.verification import StabilityVerification
-from models.stability.collocation import radius_bounds
+from models.stability.collocation import radius_bounds, spectral_radii
+from models.stability.lobes_sdm import semi_discretised_lobes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
@@ -177,13 +178,31 @@ def percentiles(times_ms: list[float]) -> str:
 
 
 def chart() -> None:
+    """Spectral radii at 200 speeds and 100 depths, by collocation and, beside it, by the semi-discretisation."""
     speeds, depths = np.linspace(5000.0, 25000.0, 200), np.linspace(0.05, 5.0, 100)
-    method = semi_discretisation(state_space(BENCHMARK), cut("down", 1.0), 40)
-    timed(
-        "semi-discretisation, 200 x 100, one mode, 40 steps, one thread",
-        lambda: [spectral_radius(method, speed, depths) for speed in speeds.tolist()],
-        3,
-    )
+    for name, of in (("slotting", cut("slot", 10.0)), ("down-milling 1 of 10", cut("down", 1.0))):
+        method = semi_discretisation(state_space(BENCHMARK), of, 40)
+        timed(
+            f"chart, 200 x 100, one mode, {name}, one thread",
+            lambda of=of: [
+                spectral_radii(BENCHMARK, of, feed_deg=0.0, speed_rpm=speed, depths_mm=depths)
+                for speed in speeds.tolist()
+            ],
+            3,
+        )
+        timed(
+            "  by semi-discretisation with 40 steps, every fourth speed",
+            lambda method=method: [spectral_radius(method, speed, depths) for speed in speeds[::4].tolist()],
+            1,
+        )
+        for steps in (None, 40):
+            timed(
+                f"lobes at 100 speeds, {name}, steps {steps}",
+                lambda of=of, steps=steps: semi_discretised_lobes(
+                    BENCHMARK, of, from_rpm=5000.0, to_rpm=25000.0, points=100, steps=steps
+                ),
+                1,
+            )
 
 
 def convergence() -> None:

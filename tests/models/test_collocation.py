@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from models.errors import StabilityError
-from models.stability.collocation import passing_maps, radius_bounds
+from models.stability.collocation import follows, passing_maps, radius_bounds, spectral_radii
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, Mode, mode_from_residue, mode_from_stiffness
 from models.stability.semi_discretisation import fine_steps, semi_discretisation, spectral_radius
@@ -61,6 +61,26 @@ def test_the_bounds_hold_the_spectral_radius_between_them(
     lower, upper = radius_bounds(response, tool, feeds_deg=[feed_deg], speeds_rpm=[speed_rpm], depth_mm=depth_mm)
     assert upper[0, 0] == pytest.approx(radius, rel=1e-3)
     assert lower[0, 0] == pytest.approx(radius, rel=1e-3)
+
+
+@pytest.mark.parametrize(("mode", "radial_mm"), [("slot", 16.0), ("down", 1.6), ("up", 0.3), ("down", 0.05)])
+def test_radii_over_depths_are_those_of_the_discretised_cut(mode: str, radial_mm: float) -> None:
+    """Immersions down to 0.3 %: there 200 steps of the semi-discretisation are off by more than they."""
+    tool, depths_mm = cut(mode, 2, radial_mm), np.array([0.05, 0.5, 2.0])
+    radii = spectral_radii(MODES, tool, feed_deg=30.0, speed_rpm=9000.0, depths_mm=depths_mm)
+    structure = state_space(MODES, 30.0)
+    expected = spectral_radius(semi_discretisation(structure, tool, 800), 9000.0, depths_mm)
+    assert radii == pytest.approx(expected, abs=1e-4)
+
+
+def test_depths_are_checked_and_slow_speeds_are_told() -> None:
+    with pytest.raises(StabilityError, match="above 0"):
+        spectral_radii(MODES, HALF, feed_deg=0.0, speed_rpm=9000.0, depths_mm=np.array([0.0]))
+    assert follows(MODES, HALF, 9000.0, 2.0)
+    assert not follows(MODES, HALF, 20.0, 2.0)
+    assert not follows(MODES, HALF, 9000.0, 1e5)
+    beyond = spectral_radii(MODES, HALF, feed_deg=0.0, speed_rpm=9000.0, depths_mm=np.array([1e300]))
+    assert np.isinf(beyond).all()
 
 
 @pytest.mark.parametrize("response", [MODES, COUPLED])

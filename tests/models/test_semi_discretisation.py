@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from models.errors import StabilityError
+from models.stability.collocation import spectral_radii
 from models.stability.lobes_sdm import semi_discretised_lobes
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad, tooth_passing_hz
@@ -88,6 +89,20 @@ def test_low_immersion_has_flip_lobes_that_the_zeroth_order_misses() -> None:
     assert found.minimum is not None
     assert averaged.minimum is not None
     assert found.minimum.depth_mm < 0.6 * averaged.minimum.depth_mm
+
+
+def test_no_island_of_instability_is_missed() -> None:
+    """Random cuts of low immersion; every one is looked through at 800 depths, 0.6 % apart."""
+    rng = np.random.default_rng(1)
+    for _ in range(25):
+        case = cut(str(rng.choice(["up", "down"])), float(rng.uniform(0.1, 2.0)))
+        speed_rpm = float(rng.uniform(4000.0, 25000.0))
+        found = semi_discretised_lobes(BENCHMARK, case, from_rpm=speed_rpm, to_rpm=speed_rpm + 1.0, points=2)
+        depths_mm = np.geomspace(0.01 * found.max_depth_mm, found.max_depth_mm, 800)
+        radii = spectral_radii(BENCHMARK, case, feed_deg=0.0, speed_rpm=speed_rpm, depths_mm=depths_mm)
+        unstable = np.flatnonzero(radii >= 1.0)
+        first_mm = float(depths_mm[unstable[0]]) if len(unstable) else np.inf
+        assert found.limiting_depth_mm[0] <= 1.01 * first_mm
 
 
 def test_the_limit_is_where_the_radius_is_one() -> None:

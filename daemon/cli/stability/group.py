@@ -67,7 +67,7 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     "--method",
     type=LOBES_METHOD,
     default="zoa",
-    help="zoa: zeroth-order solution; sdm: semi-discretisation, which also shows flip lobes.",
+    help="zoa: zeroth-order solution; sdm: from the periodic cut itself, which also shows flip lobes.",
 )
 @option("--from-rpm", type=SPEED, default=2000.0, help="First spindle speed [1/min].")
 @option("--to-rpm", type=SPEED, default=14000.0, help="Last spindle speed [1/min].")
@@ -85,7 +85,11 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     callback=_points,
     help="Spectral radius at this speed and depth (sdm; may be repeated); without the lobes.",
 )
-@option("--steps", type=click.IntRange(8, 2000), help="Steps per tooth passing (sdm). Without: 200 for --at.")
+@option(
+    "--steps",
+    type=click.IntRange(8, 2000),
+    help="Steps per tooth passing of the semi-discretisation; without: by collocation.",
+)
 @picture_option
 @json_option
 def lobes(

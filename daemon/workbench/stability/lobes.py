@@ -10,9 +10,12 @@ from daemon.workbench.stability.case_files import modal_response_of, response_of
 from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed
 from models.spindle_speed.tuning import SpeedChoice
+from models.stability.collocation import follows, spectral_radii
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.milling import Cut
+from models.stability.response import ModalResponse
 from models.stability.semi_discretisation import (
     FEWEST_PER_CYCLE,
     fine_steps,
@@ -78,16 +81,10 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
         raise StabilityError("a spectral radius needs one direction of the feed; give feed_deg a number")
     speeds = [speed for speed, _ in points]
     modes, warnings = modal_response_of(case, min(speeds), max(speeds))
-    cut, structure = case.cut(), state_space(modes, float(case.feed_deg))
+    cut, feed_deg = case.cut(), float(case.feed_deg)
     found = []
     for speed, depth in points:
-        taken = steps or fine_steps(structure, cut, speed)
-        if (periods := periods_per_passing(structure, cut, speed)) * FEWEST_PER_CYCLE > taken:
-            raise StabilityError(
-                f"--steps {taken} do not follow {periods:.4g} vibrations from tooth to tooth at {speed:g} 1/min; take "
-                "more, or leave --steps out"
-            )
-        radius = spectral_radius(semi_discretisation(structure, cut, taken), speed, np.array([depth]))[0]
+        radius = _radius(modes, cut, feed_deg, speed, depth, steps)
         if not np.isfinite(radius):
             raise StabilityError(
                 f"at {speed:g} 1/min and {depth:g} mm the vibration grows beyond all numbers: this is far above any "
@@ -97,6 +94,21 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
             {"speed_rpm": speed, "depth_mm": depth, "spectral_radius": float(radius), "stable": bool(radius < 1.0)}
         )
     return {"method": "sdm", "points": found, "warnings": list(warnings)}
+
+
+def _radius(modes: ModalResponse, cut: Cut, feed_deg: float, speed: float, depth: float, steps: int | None) -> float:
+    """Return the spectral radius at a speed [1/min] and depth [mm]: by collocation, or with so many steps."""
+    depths = np.array([depth])
+    if steps is None and follows(modes, cut, speed, depth):
+        return float(spectral_radii(modes, cut, feed_deg=feed_deg, speed_rpm=speed, depths_mm=depths)[0])
+    structure = state_space(modes, feed_deg)
+    taken = steps or fine_steps(structure, cut, speed)
+    if (periods := periods_per_passing(structure, cut, speed)) * FEWEST_PER_CYCLE > taken:
+        raise StabilityError(
+            f"--steps {taken} do not follow {periods:.4g} vibrations from tooth to tooth at {speed:g} 1/min; take "
+            "more, or leave --steps out"
+        )
+    return float(spectral_radius(semi_discretisation(structure, cut, taken), speed, depths)[0])
 
 
 def choose_for_case(
