@@ -1,13 +1,12 @@
 """Chooses a family by what it leaves of whole runs or cycles that it has not seen, and says what was tried and why.
 
-Members that use the same inputs are averaged when they are nearly as good as the best of them; nobody is a member
-because it always was one. A family with more inputs (lags, lagged speed) must be better than one with fewer by more
-than the standard error of their difference, because what more inputs learn by chance is extrapolated later. What
-leaves more than there is without a model is refused.
+Members on temperatures, on their lags and on lagged speed are averaged, each as much as the mean leaves less of what
+was left out with it; nobody is a member because it always was one. A family on temperatures alone is taken in place of
+the mean unless it is clearly worse, fold by fold. What leaves more than there is without a model is refused.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from models.thermal.training.families import (
 from models.thermal.training.gaussian_member import GaussianMember, gaussian_fit, widened_piece
 from models.thermal.training.increment_family import increments_without_drift
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.lags import FAST_MIN, columns_of, offered_lags, part_of, widened
+from models.thermal.training.lags import FAST_MIN, columns_of, offered_lags, part_of, weighed, widened
 from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
@@ -38,20 +37,24 @@ from models.thermal.training.left_out_errors import (
     rmse_um,
 )
 from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
+from models.thermal.training.mixing import MOST_MEMBERS, mixing_weights
 from models.thermal.training.ridge_member import RidgeMember, joint_layout
 from models.thermal.training.trust import independent_folds
 
+LEVELS = Design(departures=False, correlation_min=None)
 DESIGNS = {
     "levels": Design(departures=True, correlation_min=None),
     "persistent": Design(departures=False, correlation_min=CORRELATION_MIN),
 }
 """The two ridges on each part of the lags: levels on departures from lags, generalised least squares on lags."""
-DEPARTURES = {"fast": False, "slow": True}
+DEPARTURES = {"temperatures": False, "fast": False, "slow": True}
 """Whether the Gaussian process on a part of the lags regresses on departures from them, or on the lags."""
-MOST_MEMBERS = 4
-"""No more than the best so many are in a mean: further ones hardly change it, and each takes memory in the daemon."""
 LEAST_GAIN = 0.005
 """Less of the error is no difference between two families, whatever the standard error."""
+CLEARLY_BETTER = 0.5
+"""By so many standard errors of the difference the mean must be better than a family on temperatures alone ..."""
+PLAIN_BETTER = 1.0
+"""... and one on temperatures alone than another of these."""
 WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
@@ -142,6 +145,10 @@ class ChosenProblem:
         """Return the fit on everything but some folds."""
         return self._chosen.fit(left_out)
 
+    def advise(self, sentences: Sequence[str]) -> None:
+        """Put sentences before the others that say what to record next."""
+        self.choice = replace(self.choice, advice=(*sentences, *self.choice.advice))
+
     def _on_temperatures(self, name: str) -> _Tried:
         plain = part_of(self._inputs, (), ())
         try:
@@ -164,29 +171,33 @@ class ChosenProblem:
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         return left_out_errors(inputs, self._rows, self._fold, fits, self._probe_min)
 
-    def _ridges(self, *, speed: bool) -> list[RidgeMember]:
-        """Return the ridges on each part of the lags, with spindle speed or without."""
+    def _parts(self, *, speed: bool) -> dict[str, Inputs]:
+        """Return the inputs of each part of the lags, with lagged speed or without, and those without any lags."""
+        lags = self._lags
+        found = {"temperatures": ((), lags.fast_speed_min if speed else ()), **lags.parts(speed=speed)}
+        return {name: part_of(self._inputs, *part) for name, part in found.items()}
+
+    def _ridges(self, *, speed: bool, lagged: bool) -> list[RidgeMember]:
+        """Return the ridges on the parts of the lags, or on temperatures without lags; with spindle speed or not."""
         made = []
-        for part, (lags_min, speed_lags_min) in self._lags.parts(speed=speed).items():
-            inputs = part_of(self._inputs, lags_min, speed_lags_min)
-            made += [
-                RidgeMember(f"{part} {name}", inputs, self._rows, self._fold, self._probe_min, design)
-                for name, design in DESIGNS.items()
-            ]
+        for part, inputs in self._parts(speed=speed).items():
+            if (part != "temperatures") is lagged:
+                designs = DESIGNS if lagged else DESIGNS | {"levels": LEVELS}
+                made += [
+                    RidgeMember(
+                        _named(f"{part} {name}", speed), inputs, self._rows, self._fold, self._probe_min, design
+                    )
+                    for name, design in designs.items()
+                ]
         return made
 
     def _processes(self, *, speed: bool) -> list[GaussianMember]:
-        """Return the Gaussian processes on each part of the lags, with spindle speed or without."""
+        """Return the Gaussian processes on temperatures and on each part of the lags, with speed or without."""
         return [
             GaussianMember(
-                f"gaussian {part}",
-                part_of(self._inputs, lags_min, speed_lags_min),
-                self._rows,
-                self._fold,
-                self._probe_min,
-                DEPARTURES[part],
+                _named(f"gaussian {part}", speed), inputs, self._rows, self._fold, self._probe_min, DEPARTURES[part]
             )
-            for part, (lags_min, speed_lags_min) in self._lags.parts(speed=speed).items()
+            for part, inputs in self._parts(speed=speed).items()
         ]
 
     def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:
@@ -197,58 +208,70 @@ class ChosenProblem:
                 raise DatasetError("no run is long enough for any family; record longer runs")
             why = f"no run is longer than {FAST_MIN[0]:g} min, so there are no lags to choose"
             return best_plain or plain[0], [], why
-        ridges = self._ridges(speed=False)
-        others = [mean_of("lags", ridges, self._inputs, self._rows)]
-        chosen = others[0]
-        if self._inputs.layout.speed_lags_min:
-            with_speed = self._ridges(speed=True)
-            others.append(mean_of("lags with speed", with_speed, self._inputs, self._rows))
-            chosen, reason = simpler(others[0], others[1])
-            reasons.append(reason)
-            if self._independent < FEWEST_TO_MIX:
-                chosen = others[1]
-            ridges = with_speed if chosen is others[1] else ridges
+        with_speed = bool(self._inputs.layout.speed_lags_min)
         if self._independent < FEWEST_TO_MIX:
-            return (
-                chosen,
-                others,
-                (
-                    "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is "
-                    f"the mean of ridges on {chosen.family}, which needs no choice"
-                ),
+            even = mean_of("lags", self._ridges(speed=with_speed, lagged=True), self._inputs, self._rows, mixed=False)
+            why = (
+                "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is the "
+                "mean of ridges on lags, which needs no choice"
             )
-        if "gaussian" in self._families:
-            processes = self._processes(speed=chosen is not others[0])
-            others.append(mean_of("gaussian", processes, self._inputs, self._rows, ridges))
-            if "lags" in self._families:
-                others.append(mean_of("gaussian and ridges", [*processes, *ridges], self._inputs, self._rows, ridges))
-                better = min(others[-2:], key=lambda one: one.score)
-                if better.score < chosen.score:
-                    reasons.append(
-                        f"{better.family} leaves {better.score:.1%} of the left-out error, {chosen.family} "
-                        f"{chosen.score:.1%}"
-                    )
-                    chosen = better
-            else:
-                chosen = others[-1]
+            return even, [even], why
+        others = self._mixed([False, True] if with_speed else [False])
+        chosen = min(others, key=lambda one: one.score)
+        if len(others) > 1:
+            reasons.append(_comparison(others))
         if best_plain is not None:
             chosen, reason = simpler(best_plain, chosen)
             reasons.append(reason)
         return chosen, others, "; ".join(reasons) or f"{chosen.family} was asked for by name"
 
+    def _mixed(self, speeds: Sequence[bool]) -> list[_Tried]:
+        """Return the means that are tried: of ridges, of Gaussian processes, of both."""
+        ridges: list[RidgeMember] = []
+        processes: list[GaussianMember] = []
+        for speed in speeds:
+            ridges += self._ridges(speed=speed, lagged=True)
+        if "ridge" in self._families:
+            for speed in speeds:
+                ridges += self._ridges(speed=speed, lagged=False)
+        if "gaussian" in self._families:
+            for speed in speeds:
+                processes += self._processes(speed=speed)
+        found = []
+        if "lags" in self._families:
+            found.append(mean_of("lags", ridges, self._inputs, self._rows))
+        if processes:
+            found.append(mean_of("gaussian", processes, self._inputs, self._rows, ridges))
+        if "lags" in self._families and processes:
+            found.append(mean_of("gaussian and ridges", [*processes, *ridges], self._inputs, self._rows, ridges))
+        return found
 
-def simpler(one: _Tried, other: _Tried, least: float = LEAST_GAIN) -> tuple[_Tried, str]:
-    """Return the first, simpler family unless the other is better by more than a standard error, and why.
 
-    `least`: what it must be better by in any case, as a share of the error.
+def _named(name: str, speed: bool) -> str:
+    return f"{name} with speed" if speed else name
+
+
+def _comparison(tried: Sequence[_Tried]) -> str:
+    shares = ", ".join(f"{one.family} {one.score:.1%}" for one in sorted(tried, key=lambda one: one.score))
+    return f"of the left-out error there remains with {shares}"
+
+
+def simpler(
+    one: _Tried, other: _Tried, least: float = LEAST_GAIN, errors: float = CLEARLY_BETTER
+) -> tuple[_Tried, str]:
+    """Return the first, simpler family unless the other is clearly better, and why.
+
+    `least`: what it must be better by in any case, as a share of the error. `errors`: by so many standard errors of the
+    difference, which is taken fold by fold.
     """
     if one.errors is None or other.errors is None:
         return other, "nothing could be left out, so nothing could be compared"
     gained, error = advantage(other.errors, one.errors)
     shares = f"{other.family} leaves {other.score:.1%} of the left-out error, {one.family} {one.score:.1%}"
-    if gained > max(error, least):
-        return other, f"{shares}: more than the standard error of the difference, {error:.1%}"
-    return one, f"{shares}: not better than the simpler one by more than {max(error, least):.1%}"
+    needed = max(errors * error, least)
+    if gained > needed:
+        return other, f"{shares}: clearly less, the standard error of the difference is {error:.1%}"
+    return one, f"{shares}: not better than the simpler one by more than {needed:.1%}"
 
 
 def _nothing(left_out: frozenset[int]) -> Fit:
@@ -266,55 +289,72 @@ def _plainest(tried: Sequence[_Tried]) -> tuple[_Tried | None, list[str]]:
             chosen = one
             continue
         before = chosen
-        chosen, reason = simpler(before, one, WATCH_IS_WORTH)
+        chosen, reason = simpler(before, one, WATCH_IS_WORTH, PLAIN_BETTER)
         if chosen is not before:
             reasons.append(reason)
     return chosen, reasons
 
 
 def mean_of(
-    family: str, made: Sequence[Member], inputs: Inputs, rows: BoolArray, ridges: Sequence[RidgeMember] = ()
+    family: str,
+    made: Sequence[Member],
+    inputs: Inputs,
+    rows: BoolArray,
+    ridges: Sequence[RidgeMember] = (),
+    *,
+    mixed: bool = True,
 ) -> _Tried:
-    """Return the mean of those members that are nearly as good as the best.
+    """Return the mean of members, each counted as left-out errors say.
 
-    `ridges`: of which the best counts alone far out, where a member bends.
+    `ridges`: of which the best counts alone far out, where a member bends. `mixed`: else all members that are nearly as
+    good as the best count alike, because there are too few scores to say more.
     """
     scores = [_score(one) for one in made]
-    near = sorted(members(scores), key=lambda index: scores[index])[:MOST_MEMBERS]
-    kept = [made[index] for index in sorted(near)]
-    processes = [one for one in kept if isinstance(one, GaussianMember)]
-    linear = [one for one in kept if isinstance(one, RidgeMember)]
-    far = min(ridges, key=_score) if processes and ridges else None
-    layout = joint_layout([one.layout for one in (*kept, *([far] if far is not None else []))])
+    errors = [one.errors for one in made if one.errors is not None]
+    weights = mixing_weights(errors) if mixed and len(errors) == len(made) else _even_weights(scores)
+    kept = [(made[index], weight) for index, weight in weights.items()]
+    processes = [(one, weight) for one, weight in kept if isinstance(one, GaussianMember)]
+    linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
+    far = min([one for one, _ in linear] or ridges, key=_score) if processes and ridges else None
+    layout = joint_layout([one.layout for one in (*(one for one, _ in kept), *([far] if far is not None else []))])
     centre = inputs.features[rows].mean(axis=0)[columns_of(layout, inputs.layout)]
 
     def fit(left_out: frozenset[int]) -> Fit:
         """Return the mean of the members, fitted on everything but some folds."""
-        solutions = {id(one): widened(one.solution(left_out), layout) for one in linear}
+        solutions = {id(one): widened(one.solution(left_out), layout) for one, _ in linear}
         if not processes:
-            return ridge_fit(list(solutions.values()))
+            return ridge_fit([weighed(solutions[id(one)], weight * len(linear)) for one, weight in linear])
         assert far is not None
         away = solutions.get(id(far)) or widened(far.solution(left_out), layout)
-        pieces = [widened_piece(one.piece(left_out), layout) for one in processes]
-        limit = float(np.mean([one.deviation_limit for one in processes]))
-        return gaussian_fit(pieces, list(solutions.values()), centre, away, limit)
+        pieces = [widened_piece(one.piece(left_out), layout) for one, _ in processes]
+        shares = [weight for _, weight in (*processes, *linear)]
+        limit = float(np.mean([one.deviation_limit for one, _ in processes]))
+        return gaussian_fit(pieces, list(solutions.values()), centre, shares, away, limit)
 
-    errors = [one.errors for one in kept if one.errors is not None]
-    hyper_parameters: HyperParameters = {"members": ", ".join(one.name for one in kept)}
+    hyper_parameters: HyperParameters = {
+        "members": ", ".join(one.name for one, _ in kept),
+        "shares": [weight for _, weight in kept],
+    }
     if linear:
-        hyper_parameters["penalties"] = [one.penalty for one in linear]
-    for one in processes:
+        hyper_parameters["penalties"] = [one.penalty for one, _ in linear]
+    for one, _ in processes:
         hyper_parameters[one.name] = one.hyper_parameters
     if np.isfinite(scores).all():
         hyper_parameters["tried"] = ", ".join(one.name for one in made)
         hyper_parameters["left_out_relative_rmse"] = scores
+    known = [one.errors for one, _ in kept if one.errors is not None]
     return _Tried(
         family=family,
         fit=fit,
         layout=layout,
-        errors=mean_errors(errors) if len(errors) == len(kept) else None,
+        errors=mean_errors(known, list(weights.values())) if len(known) == len(kept) else None,
         hyper_parameters=hyper_parameters,
     )
+
+
+def _even_weights(scores: Sequence[float]) -> dict[int, float]:
+    kept = sorted(members(scores), key=lambda index: scores[index])[:MOST_MEMBERS]
+    return dict.fromkeys(sorted(kept), 1.0 / len(kept))
 
 
 def _score(member: Member) -> float:

@@ -1,5 +1,6 @@
 """A Gaussian process as a member of a mean: on a part of the lags, with hyper-parameters from the evidence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,7 +99,7 @@ class GaussianMember:
         fits = {}
         for number in numbers:
             piece = self.piece(frozenset({number}))
-            fits[number] = gaussian_fit([piece], [], self._centre)
+            fits[number] = gaussian_fit([piece], [], self._centre, [1.0])
             out = np.flatnonzero(rows & (fold == number))
             for run in np.unique(inputs.run[out]):
                 part = out[inputs.run[out] == run]
@@ -185,28 +186,29 @@ def gaussian_fit(
     pieces: list[Piece],
     ridges: list[Solution],
     centre: FloatArray,
+    shares: Sequence[float],
     far: Solution | None = None,
     deviation_limit: float = 1.0,
     without: tuple[int, ...] = (),
 ) -> Fit:
-    """Return the mean of Gaussian processes and ridges as a fit.
+    """Return the weighted mean of Gaussian processes and ridges as a fit.
 
-    `pieces` and `ridges`: the members, in one layout. `centre`, shape (d,): mean of the features in training. `far`:
-    the ridge that counts alone far out; None: the mean counts everywhere. `deviation_limit`: see `Mixture`. `without`:
-    sensors left out of it.
+    `pieces` and `ridges`: the members, in one layout. `centre`, shape (d,): mean of the features in training. `shares`:
+    weight of each, those of the processes first. `far`: the ridge that counts alone far out; None: the mean counts
+    everywhere. `deviation_limit`: see `Mixture`. `without`: sensors left out of it.
     """
     solutions = [*(piece.solution for piece in pieces), *ridges]
-    shares = np.full(len(solutions), 1.0 / len(solutions))
+    of_each = np.array(shares, dtype=np.float64)
     outside = len(pieces)
     if far is not None and far in ridges:
         outside = len(pieces) + ridges.index(far)
     elif far is not None:
-        solutions, shares, outside = [*solutions, far], np.append(shares, 0.0), len(solutions)
+        solutions, of_each, outside = [*solutions, far], np.append(of_each, 0.0), len(solutions)
     elif not ridges:
-        solutions, shares = [*solutions, solutions[0]], np.append(shares, 0.0)
+        solutions, of_each = [*solutions, solutions[0]], np.append(of_each, 0.0)
     mixture = Mixture(
         bends=tuple(piece.bend for piece in pieces),
-        shares=shares,
+        shares=of_each,
         outside=outside,
         deviation_limit=deviation_limit if far is not None else 1e12,
     )
@@ -215,7 +217,7 @@ def gaussian_fit(
         coefficients=coefficients,
         drift_um_per_min=np.zeros(coefficients.shape[1]),
         refit=lambda sensors: gaussian_fit(
-            pieces, ridges, centre, far, deviation_limit, tuple(sorted({*without, *sensors}))
+            pieces, ridges, centre, shares, far, deviation_limit, tuple(sorted({*without, *sensors}))
         ),
         solutions=tuple(solutions),
         mixture=mixture,

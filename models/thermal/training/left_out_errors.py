@@ -38,10 +38,12 @@ class LeftOutErrors:
             count.append(sum(len(self.measured_um[index]) for index in of_fold))
             for index in of_fold:
                 without[place] += np.square(self.measured_um[index]).sum(axis=0)
-                left[place] += np.square(self._probed(self.residual_um[index])).sum(axis=0)
+                left[place] += np.square(self.probed_um(index)).sum(axis=0)
         return without, left, np.array(count, dtype=np.float64)
 
-    def _probed(self, residual_um: FloatArray) -> FloatArray:
+    def probed_um(self, index: int) -> FloatArray:
+        """Return the residual of a stretch as probes leave it [um], shape (n, n_channels)."""
+        residual_um = self.residual_um[index]
         if self.probe_min is None:
             return residual_um
         times_min = self.period_min * np.arange(len(residual_um), dtype=np.float64)
@@ -94,14 +96,14 @@ def only(errors: LeftOutErrors, fold: int) -> LeftOutErrors:
     )
 
 
-def mean_errors(members: Sequence[LeftOutErrors]) -> LeftOutErrors:
-    """Return what the mean of several families leaves of the same stretches."""
+def mean_errors(members: Sequence[LeftOutErrors], weights: Sequence[float]) -> LeftOutErrors:
+    """Return what the weighted mean of several families leaves of the same stretches; the weights sum to 1."""
     first = members[0]
     stretches = zip(*(member.residual_um for member in members), strict=True)
     return LeftOutErrors(
         folds=first.folds,
         measured_um=first.measured_um,
-        residual_um=tuple(np.asarray(np.mean(np.stack(each), axis=0)) for each in stretches),
+        residual_um=tuple(np.asarray(np.tensordot(weights, np.stack(each), axes=1)) for each in stretches),
         period_min=first.period_min,
         probe_min=first.probe_min,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.choice import ChosenProblem
+from models.thermal.training.contradiction import contradictions, reversed_runs
 from models.thermal.training.families import Problem
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs
@@ -41,7 +42,8 @@ def prepare(
 ) -> Prepared:
     """Return a family prepared on recordings.
 
-    A family that works on lags is given all that the training rows can teach, and keeps what it uses.
+    A family that works on lags is given all that the training rows can teach, and keeps what it uses. Runs in which a
+    channel reads the wrong way round are left out, and named in the advice of the choice.
 
     Raises DatasetError when too few rows are complete.
 
@@ -66,9 +68,12 @@ def prepare(
         inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags.all_min, speed_lags_min=speed_lags_min)
     rows = wanted & inputs.trainable()
     require_rows(inputs, wanted, rows)
+    wrong = reversed_runs(inputs, rows) if recipe.lags else {}
+    rows &= ~np.isin(inputs.run, list(wrong))
     fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
     problem = recipe.prepare(inputs, rows, fold, probe_min)
     if isinstance(problem, ChosenProblem):
+        problem.advise(contradictions(inputs, wrong))
         inputs = part_of(inputs, problem.layout.lags_min, problem.layout.speed_lags_min)
     return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem)
 

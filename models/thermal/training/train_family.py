@@ -102,7 +102,11 @@ def train_family(
             fit=fit,
             trust=trust,
             hyper_parameters=problem.hyper_parameters | _score(trust),
-            training=tuple(training_data(recording) for recording in used),
+            training=tuple(
+                training_data(recording)
+                for index, recording in enumerate(used)
+                if (rows & (inputs.recording == index)).any()
+            ),
             sensor_ids=_ids(recordings[0].temperature_names, kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),
             watch=fit_watch(used, sample_s, rows, fold) if watched else None,
