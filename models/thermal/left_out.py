@@ -13,6 +13,9 @@ from models.thermal.solution import imputed_mean, leverage_and_size
 MOST_EXCLUSIONS_KEPT = 64
 """So many sets of excluded sensors keep their coefficients at hand."""
 
+UNCOUNTED = 0.25
+"""Up to this share of a ridge's sensors may be absent without their number counting; the watch needs the rest."""
+
 
 class LeftOut:
     """A model of which sensors (indices from 0) are left out.
@@ -25,6 +28,7 @@ class LeftOut:
         self.beside = beside
         self._weight = np.abs(model.coefficients()[: model.layout.sensors])
         self._coefficients: dict[tuple[int, ...], FloatArray] = {}
+        self._shares: dict[tuple[int, ...], float] = {}
 
     def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
         """Return the coefficients of the features without some sensors, kept at hand, shape (d, n_channels)."""
@@ -75,16 +79,25 @@ class LeftOut:
     def share(self, excluded: tuple[int, ...]) -> float:
         """Return how much of the model counts without some sensors, 0..1.
 
-        Ridges replace a sensor by all others, so that sensors are counted; means do not, so that the weight that
-        is lost is, of the worst channel.
+        Ridges replace a sensor by all others: what counts is how much less they explain of training without it, and
+        sensors are counted beyond a quarter of them. Means do not: the weight that is lost is, of the worst channel.
         """
         if not excluded:
             return 1.0
         if self.model.domain.leverage_limit is not None:
-            return 1.0 - len(excluded) / self.model.layout.sensors
+            if excluded not in self._shares:
+                self._shares = {excluded: self._share_of_ridges(excluded)}
+            return self._shares[excluded]
         lost, total = self._weight[list(excluded)].sum(axis=0), self._weight.sum(axis=0)
         share = np.divide(lost, total, out=np.zeros_like(lost), where=total > 0.0)
         return float(np.clip(1.0 - share.max(), 0.0, 1.0))
+
+    def _share_of_ridges(self, excluded: tuple[int, ...]) -> float:
+        ridges = [one for one in self.model.solutions if one.directions is not None]
+        lost = min(float(np.mean([one.lost_share(excluded) for one in ridges])), 1.0 - 1e-9) if ridges else 0.0
+        ratio = lost / (1.0 - lost)
+        absent = len(excluded) / self.model.layout.sensors
+        return min(1.0 / (1.0 + ratio * ratio), 1.0 - max(absent - UNCOUNTED, 0.0) / (1.0 - UNCOUNTED))
 
     def imputed(self, change: FloatArray, without: Sequence[int]) -> FloatArray:
         """Return a change of the features with that of some sensors imputed from all other features.

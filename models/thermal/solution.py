@@ -81,6 +81,25 @@ class Solution:
             weights[out] = 0.0
         return canonical(weights * self.gain[:, None], self.layout, self.design)
 
+    def lost_share(self, without: Sequence[int]) -> float:
+        """Return how much of the variance that a ridge explains in training it loses without some sensors, 0..1.
+
+        Leaving columns S out adds ``w[S]^T Q[S, S]^-1 w[S]`` to the sum of squares that is left, Q the inverse of
+        ``G + penalty``; before, ``w^T G w`` was explained. Of the worst channel.
+
+        `without`: indices of the sensors, from 0, with all their lags.
+        """
+        assert self.directions is not None and self.remaining is not None
+        out = self.layout.of_sensors(without)
+        out = out[self.gain[out] > 0.0]
+        if not len(out):
+            return 0.0
+        known = self.remaining / np.maximum(1.0 - self.remaining, 1e-12)
+        explained = (np.square(self.directions.T @ self.weights) / known[:, None]).sum(axis=0)
+        removed = self.weights[out]
+        lost = (removed * np.linalg.solve(self._inverse(out)[out], removed)).sum(axis=0)
+        return float(np.clip(lost / np.maximum(explained, 1e-300), 0.0, 1.0).max())
+
     def imputed(self, change: FloatArray, without: Sequence[int], beside: IntArray | None = None) -> FloatArray:
         """Return a change of the features with what the fit without some sensors takes theirs for.
 

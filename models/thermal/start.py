@@ -33,6 +33,8 @@ class StartDeviation:
     """Temperatures at the beginnings of the runs about their mean [K], shape (n_sensors,)."""
     spread_k: float
     """Root mean square departure from that in training [K]."""
+    begun_k: float = 0.0
+    """So far from rest_degc began the runs of training [K]: what is left of left-out runs holds what that makes."""
 
     def __post_init__(self) -> None:
         """Check shapes and numbers; raises ModelError."""
@@ -44,8 +46,9 @@ class StartDeviation:
             if not np.isfinite(getattr(self, key)).all():
                 raise ModelError(f"start.{key}", "holds a number that is not finite")
             getattr(self, key).flags.writeable = False
-        if not 0.0 <= self.spread_k < np.inf:
-            raise ModelError("start.spread_k", f"{self.spread_k} must be finite and not negative")
+        for key in ("spread_k", "begun_k"):
+            if not 0.0 <= getattr(self, key) < np.inf:
+                raise ModelError(f"start.{key}", f"{getattr(self, key)} must be finite and not negative")
 
     def unknown_at_start(self, degc: FloatArray) -> float:
         """Return the share of the lags that is unknown when they begin with some temperatures, 0..1.
@@ -56,7 +59,7 @@ class StartDeviation:
         known = np.isfinite(pattern)
         if known.sum() < 2 or self.spread_k <= 0.0:
             return 1.0
-        away_k = float(np.std(pattern[known]))
+        away_k = max(float(np.std(pattern[known])) - self.begun_k, 0.0)
         return float(np.clip(away_k / (RESTLESS_SHARE * self.spread_k), LEAST_UNKNOWN, 1.0))
 
     def variance_um2(self, unknown: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitt
 from models.thermal.family import model_from_json
 from models.thermal.features import Design, lag_step, lag_table
 from models.thermal.linear import LinearModel
+from models.thermal.start import LEAST_UNKNOWN
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.prepared import prepare
@@ -124,6 +125,29 @@ def test_leaving_sensors_out_is_a_fit_without_them(
     np.testing.assert_allclose(np.delete(found, inputs.layout.of_sensors(without), axis=0), again, rtol=1e-6, atol=1e-8)
 
 
+def test_what_is_lost_without_a_sensor_is_what_the_others_do_not_explain(recording: Recording) -> None:
+    rng = np.random.default_rng(3)
+    one, other = rng.normal(0.0, 1.0, (2, recording.rows)).cumsum(axis=1)
+    degc = np.column_stack([one, one, other]) + rng.normal(0.0, 0.01, (recording.rows, 3))
+    um = (one / one.std() + 2.0 * other / other.std())[:, None]
+    made = replace(
+        recording,
+        temperature_names=("T1", "T2", "T3"),
+        temperatures_degc=20.0 + degc,
+        displacement_names=("c1",),
+        displacements_um=um,
+    )
+    inputs = build_inputs([made], sample_s=60.0, lags_min=(), speed_lags_min=())
+    fold = np.zeros(inputs.rows, dtype=np.intp)
+    design = Design(departures=False, correlation_min=None)
+    (solution,) = RidgeProblem(inputs, inputs.trainable(), fold, design).solve(frozenset(), [1e-6])
+    assert solution.lost_share(()) == 0.0
+    assert solution.lost_share((0,)) < 1e-3, "the second reads the same"
+    unexplained = 1.0 - np.corrcoef(one, other)[0, 1] ** 2
+    assert solution.lost_share((2,)) == pytest.approx(4.0 * unexplained / np.var(um), rel=0.02)
+    assert solution.lost_share((0, 1, 2)) == pytest.approx(1.0, abs=1e-3)
+
+
 def _absolute_penalty(problem: RidgeProblem, relative: float) -> float:
     """From two relative penalties r and s of a direction with eigenvalue w: remaining = p / (w + p)."""
     solution = problem.solve(frozenset(), [relative])[0]
@@ -175,16 +199,32 @@ def test_the_past_of_a_machine_at_rest_is_known_and_of_a_warm_one_becomes_so(
     recording: Recording, model: LinearModel
 ) -> None:
     estimator = LinearEstimator(model)
-    assert estimator.history_min == 960.0
+    whole = int(estimator.history_min)
+    assert whole == 4.0 * max(model.layout.lags_min)
     rest, warm = recording.temperatures_degc[0], at_random(recording, 150)
     assert estimator.settled(estimator.begin(0.0, rest, 0.0)) > 0.99
     known = []
-    for minutes in (0, 120, 480, 961):
+    for minutes in (0, whole // 8, whole // 2, whole + 1):
         state = estimator.rebuild((float(minute), warm, 0.0) for minute in range(minutes + 1))
         assert state is not None
         known.append(estimator.settled(state))
         np.testing.assert_allclose(state.unknown, np.exp(-minutes / estimator._past.constants_min), rtol=1e-9)
-    assert known == sorted(known) and known[0] < 0.99 and known[-1] > 0.9999
+    assert known == sorted(known) and known[0] < 0.99 and known[-1] > 0.999
+
+
+def test_who_begins_no_differently_than_training_began_is_at_rest(model: LinearModel) -> None:
+    runs = [machine(cycles=1, minutes=150, seed=seed) for seed in range(4)]
+    offsets_k = np.random.default_rng(5).normal(0.0, 1.0, (5, SENSORS))
+    begun = [
+        replace(run, name=f"run {i}", temperatures_degc=run.temperatures_degc + offset_k)
+        for i, (run, offset_k) in enumerate(zip(runs, offsets_k, strict=False))
+    ]
+    made = train_family(begun, "lags", sample_s=60.0, created=CREATED).model
+    assert isinstance(made, LinearModel) and made.start is not None and made.start.begun_k > 0.5
+    assert made.start.unknown_at_start(begun[1].temperatures_degc[0]) == LEAST_UNKNOWN
+    far = 4.0 * offsets_k[1]
+    assert made.start.unknown_at_start(runs[1].temperatures_degc[0] + far) > 2.0 * LEAST_UNKNOWN
+    assert model.start is not None and model.start.begun_k == 0.0, "of one run nothing tells how others begin"
 
 
 def test_while_the_past_is_not_known_the_band_is_wider_and_confidence_low(

@@ -5,7 +5,7 @@ was left out with it; nobody is a member because it always was one. A family on 
 the mean unless it is clearly worse, fold by fold. What leaves more than there is without a model is refused.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -171,23 +171,23 @@ class ChosenProblem:
         fits = {number: problem.fit(frozenset({number})) for number in numbers}
         return left_out_errors(inputs, self._rows, self._fold, fits, self._probe_min)
 
-    def _parts(self, *, speed: bool) -> dict[str, Inputs]:
-        """Return the inputs of each part of the lags, with lagged speed or without, and those without any lags."""
+    def _parts(self, *, speed: bool) -> Iterator[tuple[str, Inputs]]:
+        """Yield the inputs without lags and of each part of the lags, with lagged speed or not; one after the other."""
         lags = self._lags
-        found = {"temperatures": ((), lags.fast_speed_min if speed else ()), **lags.parts(speed=speed)}
-        return {name: part_of(self._inputs, *part) for name, part in found.items()}
+        parts = {"temperatures": ((), lags.fast_speed_min if speed else ()), **lags.parts(speed=speed)}
+        for name, part in parts.items():
+            yield name, part_of(self._inputs, *part)
 
     def _ridges(self, *, speed: bool, lagged: bool) -> list[RidgeMember]:
         """Return the ridges on the parts of the lags, or on temperatures without lags; with spindle speed or not."""
         made = []
-        for part, inputs in self._parts(speed=speed).items():
+        for part, inputs in self._parts(speed=speed):
             if (part != "temperatures") is lagged:
                 designs = DESIGNS if lagged else DESIGNS | {"levels": LEVELS}
+                names = {_named(f"{part} {name}", speed): design for name, design in designs.items()}
                 made += [
-                    RidgeMember(
-                        _named(f"{part} {name}", speed), inputs, self._rows, self._fold, self._probe_min, design
-                    )
-                    for name, design in designs.items()
+                    RidgeMember(name, inputs, self._rows, self._fold, self._probe_min, design)
+                    for name, design in names.items()
                 ]
         return made
 
@@ -197,7 +197,7 @@ class ChosenProblem:
             GaussianMember(
                 _named(f"gaussian {part}", speed), inputs, self._rows, self._fold, self._probe_min, DEPARTURES[part]
             )
-            for part, inputs in self._parts(speed=speed).items()
+            for part, inputs in self._parts(speed=speed)
         ]
 
     def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:

@@ -86,6 +86,7 @@ class GaussianMember:
             for number in numbers:
                 self._fitted(process, frozenset({number}))
             self._score(inputs, rows, fold, probe_min, numbers)
+            self._pieces.clear()  # most members are not chosen, and a piece of hundreds of sensors is some megabytes
 
     @property
     def hyper_parameters(self) -> list[float]:

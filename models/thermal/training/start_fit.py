@@ -7,6 +7,9 @@ from models.thermal.features import BoolArray, speed_inputs
 from models.thermal.start import StartDeviation
 from models.thermal.training.inputs import Inputs
 
+FEWEST_BEGINNINGS = 3
+"""With fewer runs it is not known how differently the machine begins."""
+
 
 def fit_start(inputs: Inputs, rows: BoolArray, coefficients: FloatArray) -> StartDeviation:
     """Return what training says of lags that begin at equilibrium.
@@ -39,6 +42,7 @@ def fit_start(inputs: Inputs, rows: BoolArray, coefficients: FloatArray) -> Star
         signal_um=_signal_um(inputs, rows),
         rest_degc=rest,
         spread_k=float(np.sqrt(np.mean(np.square(pattern - rest)))),
+        begun_k=float(np.std(pattern[begins] - rest, axis=1).max()) if len(begins) >= FEWEST_BEGINNINGS else 0.0,
     )
 
 

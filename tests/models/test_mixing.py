@@ -1,0 +1,54 @@
+"""How much each member of a mean counts: by what the mean leaves of left-out runs."""
+
+import numpy as np
+import pytest
+
+from models.thermal.training.left_out_errors import LeftOutErrors, mean_errors, relative
+from models.thermal.training.mixing import MOST_MEMBERS, mixing_weights
+
+RUNS, ROWS = 6, 80
+MEASURED = [np.cumsum(np.random.default_rng(run).normal(0.0, 1.0, (ROWS, 2)), axis=0) for run in range(RUNS)]
+
+
+def member(residual_um: list[np.ndarray], probe_min: float | None = None) -> LeftOutErrors:
+    return LeftOutErrors(
+        folds=np.arange(RUNS),
+        measured_um=tuple(MEASURED),
+        residual_um=tuple(residual_um),
+        period_min=1.0,
+        probe_min=probe_min,
+    )
+
+
+def noise(seed: int, size: float, common: list[np.ndarray] | None = None) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    own = [rng.normal(0.0, size, (ROWS, 2)) for _ in range(RUNS)]
+    return own if common is None else [one + other for one, other in zip(own, common, strict=True)]
+
+
+def test_members_that_err_differently_are_mixed_and_the_bad_one_is_not() -> None:
+    tried = [member(noise(1, 1.0)), member(noise(2, 1.0)), member(noise(3, 6.0))]
+    weights = mixing_weights(tried)
+    assert weights == pytest.approx({0: 0.5, 1: 0.5}, abs=0.17)
+    mixed = mean_errors([tried[index] for index in weights], list(weights.values()))
+    assert relative(mixed) < 0.8 * min(relative(one) for one in tried)
+
+
+def test_members_that_err_alike_are_not_better_together() -> None:
+    common = noise(7, 1.0)
+    tried = [member(noise(1, 0.01, common)), member([1.5 * each for each in common])]
+    assert mixing_weights(tried) == {0: 1.0}
+
+
+def test_the_weights_sum_to_one_over_few_members() -> None:
+    weights = mixing_weights([member(noise(seed, 1.0)) for seed in range(10)])
+    assert len(weights) == MOST_MEMBERS and sum(weights.values()) == pytest.approx(1.0)
+    assert min(weights.values()) > 0.0
+
+
+def test_with_probes_an_offset_does_not_count() -> None:
+    """One drifts slowly and says little between two probes; the other jumps about zero."""
+    slow = [np.linspace(0.0, 20.0, ROWS)[:, None] * np.ones(2) for _ in range(RUNS)]
+    tried = noise(1, 2.0)
+    assert mixing_weights([member(slow), member(tried)])[1] > 0.8
+    assert mixing_weights([member(slow, probe_min=5.0), member(tried, probe_min=5.0)])[0] > 0.6
