@@ -38,7 +38,7 @@ class LeftOutErrors:
             count.append(sum(len(self.measured_um[index]) for index in of_fold))
             for index in of_fold:
                 without[place] += np.square(self.measured_um[index]).sum(axis=0)
-                left[place] += np.square(self.probed_um(index)).sum(axis=0)
+                left[place] += np.square(self.probed_um(int(index))).sum(axis=0)
         return without, left, np.array(count, dtype=np.float64)
 
     def probed_um(self, index: int) -> FloatArray:
