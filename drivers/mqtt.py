@@ -1,5 +1,6 @@
 """Temperatures that devices publish over MQTT: a number, or a JSON object with it, per message."""
 
+import contextlib
 import json
 import logging
 import math
@@ -43,21 +44,25 @@ class MqttSource(PushedSource):
     async def follow(self) -> None:
         """Connect, subscribe and take what comes; raises LinkError when the broker is lost."""
         config = self._config
+        connection = aiomqtt.Client(
+            config.host,
+            config.port,
+            username=config.user_name,
+            password=self._password(),
+            tls_context=self._tls(),
+            timeout=config.timeout_s,
+            max_queued_incoming_messages=MOST_WAITING * len(config.sensors),
+        )
         try:
-            async with aiomqtt.Client(
-                config.host,
-                config.port,
-                username=config.user_name,
-                password=self._password(),
-                tls_context=self._tls(),
-                timeout=config.timeout_s,
-                max_queued_incoming_messages=MOST_WAITING * len(config.sensors),
-            ) as client:
+            async with connection as client:
                 await client.subscribe([(topic, 0) for topic in self._topics])
                 async for message in client.messages:
                     self._take(message)
         except (aiomqtt.MqttError, OSError, TimeoutError) as error:
             raise LinkError(f"{self._where}: {self._why(error)}") from error
+        finally:
+            with contextlib.suppress(Exception):  # else its pair of sockets stays open until the garbage is collected
+                connection._client._reset_sockets()
 
     def _why(self, error: BaseException) -> str:
         text = str(error)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator
@@ -14,6 +15,8 @@ from models.records import Instant, TemperatureCycle, Trace
 
 MOST_WAITING = 64
 """Rows that may wait for the consumer; of more the oldest are dropped, and told."""
+FEWEST_PERIODS = 0.5
+"""A row that is measured sooner after the one before it is left out."""
 SILENT_PERIODS = 3.0
 """Without anything for so many cycle periods the source is given up, to be opened anew."""
 MIN_SILENT_REAL_S = 2.0
@@ -29,6 +32,7 @@ class PushedSource(ABC):
         self._clock = clock
         self._maker = CycleMaker(source)
         self._rows: deque[tuple[Readings, Instant]] = deque(maxlen=MOST_WAITING)
+        self._row_s = -math.inf
         self._dropped = 0
         self._single: dict[int, float | NoReading] = {}
         self._single_since: Instant | None = None
@@ -41,11 +45,18 @@ class PushedSource(ABC):
 
     # --- what the driver calls ----------------------------------------------------------
 
+    def wanted(self, measured: Instant) -> bool:
+        """Whether a row of this time makes a cycle; cleansing counts readings that agree, so none follow too fast."""
+        return measured.monotonic_s - self._row_s >= FEWEST_PERIODS * self._source.cycle_period_s
+
     def put_row(self, readings: Readings, measured: Instant) -> None:
-        """Take one number of each sensor that has one, measured at `measured`."""
+        """Take one number of each sensor that has one, measured at `measured`; a row too soon after one is left out."""
+        self.heard()
+        if not self.wanted(measured):
+            return
+        self._row_s = measured.monotonic_s
         self._dropped += len(self._rows) == MOST_WAITING
         self._rows.append((readings, measured))
-        self.heard()
 
     def put(self, sensor_id: int, reading: float | NoReading) -> None:
         """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor."""

@@ -132,7 +132,10 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
     model_file = configuration.compensation.model_file
     record = released(model_file)[0] if model_file is not None else None
     cnc = configuration.cnc
-    secrets = (f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items())
+    secrets = [f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items()]
+    for index, each in enumerate(configuration.temperatures.sources or ()):
+        at = f"temperatures.sources[{index}].{each.driver}"
+        secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,

@@ -8,7 +8,9 @@ answer to the next. All of that is judged here, and after any time-out the conne
 import asyncio
 import contextlib
 import logging
+import random
 from pathlib import Path
+from typing import ClassVar
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
@@ -42,7 +44,13 @@ class RefusedRead(Exception):
 
 
 class ModbusClient:
-    """One connection, built anew for every attempt."""
+    """One connection, built anew for every attempt.
+
+    Transaction numbers go on over all connections: the library would begin with 1 each time, and an answer of an older
+    connection, which a gateway may still hold, would have the number of a request of this one.
+    """
+
+    last_number: ClassVar[int] = random.randrange(60000)
 
     def __init__(self, config: ModbusConfig, owner: str) -> None:
         self._config = config
@@ -75,6 +83,7 @@ class ModbusClient:
     def _on_pdu(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
         if sending:
             self._sent_number = pdu.transaction_id
+            ModbusClient.last_number = self._sent_number or ModbusClient.last_number
         return pdu
 
     def _on_packet(self, sending: bool, packet: bytes) -> bytes:
@@ -93,6 +102,8 @@ class ModbusClient:
             raise LinkError(f"{self._where} {self._why_not_connected()}")
         if self._config.is_rtu:
             await self._drain()
+        else:
+            self._client.ctx.next_tid = ModbusClient.last_number
 
     async def _drain(self) -> None:
         """Let what is still on the line arrive and be dropped; raises LinkError when it does not end."""

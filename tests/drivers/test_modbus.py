@@ -1,34 +1,24 @@
 """Modbus: how registers are grouped and read, and that no answer ever lands on another register."""
 
 import asyncio
-import contextlib
 import math
-import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from bad_modbus_wire import PATIENCE_S, BadWire, contents, follow, sensor, source_of, undamaged
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from config.schema.modbus import ModbusConfig, ModbusSensorConfig, grouped, told_apart
-from config.schema.source_drivers import SourceConfig
-from drivers.clock import SystemClock
 from drivers.contract import LinkError
 from drivers.modbus.registers import number_of
-from drivers.modbus.source import ModbusSource
 from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
 from models.quality import Reason
 
-PATIENCE_S = 60.0
 TYPES = ("int16", "uint16", "int32", "uint32", "float32")
-
-
-def sensor(address: int = 0, **about: Any) -> dict[str, Any]:
-    return {"id": 1000 + address, "component": "Bed", "address": address, **about}
 
 
 def section(*sensors: dict[str, Any], **about: Any) -> ModbusConfig:
@@ -152,80 +142,6 @@ def test_the_simulated_box_answers_anything_without_falling_over(frame: bytes) -
 
 # --- no answer ever lands on another register ---------------------------------------
 
-TIMEOUT_S = 0.03
-
-
-def contents(unit: int, table: str, start: int, count: int) -> Sequence[int] | None:
-    """Every register says which one it is."""
-    return [unit * 4000 + (2000 if table == "input" else 0) + start + i for i in range(count)]
-
-
-SENSORS = [sensor(i) for i in (0, 1, 10, 11, 50, 51)]
-SENSORS += [{**sensor(i, table="input"), "id": 2000 + i} for i in (0, 1, 20, 21)]
-SENSORS += [{**sensor(i, unit_id=2), "id": 3000 + i} for i in (0, 1, 2, 10, 11)]
-
-
-def truth(each: dict[str, Any]) -> float:
-    (word,) = contents(each.get("unit_id", 1), each.get("table", "holding"), each["address"], 1) or ()
-    return 0.01 * word
-
-
-class BadWire:
-    """Lets answers come late, twice, in each other's place, damaged, or never."""
-
-    def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)
-        self._held: list[bytes] = []
-        self.disturbed = 0
-
-    def __call__(self, answer: bytes, send: Send) -> None:
-        loop, chance = asyncio.get_running_loop(), self._random
-        kind = chance.choice(["good"] * 12 + ["late", "twice", "swapped", "lost", "damaged", "stale", "zero"])
-        self.disturbed += kind != "good"
-        self._held = [*self._held[-20:], answer]
-        if kind == "late":
-            loop.call_later(chance.uniform(0.5, 6.0) * TIMEOUT_S, send, answer)
-        elif kind == "swapped":  # another request's answer comes first
-            send(chance.choice(self._held))
-            loop.call_later(chance.uniform(0.0, TIMEOUT_S), send, answer)
-        elif kind == "stale":
-            loop.call_later(chance.uniform(0.0, 2.0) * TIMEOUT_S, send, chance.choice(self._held))
-            send(answer)
-        elif kind == "damaged":
-            place = chance.randrange(len(answer))
-            send(answer[:place] + bytes([answer[place] ^ 1 << chance.randrange(8)]) + answer[place + 1 :])
-        elif kind == "zero":  # some gateways answer with the transaction number 0
-            loop.call_later(chance.uniform(0.0, 3.0) * TIMEOUT_S, send, bytes(2) + answer[2:])
-        elif kind != "lost":
-            send(answer)
-            if kind == "twice":
-                send(answer)
-                loop.call_later(chance.uniform(0.0, TIMEOUT_S), send, answer)
-
-
-def source_of(place: dict[str, Any]) -> Callable[[], ModbusSource]:
-    modbus = {**place, "timeout_s": TIMEOUT_S, "gap": 4, "sensors": [{**each, "scale": 0.01} for each in SENSORS]}
-    content = {"name": "bad", "driver": "modbus", "cycle_period_s": 0.001, "modbus": modbus}
-    config = SourceConfig.model_validate(content)
-    return lambda: ModbusSource(config, SystemClock())
-
-
-async def follow(make: Callable[[], ModbusSource], enough: Callable[[], bool]) -> tuple[int, int]:
-    """Read until it is enough, building anew what was lost; return how many values came, and how many were wrong."""
-    expected, values, wrong = np.array([truth(each) for each in SENSORS]), 0, 0
-    async with asyncio.timeout(PATIENCE_S):
-        while not enough() or not values:
-            source = make()
-            with contextlib.suppress(LinkError):
-                async for cycle in source.cycles():
-                    there = np.isfinite(cycle.degc)
-                    values += int(there.sum())
-                    wrong += int((np.abs(cycle.degc - expected)[there] > 1e-9).sum())
-                    if enough():
-                        break
-            await source.close()
-    return values, wrong
-
 
 @pytest.mark.wires
 @pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu-over-tcp"])
@@ -239,14 +155,6 @@ async def test_no_value_lands_on_another_register_over_tcp(rtu: bool) -> None:
     await box.stop()
     assert values > 100
     assert wrong == 0
-
-
-def undamaged(wire: BadWire) -> Callable[[bytes, Send], None]:
-    def way(answer: bytes, send: Send) -> None:
-        said = {*(bytes(2) + each[2:] for each in [*wire._held, answer]), *wire._held, answer}
-        wire(answer, lambda data: send(data) if data in said else None)
-
-    return way
 
 
 @pytest.mark.wires
@@ -295,3 +203,23 @@ async def test_what_cannot_be_reached_is_named_with_what_to_check(tmp_path: Path
     ):
         with pytest.raises(LinkError, match=f"source bad: .*{words}"):
             await anext(source_of(place)().cycles())
+
+
+@pytest.mark.wires
+async def test_no_request_of_a_new_connection_has_the_number_of_an_old_one() -> None:
+    numbers: list[bytes] = []
+
+    def way(answer: bytes, send: Send) -> None:
+        numbers.append(answer[:2])
+        send(answer)
+
+    box = ModbusTcpBox(contents, way=way)
+    await box.start()
+    for _ in range(5):
+        source = source_of({"host": "127.0.0.1", "port": box.port})()
+        async with asyncio.timeout(PATIENCE_S):
+            await anext(source.cycles())
+        await source.close()
+    await box.stop()
+    assert len(numbers) > 5
+    assert len(set(numbers)) == len(numbers)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,9 +111,9 @@ def test_fields_of_json() -> None:
 # --- a logger's files -----------------------------------------------------------------
 
 
-def logger(path: Path, **file: Any) -> LoggerTemperatureSource:
+def logger(path: Path, period_s: float = PERIOD_S, **file: Any) -> LoggerTemperatureSource:
     section = {"file": {"path": str(path), "header": "t", "time_format": "%s", "poll_period_s": 0.01, **file}}
-    return LoggerTemperatureSource(source("csv", section, {**SENSOR, "column": "T7"}), SystemClock())
+    return LoggerTemperatureSource(source("csv", section, {**SENSOR, "column": "T7"}, period_s=period_s), SystemClock())
 
 
 def row(path: Path, text: str) -> None:
@@ -168,8 +169,8 @@ async def test_a_row_without_a_stamp_counts_from_its_arrival_and_rows_at_once_co
 
 
 async def test_a_new_file_is_followed_and_tokens_are_no_numbers(tmp_path: Path) -> None:
-    row(tmp_path / "1.csv", f"t,T7\n{time.time() - 1:.2f},20.0\n")
-    opened = logger(tmp_path / "*.csv")
+    row(tmp_path / "1.csv", f"t,T7\n{time.time():.2f},20.0\n")
+    opened = logger(tmp_path / "*.csv", period_s=0.02)
     cycles = opened.cycles()
     assert list((await following(cycles)).degc) == [20.0]
     row(tmp_path / "2.csv", f"t,T7\n{time.time():.2f},+OVER\n")
@@ -278,7 +279,8 @@ def program(code: str, **section: Any) -> ProcessSource:
 
 async def test_lines_that_say_nothing_are_told_and_the_next_good_one_counts() -> None:
     opened = program(
-        "import time\n"
+        "import time; say = print\n"
+        "def print(text): say(text); time.sleep(0.05)\n"
         "print('no json'); print('{\"u\": 1}'); print('['*5000); print('x'*100000); print('{\"t\": NaN}')\n"
         "print('{\"t\": 21.5}'); time.sleep(60)",
         max_line_bytes=20000,
@@ -325,16 +327,27 @@ async def test_a_program_that_ends_says_its_last_words_and_one_that_is_not_there
     assert process.__doc__
 
 
-async def test_a_program_that_floods_is_bounded_and_told() -> None:
+async def test_a_program_that_floods_makes_no_more_cycles_than_its_period_and_leaves_the_loop_to_others() -> None:
     opened = program("import sys\nwhile True: sys.stdout.write('{\"t\": 20}\\n' * 1000)")
     cycles = opened.cycles()
-    await following(cycles)
-    await asyncio.sleep(0.2)
+    before = await following(cycles)
+    for _ in range(5):
+        cycle = await following(cycles)
+        apart_s = cycle.trace.first_byte.monotonic_s - before.trace.first_byte.monotonic_s
+        assert apart_s >= pushing.FEWEST_PERIODS * 0.05
+        before = cycle
     async with asyncio.timeout(PATIENCE_S):
-        while not any("rows dropped" in fault for fault in (await following(cycles)).faults):
-            await asyncio.sleep(0)
-    assert len(opened._rows) <= pushing.MOST_WAITING
+        await asyncio.sleep(0.01)
     await opened.close()
+
+
+async def test_rows_that_the_consumer_does_not_take_are_bounded_and_told(tmp_path: Path) -> None:
+    opened = logger(tmp_path / "log.csv")
+    now = SystemClock().now()
+    for step in range(pushing.MOST_WAITING + 36):
+        opened.put_row({7: 20.0}, replace(now, monotonic_s=now.monotonic_s + step * PERIOD_S))
+    assert len(opened._rows) == pushing.MOST_WAITING
+    assert opened._due()[0].faults[0] == "source s: 36 rows dropped, more came than can be taken: check what sends them"
 
 
 # --- MQTT and OPC UA --------------------------------------------------------------------

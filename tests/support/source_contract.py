@@ -139,13 +139,13 @@ async def closing_ends_the_cycles_at_any_time_and_more_than_once(bench: SourceBe
 
 async def twenty_sources_leave_nothing_open(bench: SourceBench) -> None:
     await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
-    tasks = len(asyncio.all_tasks())
 
     async def one() -> None:
         async with aclosing(bench.open().cycles()) as cycles:
             await until(cycles, lambda cycle: cycle.degc[0] == 20.0)
 
     await one()
+    tasks = len(asyncio.all_tasks())
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(20):
         await one()
