@@ -6,7 +6,8 @@ the supervisor owns retry and counts any other exception as retriable, loudly.
 """
 
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from enum import StrEnum, auto
 from typing import Literal, Protocol
 
 from config.schema.cnc import CncConfig
@@ -26,6 +27,21 @@ MODES = {
 }
 RUNS = {0: CncRun.RESET, 1: CncRun.STOP, 2: CncRun.HOLD, 3: CncRun.START, 4: CncRun.START}
 """FANUC's codes for mode and run, which several protocols carry."""
+
+
+class Capability(StrEnum):
+    """What a control may give and take; a driver says which it cannot, and why."""
+
+    READ_MACROS = auto()
+    WRITE_MACROS = auto()
+    PROGRAM = auto()
+    SEQUENCE_NUMBER = auto()
+    SPINDLE_SPEED = auto()
+    MOTOR_TEMPERATURE = auto()
+    CLOCK = auto()
+    POWER_ON_COUNT = auto()
+    WORK_OFFSET = auto()
+    TOOL_NUMBER = auto()
 
 
 class DriverError(Exception):
@@ -85,6 +101,11 @@ class Cnc(Protocol):
     """What the control calls itself (known after connect); commissioning is bound to it."""
     security: Security
     """Encrypted: signed, encrypted and with a named user (known before connect)."""
+
+    @property
+    def cannot(self) -> Mapping[str, str]:
+        """Which `Capability` this control does not have, with the reason (known after connect)."""
+        ...
 
     async def connect(self) -> None:
         """Connect; raises LinkError or FatalDriverError."""

@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = {
     "check": "Check the configuration and everything it names.",
     "doctor": "Examine this computer and the installation.",
     "sources": "Read temperature sources, and find what is on a bus.",
+    "cnc": "Say what the control gives and takes.",
     "guard": "Print the NC programs for the control, or their sheet.",
     "sample-config": "Print a commented configuration to begin with.",
     "config-schema": "Print the JSON Schema of the configuration.",
@@ -132,6 +133,10 @@ def _module_of_admin(command: str) -> ModuleType:
             from daemon.cli.admin import sources
 
             return sources
+        case "cnc":
+            from daemon.cli.admin import cnc
+
+            return cnc
         case "guard":
             from daemon.cli.admin import guard
 

@@ -7,9 +7,13 @@ from config.records.commissioning import CommissioningRecord, commissioning_inhi
 from config.schema import Configuration
 from daemon.cnc.session import CncSession
 from drivers.clock import Clock
-from drivers.contract import SIMULATED_CNC_IDENTITY, Cnc
+from drivers.contract import SIMULATED_CNC_IDENTITY, Capability, Cnc
 from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest
+
+OPTIONAL = (Capability.SEQUENCE_NUMBER, Capability.SPINDLE_SPEED, Capability.MOTOR_TEMPERATURE)
+NEEDED = tuple(name for name in Capability if name not in OPTIONAL)
+"""What no axis is compensated without."""
 
 
 class Interlocks:
@@ -32,6 +36,9 @@ class Interlocks:
         self._record_refused = record_refused
         axes = configuration.compensation.axes
         self._axes = tuple(axes)
+        sequenced = configuration.compensation.reference.sequence_numbers
+        sequenced = [*sequenced, *configuration.compensation.output.safe_sequence_numbers]
+        self._needed = (*NEEDED, *([Capability.SEQUENCE_NUMBER] if sequenced else []))
         self.modelled = frozenset(name for name, axis in axes.items() if axis.estimate is not None)
 
     def inhibits(self, session: CncSession | None, axes: frozenset[str]) -> tuple[Inhibit, ...]:
@@ -69,6 +76,15 @@ class Interlocks:
         if cnc.security == "insecure" and not config.allow_insecure_writes:
             text = "the connection is not secure"
             yield Inhibit(code=InhibitCode.SECURITY, text=text, remedy=config.insecure_advice)
+        if missing := next((name for name in self._needed if name in cnc.cannot), None):
+            yield Inhibit(
+                code=InhibitCode.CONTROL,
+                text=f"the control gives no {missing.replace('_', ' ')}: {cnc.cannot[missing]}",
+                remedy="set the reference and the safe points by macro variables (cnc.macros.request, "
+                "cnc.macros.safe_flag)"
+                if missing is Capability.SEQUENCE_NUMBER
+                else "reach the control by another driver (cnc.driver)",
+            )
 
     def _judged(self, identity: str, axes: frozenset[str], guard_version: float | None) -> str:
         return commissioning_inhibit(

@@ -68,6 +68,7 @@ class OpcUaCnc:
         self._renew_at_s = math.inf
         self._watch = ClockWatch(self._endpoint, config.stale_after_s)
         self.identity = ""
+        self.cannot: dict[str, str] = {}
         self.security: Security = "encrypted" if self._opcua.encrypted else "insecure"
 
     async def connect(self) -> None:
@@ -197,7 +198,14 @@ class OpcUaCnc:
         variables = Variables(self._opcua.nodes, namespaces.index(uri))
         block = self._config.macros.block
         answers = await services.read(variables.read_request(block, state=True))
-        self._watch.stands_still(variables.sample(self._clock.now(), block, answers))
+        sample = variables.sample(self._clock.now(), block, answers)
+        self._watch.stands_still(sample)
+        measured = {"spindle_speed": sample.spindle_speed_rpm, "motor_temperature": sample.motor_temperature_degc}
+        self.cannot = {
+            name: f"the server gives no value for cnc.opcua.nodes.{name}"
+            for name, value in measured.items()
+            if math.isnan(value)
+        }
         return variables
 
     async def _write(self, services: Services, requests: Sequence[tuple[Sequence[tuple[int, float]], bytes]]) -> None:

@@ -9,6 +9,7 @@ class InhibitCode(StrEnum):
 
     NOT_BEGUN = "not begun"
     CLOCK = "clock"
+    CONTROL = "control"
     COMMISSIONING = "commissioning"
     SECURITY = "security"
     UNKNOWN_AXIS = "unknown axis"

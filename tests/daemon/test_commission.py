@@ -1,19 +1,21 @@
-"""Commissioning of the simulated machine over real OPC UA, and attacks on it."""
+"""Commissioning of the simulated machine over the real wire of every driver, and attacks on it."""
 
 import pytest
 import pytest_asyncio
 from commissioning_bench import Bench, Person, serving
 
 from config.records.commissioning import commissioning_inhibit, save_commissioning
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import drivers_of
 from daemon.checkup.machine import preflight
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
-    async with serving(tmp_path_factory.mktemp("commission")) as bench:
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=drivers_of(CncConfig))
+async def served(tmp_path_factory, request):
+    async with serving(tmp_path_factory.mktemp("commission"), request.param) as bench:
         yield bench
 
 

@@ -11,6 +11,8 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import STOPPED, Bench, Person, refused, serving
 
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import drivers_of
 from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError
@@ -26,9 +28,9 @@ DIAMETER = Wiring(um_per_um={"x": {"x": 0.5}})
 SKEW = Wiring(um_per_um={"z": {"z": 1.0, "x": 0.5}})
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
-    async with serving(tmp_path_factory.mktemp("attacks")) as bench:
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=drivers_of(CncConfig))
+async def served(tmp_path_factory, request):
+    async with serving(tmp_path_factory.mktemp("attacks"), request.param) as bench:
         yield bench
 
 

@@ -7,7 +7,15 @@ from typing import Any, ClassVar, Literal
 
 import pytest
 import pytest_asyncio
-from cnc_contract import CHECKS, Bench, Check
+from cnc_contract import (
+    CHECKS,
+    WIRE_CHECKS,
+    Bench,
+    Check,
+    WireBench,
+    WireCheck,
+    reconnecting_leaves_nothing_behind,
+)
 from pydantic import Field, create_model
 from scripted_machine import ScriptedNc, cnc_config
 
@@ -71,13 +79,22 @@ class OpcUaBench:
 
     async def start(self) -> None:
         await self._server.start()
-        self._endpoint = self._server.endpoint
 
     async def stop(self) -> None:
         await self._server.stop()
 
     def open(self, **changes: Any) -> Cnc:
-        return OpcUaCnc(cnc_config(self._endpoint, **changes), SystemClock())
+        return self.open_at(self.port, **changes)
+
+    @property
+    def port(self) -> int:
+        return self._server.port
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        return OpcUaCnc(cnc_config(f"opc.tcp://127.0.0.1:{port}/cnc", **changes), SystemClock())
+
+    def written(self) -> list[int]:
+        return [number for number, _ in self._nc.macros.written]
 
     async def lose(self) -> None:
         await self._server.stop()
@@ -91,7 +108,8 @@ class FocasBench:
 
     def __init__(self) -> None:
         config = cnc_config(focas={"host": "127.0.0.1"})
-        self._server = SimulatedFocasServer(ScriptedNc(), config, port=0)
+        self._nc = ScriptedNc()
+        self._server = SimulatedFocasServer(self._nc, config, port=0)
 
     async def start(self) -> None:
         await self._server.start()
@@ -100,7 +118,17 @@ class FocasBench:
         await self._server.stop()
 
     def open(self, **changes: Any) -> Cnc:
-        return FocasCnc(cnc_config(focas={"host": "127.0.0.1", "port": self._server.port}, **changes), SystemClock())
+        return self.open_at(self.port, **changes)
+
+    @property
+    def port(self) -> int:
+        return self._server.port
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        return FocasCnc(cnc_config(focas={"host": "127.0.0.1", "port": port}, **changes), SystemClock())
+
+    def written(self) -> list[int]:
+        return [number for number, _ in self._nc.macros.written]
 
     async def lose(self) -> None:
         await self._server.stop()
@@ -128,6 +156,31 @@ async def bench(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 async def test_every_driver_does_what_the_daemon_relies_on(bench: Bench, check: Check) -> None:
     await check(bench)
+
+
+@pytest_asyncio.fixture(params=BENCHES)
+async def wired(request: pytest.FixtureRequest) -> AsyncIterator[WireBench]:
+    served = BENCHES[request.param]()
+    await served.start()
+    yield served
+    await served.stop()
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("check", WIRE_CHECKS, ids=lambda check: check.__name__)
+async def test_every_wire_ends_in_words(wired: WireBench, check: WireCheck) -> None:
+    await check(wired)
+
+
+@pytest.mark.wires
+async def test_a_hundred_connections_leave_nothing_behind(bench: Bench) -> None:
+    await reconnecting_leaves_nothing_behind(bench, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.wires
+async def test_a_thousand_connections_leave_nothing_behind(bench: Bench) -> None:
+    await reconnecting_leaves_nothing_behind(bench, 1000)
 
 
 def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:

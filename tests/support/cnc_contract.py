@@ -1,12 +1,16 @@
 """What every driver of a CNC must do, whatever its protocol; `Bench` gives the checks a control to try it on."""
 
+import asyncio
+import gc
 import math
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
 
-from drivers.contract import Cnc, FatalDriverError, LinkError, NotSentError
+from drivers.contract import Capability, Cnc, DriverError, FatalDriverError, LinkError, NotSentError
+from drivers.sim.wires.tcp_relay import TcpRelay
 from models.records import CncSample
 
 GROUPS = [[(500, 1.0)], [(501, 0.004), (503, 0.0105)], [(505, 1.0)]]
@@ -29,7 +33,28 @@ class Bench(Protocol):
         ...
 
 
+class WireBench(Bench, Protocol):
+    """A control behind a TCP port."""
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        ...
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        """Return a new driver for another port of this computer."""
+        ...
+
+    def written(self) -> list[int]:
+        """Return the numbers that were written so far, in their order."""
+        ...
+
+
 Check = Callable[[Bench], Awaitable[None]]
+WireCheck = Callable[[WireBench], Awaitable[None]]
+IMPATIENT_S = 0.3
+OBJECTS_PER_RECONNECT = 5.0
+"""Less than this is kept of a connection, by the simulated control in this process too; a whole one is dozens."""
 
 
 async def connected(bench: Bench, **changes: Any) -> Cnc:
@@ -109,6 +134,100 @@ async def a_control_that_went_away_is_a_lost_link(bench: Bench) -> None:
         await bench.open().connect()
 
 
+async def what_it_cannot_is_said_and_has_no_value(bench: Bench) -> None:
+    cnc = await connected(bench)
+    sample = await cnc.read([])
+    assert set(cnc.cannot) <= set(Capability) and all(cnc.cannot.values())
+    values = {"spindle_speed": sample.spindle_speed_rpm, "motor_temperature": sample.motor_temperature_degc}
+    assert {name for name, value in values.items() if math.isnan(value)} == set(cnc.cannot) & set(values)
+    assert math.isfinite(sample.clock_s)
+    await cnc.close()
+
+
+async def a_second_look_at_one_instant_differs_only_in_time(bench: Bench) -> None:
+    cnc = await connected(bench)
+    first, second = await cnc.read([500]), await cnc.read([500])
+    assert second.time.monotonic_s >= first.time.monotonic_s and second.clock_s >= first.clock_s
+    assert (first.power_on_count, first.program, first.macros) == (second.power_on_count, second.program, second.macros)
+    await cnc.close()
+
+
+async def groups_arrive_in_their_order(bench: WireBench) -> None:
+    cnc = await connected(bench)
+    await cnc.write_macros([[(500, 1.0)], [(503, 2.0), (501, 1.0), (504, 3.0)], [(505, 1.0)]])
+    assert bench.written()[0] == 500 and bench.written()[-1] == 505 and set(bench.written()[1:-1]) == {501, 503, 504}
+    await cnc.close()
+
+
+async def a_silent_peer_is_a_lost_link_within_the_time_out(bench: WireBench) -> None:
+    async def say_nothing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read()
+        writer.close()
+
+    silent = await asyncio.start_server(say_nothing, "127.0.0.1", 0)
+    cnc = bench.open_at(silent.sockets[0].getsockname()[1], timeout_s=IMPATIENT_S)
+    with pytest.raises(LinkError, match=r"did not answer within 0\.3 s"):
+        await cnc.connect()
+    await cnc.close()
+    silent.close()
+
+
+async def who_speaks_another_protocol_is_no_control(bench: WireBench) -> None:
+    async def say_something_else(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        await reader.read()
+        writer.close()
+
+    other = await asyncio.start_server(say_something_else, "127.0.0.1", 0)
+    cnc = bench.open_at(other.sockets[0].getsockname()[1], timeout_s=5 * IMPATIENT_S)
+    with pytest.raises(DriverError):
+        await cnc.connect()
+    await cnc.close()
+    other.close()
+
+
+async def a_connection_that_is_open_on_one_side_only_is_lost(bench: WireBench) -> None:
+    relay = TcpRelay(port=0, target_port=bench.port)
+    await relay.start()
+    try:
+        cnc = bench.open_at(relay.port)
+        await cnc.connect()
+        await cnc.close()
+        cnc = bench.open_at(relay.port, timeout_s=5 * IMPATIENT_S)
+        await cnc.connect()
+        relay.freeze()
+        with pytest.raises(LinkError, match="did not answer within"):
+            await cnc.write_macros([[(500, 2.0)]])
+        relay.thaw()
+        with pytest.raises(LinkError):
+            await cnc.read_macros([500])
+        await cnc.close()
+    finally:
+        await relay.stop()
+
+
+async def reconnecting_leaves_nothing_behind(bench: Bench, times: int) -> None:
+    async def once() -> None:
+        cnc = await connected(bench)
+        await cnc.read([500])
+        await cnc.close()
+
+    for _ in range(20):
+        await once()
+    before = _left_behind()
+    for _ in range(times):
+        await once()
+    await asyncio.sleep(0.05)
+    tasks, files, objects = (now - then for now, then in zip(_left_behind(), before, strict=True))
+    assert tasks <= 1 and files <= 1, f"{tasks} tasks, {files} files"
+    assert objects <= OBJECTS_PER_RECONNECT * times, f"{objects} objects after {times} connections"
+
+
+def _left_behind() -> tuple[int, int, int]:
+    gc.collect()
+    return len(asyncio.all_tasks()), sum(1 for _ in Path("/proc/self/fd").iterdir()), len(gc.get_objects())
+
+
 CHECKS: tuple[Check, ...] = (
     identity_stays,
     one_read_gives_state_and_macros,
@@ -117,4 +236,12 @@ CHECKS: tuple[Check, ...] = (
     an_insecure_connection_needs_to_be_allowed,
     close_is_for_any_time,
     a_control_that_went_away_is_a_lost_link,
+    what_it_cannot_is_said_and_has_no_value,
+    a_second_look_at_one_instant_differs_only_in_time,
+)
+WIRE_CHECKS: tuple[WireCheck, ...] = (
+    groups_arrive_in_their_order,
+    a_silent_peer_is_a_lost_link_within_the_time_out,
+    who_speaks_another_protocol_is_no_control,
+    a_connection_that_is_open_on_one_side_only_is_lost,
 )

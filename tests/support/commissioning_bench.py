@@ -26,7 +26,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import Block, PartProgram, standing_program
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
-from drivers.sim.wires.opcua_server import SimulatedCncServer
+from drivers.sim.wires.cnc_face import cnc_server
 from drivers.sim.wires.tcp_relay import TcpRelay
 
 SPEED = 80.0
@@ -102,8 +102,9 @@ class PresentNc:
 class Bench:
     """The machine, and what a commissioning of it needs."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, driver: str = "opcua") -> None:
         self.directory = directory
+        self.driver = driver
         self.clock = LoopClock(SPEED)
         self._described = load_configuration(shipped_file("cfrpmt.yaml"))
         self._content = self._described.model_dump_json()
@@ -111,7 +112,9 @@ class Bench:
         self.reset()
         served = self._described.cnc.model_dump()
         served["macros"]["writable"] += ["121"]  # beyond the shipped map, for the block of the spindle speed
-        self.server = SimulatedCncServer(PresentNc(self), CncConfig.model_validate(served), port=0)
+        served |= {"opcua": None, "driver": driver, driver: self._connection(0)}
+        config = CncConfig.model_validate(served)
+        self.server = cnc_server(PresentNc(self), config, port=0, security=None, readable=())
         self.relay = TcpRelay(port=0, target_port=0)
 
     def reset(
@@ -148,8 +151,7 @@ class Bench:
         """The published machine on this bench, with slews that a test can wait for."""
         content = json.loads(self._content)
         content["machine"] = "bench <of tests>"
-        endpoint = f"opc.tcp://127.0.0.1:{self.relay.port}/cnc"
-        content["cnc"]["opcua"] = {"endpoint": endpoint, "namespace_uri": "urn:toolpoint:cnc"}
+        content["cnc"] |= {"opcua": None, "driver": self.driver, self.driver: self._connection(self.relay.port)}
         content["cnc"] |= {"allow_insecure_writes": True, "timeout_s": 5.0, "stale_after_s": 300.0}
         for axis in content["compensation"]["axes"].values():
             axis["slew_um_per_min"] = 100.0
@@ -158,6 +160,11 @@ class Bench:
         content["service"] = {"socket": str(self.directory / "control.sock"), "http_port": None}
         change(content)
         return Configuration.model_validate_json(json.dumps(content))
+
+    def _connection(self, port: int) -> dict[str, Any]:
+        if self.driver == "opcua":
+            return {"endpoint": f"opc.tcp://127.0.0.1:{port}/cnc", "namespace_uri": "urn:toolpoint:cnc"}
+        return {"host": "127.0.0.1", "port": port or 8193}
 
     async def commission(
         self,
@@ -204,9 +211,9 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def serving(directory: Path) -> AsyncIterator[Bench]:
+async def serving(directory: Path, driver: str = "opcua") -> AsyncIterator[Bench]:
     """Serve the bench's CNC through a relay that a test can cut."""
-    bench = Bench(directory)
+    bench = Bench(directory, driver)
     await bench.server.start()
     bench.relay = TcpRelay(port=0, target_port=bench.server.port)
     await bench.relay.start()

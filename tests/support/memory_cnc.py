@@ -21,6 +21,7 @@ class MemoryNc:
         self.guard.initialise(self.macros, self.clock_s)
         self.identity = SIMULATED_CNC_IDENTITY
         self.security: Security = "insecure"
+        self.cannot: dict[str, str] = {}
         self.program, self.sequence_number, self.work_offset = 1000, 0, 54
         self.tool_number = 1
         self.run = CncRun.START
@@ -66,6 +67,7 @@ class MemoryCnc:
         self._nc = nc
         self.identity = nc.identity
         self.security = nc.security
+        self.cannot = nc.cannot
         self.connected = False
         self.closed = False
 

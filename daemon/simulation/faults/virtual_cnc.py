@@ -34,6 +34,7 @@ class VirtualCnc:
     def __init__(self, config: CncConfig, world: VirtualWorld, clock: VirtualClock) -> None:
         self.identity = SIMULATED_CNC_IDENTITY
         self.security: Security = "insecure"
+        self.cannot: dict[str, str] = {}
         self._config = config
         self._world = world
         self._clock = clock
