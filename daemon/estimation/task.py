@@ -271,7 +271,7 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),
-            fading_um=self._since.fading_um(model.channels, time_min, self._tool_um_per_k),
+            fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
             inhibit=unsure or self.inhibit(),
             model_id=model.model_id,
             reference_id=reference.reference_id,
