@@ -27,6 +27,11 @@ class OutputActions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EstimateComing:
+    """A cycle has arrived that leads to an estimate: what stands in the control can be looked at meanwhile."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRefused:
     """A reference that was asked for cannot be set."""
 
@@ -50,6 +55,7 @@ class SpindleSpeed:
 
 
 __all__ = [
+    "EstimateComing",
     "OutputActions",
     "ReferenceEnded",
     "ReferenceRebased",

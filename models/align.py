@@ -1,11 +1,15 @@
 """Means over time: of the running daemon's input, and of recordings."""
 
 import itertools
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
+
+SPARE_ROWS = 32
+"""So many vectors have room before any is moved."""
 
 
 class RollingMean:
@@ -24,7 +28,10 @@ class RollingMean:
         if not window_s > 0:
             raise ValueError(f"window_s must be positive, got {window_s}")
         self.window_s = window_s
-        self._samples: list[tuple[float, FloatArray]] = []
+        self._times_s: list[float] = []
+        self._rows: FloatArray = np.empty((0, 0))
+        """The vectors, the oldest at `_first`; there is room for more behind the newest."""
+        self._first = 0
         self._newest_s = -np.inf
 
     def add(self, time_s: float, values: FloatArray) -> None:
@@ -32,36 +39,57 @@ class RollingMean:
 
         Raises ValueError when the time is not finite or the number of sensors changes.
 
-        `time_s`: its time [s]. `values`, shape (n_sensors,): NaN where a sensor has no value. Kept by reference: hand
-        over an array of its own.
+        `time_s`: its time [s]. `values`, shape (n_sensors,): NaN where a sensor has no value.
         """
-        if not np.isfinite(time_s):
+        if not math.isfinite(time_s):
             raise ValueError(f"time_s must be finite, got {time_s}")
-        if self._samples and values.shape != self._samples[0][1].shape:
-            raise ValueError(f"{values.shape} sensors where {self._samples[0][1].shape} were before")
+        if self._times_s and values.shape != self._rows.shape[1:]:
+            raise ValueError(f"{values.shape} sensors where {self._rows.shape[1:]} were before")
         if time_s <= self._newest_s - self.window_s:
-            self._samples.clear()
+            self._times_s = []
             self._newest_s = -np.inf
         self._newest_s = max(self._newest_s, time_s)
-        oldest_s = self._newest_s - self.window_s
-        self._samples = [sample for sample in self._samples if sample[0] > oldest_s]
-        self._samples.append((time_s, values))
+        self._forget(self._newest_s - self.window_s)
+        if self._first + len(self._times_s) >= len(self._rows):
+            self._make_room(values)
+        self._rows[self._first + len(self._times_s)] = values
+        self._times_s.append(time_s)
+
+    def _forget(self, oldest_s: float) -> None:
+        """Let go of what has left the window."""
+        gone = 0
+        while gone < len(self._times_s) and self._times_s[gone] <= oldest_s:
+            gone += 1
+        self._first += gone
+        del self._times_s[:gone]
+        if self._times_s and min(self._times_s) <= oldest_s:  # one that came late
+            kept = [index for index, time_s in enumerate(self._times_s) if time_s > oldest_s]
+            self._rows = self._rows[self._first :][kept]
+            self._first, self._times_s = 0, [self._times_s[index] for index in kept]
+
+    def _make_room(self, values: FloatArray) -> None:
+        """Move the rows to the front of an array that holds twice as many."""
+        count = len(self._times_s)
+        rows = np.empty((max(SPARE_ROWS, 2 * count), len(values)))
+        if count:
+            rows[:count] = self._rows[self._first : self._first + count]
+        self._rows, self._first = rows, 0
 
     def mean(self) -> FloatArray:
         """Return the mean per sensor, shape (n_sensors,); NaN where the window holds no value.
 
         Raises ValueError before the first vector.
         """
-        if not self._samples:
+        if not self._times_s:
             raise ValueError("no vector has been added yet")
-        return _mean_of_known(np.array([values for _, values in self._samples]))
+        return _mean_of_known(self._rows[self._first : self._first + len(self._times_s)])
 
     @property
     def delay_s(self) -> float:
         """How far the mean lies behind the newest vector [s]: its age in the mean; 0 when empty."""
-        if not self._samples:
+        if not self._times_s:
             return 0.0
-        return self._newest_s - float(np.mean([time_s for time_s, _ in self._samples]))
+        return self._newest_s - float(np.mean(self._times_s))
 
 
 def _mean_of_known(rows: FloatArray) -> FloatArray:

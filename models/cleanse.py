@@ -169,6 +169,8 @@ def cleanse_cycle(
         The new state, and values, quality and reason in the order of `indices`.
 
     """
+    if (usual := _all_near(rules, state, indices, measured_degc, quality, now_s)) is not None:
+        return usual
     usable = (quality == Quality.GOOD) & np.isfinite(measured_degc)
     in_range = usable & (measured_degc >= rules.min_degc) & (measured_degc <= rules.max_degc)
     previous_degc, previous_at_s = state.accepted_degc[indices], state.accepted_at_s[indices]
@@ -194,6 +196,34 @@ def cleanse_cycle(
         reason=why.astype(np.uint8),
         returned=accepted & returning,
         new_level=accepted & (change_degc > allowed_degc),
+    )
+
+
+def _all_near(
+    rules: CleansingRules,
+    state: CleansingState,
+    indices: IndexArray,
+    measured_degc: FloatArray,
+    quality: CodeArray,
+    now_s: float,
+) -> CleansingResult | None:
+    """Return the result where every value counts at once, which is nearly always; None where one has to be judged."""
+    change_degc = np.abs(measured_degc - state.accepted_degc[indices])
+    near = change_degc <= min(rules.noise_degc, rules.max_change_degc)  # a NaN is not
+    near &= measured_degc >= rules.min_degc
+    near &= measured_degc <= rules.max_degc
+    near &= quality == Quality.GOOD
+    near &= now_s - state.accepted_at_s[indices] <= rules.stale_after_s
+    if not near.all():
+        return None
+    count = len(indices)
+    return CleansingResult(
+        state=_updated(state, indices, near, measured_degc, now_s, np.full(count, np.nan), np.zeros(count, np.int64)),
+        degc=measured_degc.copy(),
+        quality=np.full(count, Quality.GOOD, dtype=np.uint8),
+        reason=np.full(count, Reason.NONE, dtype=np.uint8),
+        returned=np.zeros(count, dtype=np.bool_),
+        new_level=np.zeros(count, dtype=np.bool_),
     )
 
 

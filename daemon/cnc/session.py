@@ -78,6 +78,7 @@ class CncSession:
 
     async def poll(self) -> list[str]:
         """Read state, block and echo; return what is vacant or foreign among our macros."""
+        self._writer.forget_look()
         sample = await self.cnc.read(self._block.polled)
         self.sample = sample
         self.echo = self._block.echo(sample.macros)
@@ -94,6 +95,10 @@ class CncSession:
         if not problems:
             self._narrow(sample.macros)
         return problems + self._implausible_echo(sample.macros, sample.clock_s)
+
+    async def look_ahead(self) -> None:
+        """Read what stands in the block for a write that is about to be decided on."""
+        await self._writer.look_ahead(self._block.ours)
 
     def acknowledge(self) -> list[str]:
         """Take what the CNC holds now as known: a person has acknowledged. Return what is vacant and stays a fault."""

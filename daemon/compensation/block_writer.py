@@ -27,6 +27,11 @@ class BlockWriter:
         self.axes: set[str] = set()
         """Axes that were ever written with their enable bit set."""
 
+    async def look_ahead(self, session: CncSession | None, command: CompensationCommand | None) -> None:
+        """Read what stands in the block while the estimate that will be written is made: the two take as long."""
+        if session is not None and command is not None and command.write and command.state is not OutputState.OFF:
+            await session.look_ahead()
+
     async def write_when_due(
         self, session: CncSession, command: CompensationCommand, estimate: ThermalErrorEstimate | None
     ) -> None:

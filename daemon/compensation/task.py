@@ -25,7 +25,7 @@ from daemon.compensation.probing import MeasuredByNc, OutputNow
 from daemon.compensation.references import References
 from daemon.compensation.restart import StartupRecovery, record_changes, resolve_pending_writes
 from daemon.compensation.skill_monitor import SkillWatch
-from daemon.messages import ReferenceRebased, ReferenceRefused, SensorsSinceReference
+from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, SensorsSinceReference
 from drivers.contract import DriverError, LinkError
 from models.control.compensation import first_inhibit, step
 from models.control.inhibit import Inhibit
@@ -125,16 +125,13 @@ class ControlTask:
 
     def applied_um(self) -> FloatArray:
         """Return the guard's echo per axis [um], NaN while it is unknown."""
-        session = self.session
-        if session is None or session.echo is None:
-            return np.full(len(self.limits.axes), np.nan)
-        return session.echo.applied_um
+        echo = None if self.session is None else self.session.echo
+        return np.full(len(self.limits.axes), np.nan) if echo is None else echo.applied_um
 
     def thermal_error_um(self) -> FloatArray:
         """Return the estimated error per axis since the reference, tool included [um], NaN without an estimate."""
-        return error_of_tool_point_um(
-            self._sources, self._estimate, self._references.memory, self._measured.tool.number
-        )
+        tool_number = self._measured.tool.number
+        return error_of_tool_point_um(self._sources, self._estimate, self._references.memory, tool_number)
 
     # --- the loop ------------------------------------------------------------------------
 
@@ -186,10 +183,14 @@ class ControlTask:
     async def _take_messages(self) -> None:
         """Take what waits in the inbox; what follows a message that meets a defect is taken in the next turn."""
         while self._inbox:
-            self._take(self._inbox.take())
+            self._take(message := self._inbox.take())
+            if isinstance(message, EstimateComing) and not self._inbox:
+                await self.writer.look_ahead(self.session, self.command)
 
     def _take(self, message: Message) -> None:
         match message:
+            case EstimateComing():
+                pass
             case ThermalErrorEstimate():
                 self._estimate = self._fresh = message
             case MachineTemperatures():
@@ -264,9 +265,8 @@ class ControlTask:
         record_changes(self.journal, self.limits.axes, before, after, alarm)
 
     def _now(self) -> OutputNow:
-        return OutputNow(
-            memory=self.memory, estimate=self._estimate, inputs=self._inputs(NO_REQUEST), now=self._clock.now()
-        )
+        inputs = self._inputs(NO_REQUEST)
+        return OutputNow(memory=self.memory, estimate=self._estimate, inputs=inputs, now=self._clock.now())
 
     def _inputs(self, request: OperatorRequest) -> OutputInputs:
         session, interlocks = self.session, self._parts.interlocks

@@ -5,6 +5,7 @@ wants something of it puts a message into `inbox`.
 """
 
 import asyncio
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
 from daemon.history.writer import HistoryWriter
 from daemon.messages import (
+    EstimateComing,
     ReferenceEnded,
     ReferenceRebased,
     ReferenceRefused,
@@ -47,11 +49,19 @@ log = structlog.get_logger(__name__)
 Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | ReferenceTakenUp | ThermalModel
 """What the thermal task takes."""
 Delivery = (
-    ThermalErrorEstimate | Reference | ReferenceRebased | ReferenceRefused | SensorsSinceReference | MachineTemperatures
+    ThermalErrorEstimate
+    | EstimateComing
+    | Reference
+    | ReferenceRebased
+    | ReferenceRefused
+    | SensorsSinceReference
+    | MachineTemperatures
 )
 """What it gives."""
 UNSURE_UM = 1.0
 """An estimate that may be wrong by more since its reference is not followed [um]."""
+TURNS_OF_OUTPUT = 4
+"""The loop turns so often until the control task has the answer to its look ahead and has sent its first write."""
 NAMED = 3
 """So many sensors are named in one sentence."""
 
@@ -213,7 +223,10 @@ class ThermalTask:
         return "" if self._online is None else self._online.inhibit(self._cleansing.window_s, self._cleansing.least)
 
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
-        """Hand the estimate on first; the control task writes while the history is."""
+        """Hand the estimate on first: the control task looks ahead while it is made, and writes before the history."""
+        if self._online is not None and self._reference is not None:
+            self._deliver(EstimateComing())
+            await asyncio.sleep(0)
         temperatures = self._cleansing.on_cycle(cycle)
         self._levels.keep(self._cleansing.levels)
         self.cycles_received += 1
@@ -228,7 +241,8 @@ class ThermalTask:
             self._deliver_sensors()
         if self._temperature_is_shown:
             self._deliver(temperatures)
-        await asyncio.sleep(0)
+        for _ in range(TURNS_OF_OUTPUT):
+            await asyncio.sleep(0)
         if renewed is not None:
             self._history.estimate(renewed)
         self._history.temperatures(temperatures, cycle)
@@ -374,7 +388,10 @@ def _label_means(labels: Mapping[str, Places], degc: FloatArray) -> dict[str, fl
     means = {}
     for label, indices in labels.items():
         known = degc[indices]
-        known = known[np.isfinite(known)]
+        total = float(known.sum())
+        if not math.isfinite(total):
+            known = known[np.isfinite(known)]
+            total = float(known.sum())
         if known.size:
-            means[label] = float(known.mean())
+            means[label] = total / known.size
     return means

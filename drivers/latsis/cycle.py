@@ -237,11 +237,14 @@ class CycleAssembler:
         )
 
     def _numbering(self, line_pass: LinePass) -> Numbering:
-        above = sum(n for wire_id, n in self._bytes.items() if wire_id > line_pass.announced)
+        rejected = line_pass.rejected_bytes
+        above = sum(n for wire_id, n in self._bytes.items() if wire_id > line_pass.announced) if rejected else 0
+        lowest = self._chain.lowest
+        below = {i for i in line_pass.frames if i < lowest} if line_pass.lowest < lowest else set()
         return Numbering(
             announced=line_pass.announced,
-            explained=0 < above <= 2 * line_pass.rejected_bytes,
-            below=frozenset(self._below | {i for i in line_pass.frames if i < self._chain.lowest}),
+            explained=0 < above <= 2 * rejected,
+            below=frozenset(self._below | below),
             displaced_kinds=frozenset(self._displaced_kinds),
         )
 

@@ -80,6 +80,16 @@ class ChainDecoder:
         self.wire_ids = range(self.lowest, self.highest + 1)
         self._extended_mode = line.extended_mode
         self._infrared = [known[i].device == "MLX90615" for i in line.sensor_ids]
+        positive = 0x1000 if self._extended_mode else 0x800
+        of_tmp102, of_mlx90615 = (
+            (positive, TMP102_DEGC_PER_LSB, 0.0),
+            (0x8000, MLX90615_K_PER_LSB, degc_from_kelvin(0.0)),
+        )
+        self._usual_scale = [
+            (wire_id, *(of_mlx90615 if infrared else of_tmp102))
+            for wire_id, infrared in zip(self.wire_ids, self._infrared, strict=True)
+        ]
+        """ID on the wire, end of the codes above zero, step and zero of each sensor [degC]."""
         self._last_good_degc = [math.nan] * len(line.sensor_ids)
 
     @property
@@ -107,6 +117,8 @@ class ChainDecoder:
 
     def decode(self, frames: Mapping[int, Frame], dropped: Collection[int]) -> ChainValues:
         """Decode the frames by ID; the IDs in `dropped` came twice or took another's place."""
+        if not dropped and (usual := self._usual(frames)) is not None:
+            return usual
         degc: list[float] = []
         reasons: list[int] = []
         for wire_id, infrared in zip(self.wire_ids, self._infrared, strict=True):
@@ -132,6 +144,24 @@ class ChainDecoder:
         else:
             self._last_good_degc = degc
         return self._values(degc, reasons, faults)
+
+    def _usual(self, frames: Mapping[int, Frame]) -> ChainValues | None:
+        """Decode a pass in which every sensor sends a code above zero and no error; None for any other."""
+        degc: list[float] = []
+        for wire_id, end, step_degc, zero_degc in self._usual_scale:
+            frame = frames.get(wire_id)
+            if frame is None or frame.status or not 0 < frame.code < end:
+                return None
+            degc.append(frame.code * step_degc + zero_degc)
+        self._last_good_degc = degc
+        return ChainValues(
+            degc=np.array(degc),
+            quality=np.full(len(degc), Quality.GOOD, dtype=np.uint8),
+            reason=np.full(len(degc), _ACCEPTED, dtype=np.uint8),
+            missing=frozenset(),
+            duplicate=frozenset(),
+            faults=(),
+        )
 
     def _reject_resets(self, degc: list[float], reasons: list[int]) -> list[str]:
         if 0.0 not in degc:

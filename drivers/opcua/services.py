@@ -1,9 +1,9 @@
 """Read and Write of OPC UA (OPC 10000-4, 5.11) with as little work per call as the daemon's feedback needs.
 
-The library keeps the channel: socket, chunks, encryption, tokens, sequence numbers. Only the body of these two
-requests is put together here, from bytes that the library's own encoder made once per request (OPC 10000-6, 5.2),
-and a plain answer is taken apart here; whatever is not plain (diagnostics, arrays, other types) goes to the library's
-decoder.
+The library keeps the channel: socket, keys, tokens, sequence numbers. Only the body of these two requests is put
+together here, from bytes that the library's own encoder made once per request (OPC 10000-6, 5.2), and a plain answer
+is taken apart here; whatever is not plain (diagnostics, arrays, other types) goes to the library's decoder. Messages
+of one whole chunk are framed by `drivers.opcua.channel`.
 """
 
 import asyncio
@@ -19,6 +19,8 @@ from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_from_binary, struct_to_binary
 from asyncua.ua.uaerrors import UaError
+
+from drivers.opcua.channel import Channel
 
 
 class Answer(NamedTuple):
@@ -157,6 +159,7 @@ class Services:
         """Take a client with an activated session."""
         protocol: Any = client.protocol
         self._protocol = protocol
+        self._channel = Channel(protocol)
         self._token = nodeid_to_binary(protocol.authentication_token)
         self._timeout_ms = int(timeout_s * 1000)
 
@@ -176,9 +179,7 @@ class Services:
         number = protocol._request_id + 1
         header = REQUEST_HEADER.pack(EPOCH_100NS + time.time_ns() // 100, number, 0, -1, self._timeout_ms, NO_ADDITION)
         protocol.revolve_security_token()
-        message = protocol._connection.message_to_binary(
-            b"".join((type_id, self._token, header, parameters)), request_id=number
-        )
+        message = self._channel.framed(b"".join((type_id, self._token, header, parameters)), number)
         protocol._request_id = number
         answered = protocol._callbackmap[number] = asyncio.get_running_loop().create_future()
         protocol.transport.write(message)

@@ -21,6 +21,8 @@ class Fading:
 
     def at(self, time_min: float) -> FloatArray:
         """Return what is left of it."""
+        if not self.amount.any():
+            return self.amount
         left: FloatArray = self.amount * np.exp(-max(time_min - self.since_min, 0.0) / FADE_MIN)
         return left
 
@@ -52,7 +54,7 @@ class MeanIncrement:
         """Mean increment since the reference [K]; NaN while no sensor has a temperature."""
         if not self.counted.any():
             return float("nan")
-        return float(self.increment_k.mean() + self.rest.at(self.time_min)[0])
+        return float(self.increment_k.sum() / len(self.increment_k) + self.rest.at(self.time_min)[0])
 
 
 def first_mean_increment(reference_degc: FloatArray) -> MeanIncrement:
@@ -90,7 +92,14 @@ def renewed_mean_increment(before: MeanIncrement, degc: FloatArray, time_min: fl
     """
     known = np.isfinite(degc)
     if known.all() and before.counted.all():  # no sensor leaves or returns: the usual case
-        return replace(before, increment_k=degc - before.reference_degc, time_min=time_min)
+        return MeanIncrement(
+            reference_degc=before.reference_degc,
+            counted=before.counted,
+            offset_k=before.offset_k,
+            increment_k=degc - before.reference_degc,
+            rest=before.rest,
+            time_min=time_min,
+        )
     stayed, left = known & before.counted, before.counted & ~known
     if not stayed.any() and np.isnan(before.increment_k[left]).any():
         return before  # nothing is left to impute from, and where these were is not known

@@ -6,7 +6,9 @@ import pytest
 from control_rig import BLOCK, VALID_UNTIL, Bench, Rig, Z, running
 from speed_rig import MACROS, SAFE, SpeedRig
 
+from daemon.cnc.audited_write import LOOK_LASTS_S
 from daemon.history.reader import HistoryReader
+from daemon.messages import EstimateComing
 from daemon.spindle_speed.macro_block import DISABLED
 from daemon.spindle_speed.writer import SpeedWriteError
 from models.control.state import OperatorRequest
@@ -111,6 +113,67 @@ async def test_one_request_more_and_it_is_the_last_before_the_write(rig, bench):
     await act(rig, rig.estimate(0.0, -5.0))
     assert [entry[0] for entry in asked] == [before, len(bench.nc.written)]
     assert set(asked[0][1:]) == set(BLOCK)
+
+
+async def coming(rig: Rig) -> None:
+    rig.control.deliver(EstimateComing())
+    await rig.control._guarded(rig.control._take_messages())
+
+
+async def test_what_was_looked_at_while_the_estimate_was_made_is_the_comparison(rig, bench):
+    await rig.active()
+    await poll(rig)
+    asked: list[tuple[int, ...]] = []
+    bench.nc.after_read = lambda numbers: asked.append((len(bench.nc.written), *numbers))
+    before = len(bench.nc.written)
+    await coming(rig)
+    await act(rig, rig.estimate(0.0, -5.0))
+    assert [entry[0] for entry in asked] == [before, len(bench.nc.written)]
+    assert set(asked[0][1:]) == set(BLOCK)
+    await act(rig, rig.estimate(0.0, -6.0))
+    assert len(asked) == 4, "it counts for one write"
+
+
+@pytest.mark.parametrize(("number", "value"), FOREIGN)
+async def test_a_foreign_value_that_is_seen_while_the_estimate_is_made_is_a_fault_and_stays(rig, bench, number, value):
+    await rig.active()
+    await poll(rig)
+    bench.nc.macros.set(number, value)
+    bench.nc.written.clear()
+    await coming(rig)
+    await act(rig, rig.estimate(0.0, -5.0))
+    assert bench.nc.written == [] and bench.nc.macros.get(number) == value
+    assert "a write was refused" in rig.control.journal.fault
+
+
+@pytest.mark.parametrize("between", ["late", "polled", "written apart"])
+async def test_a_look_that_is_not_the_last_or_too_old_is_taken_again(rig, bench, between):
+    await rig.active()
+    await poll(rig)
+    await coming(rig)
+    if between == "late":
+        bench.clock.monotonic_s += 1.01 * LOOK_LASTS_S
+    elif between == "polled":
+        await poll(rig)
+    else:
+        await rig.control.session.write_one(ACKNOWLEDGE, 0.0, cause="test")
+    bench.nc.macros.set(Z, -0.02)
+    bench.nc.written.clear()
+    await act(rig, rig.estimate(0.0, -5.0))
+    assert bench.nc.written == [] and f"macro #{Z} holds -0.02" in rig.control.journal.fault
+
+
+async def test_nothing_is_looked_at_ahead_while_nothing_is_written(rig, bench):
+    asked: list[object] = []
+    bench.nc.after_read = asked.append
+    await coming(rig)
+    await rig.active()
+    assert rig.control.request(OperatorRequest(zero=True), "p") == ""
+    await rig.follow(0.0, 0.0, 60)
+    assert rig.state == "OFF"
+    asked.clear()
+    await coming(rig)
+    assert asked == []
 
 
 # --- the answers to the NC program ---------------------------------------------------------

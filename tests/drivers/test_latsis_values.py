@@ -2,10 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 from latsis_line import Line, only
 
-from drivers.latsis.values import RESET_BURST_SENSORS, decode_mlx90615, decode_tmp102
+from config.schema.temperatures import LineConfig, SensorConfig
+from drivers.latsis.frames import Frame
+from drivers.latsis.values import RESET_BURST_SENSORS, ChainDecoder, decode_mlx90615, decode_tmp102
 from models.quality import Reason
 
 
@@ -95,3 +98,18 @@ def test_a_status_byte_is_a_device_error() -> None:
     assert line.reasons(cycle) == {6: Reason.DEVICE_ERROR}
     assert "sensor 506 (ID 006h) reports an error: code 0196h, status 04h, at byte 96" in cycle.faults[0]
     assert cycle.complete
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_a_usual_pass_is_decoded_as_any_other(extended: bool) -> None:
+    ids = (1, 2, 3, 4)
+    sensors = [SensorConfig(id=i, component="c", device="MLX90615" if i == 2 else "TMP102") for i in ids]
+    line = LineConfig(name="a", port="p", chain=list(ids), extended_mode=extended)
+    for codes in ((1, 1, 2, 3), (0x7FF, 0x7FFF, 0x190, 0x123), (0x7FE, 14_650, 0x800, 0x190), (5, 0x8000, 6, 7)):
+        frames = {i: Frame(i, code, 0, 0, 9) for i, code in enumerate(codes, start=1)}
+        found = ChainDecoder(line, sensors).decode(frames, ())
+        apart = ChainDecoder(line, sensors).decode(frames, {99})  # an ID that came twice: each is looked at by itself
+        np.testing.assert_array_equal(found.degc, apart.degc)
+        np.testing.assert_array_equal(found.quality, apart.quality)
+        np.testing.assert_array_equal(found.reason, apart.reason)
+        assert (found.missing, found.faults) == (apart.missing, apart.faults)

@@ -34,6 +34,14 @@ def test_a_late_vector_leaves_with_its_own_time() -> None:
     assert rolling.delay_s == 7.5
 
 
+def test_a_window_of_many_vectors_goes_on_for_ever() -> None:
+    rolling = RollingMean(60.0)
+    for second in range(1000):
+        rolling.add(float(second), np.array([float(second), np.nan if second % 7 else 1.0]))
+        kept = np.arange(max(0, second - 59), second + 1)
+        np.testing.assert_allclose(rolling.mean(), [kept.mean(), 1.0 if (kept % 7 == 0).any() else np.nan], rtol=1e-12)
+
+
 def test_what_cannot_be_averaged_is_refused() -> None:
     with pytest.raises(ValueError, match="window_s"):
         RollingMean(0.0)

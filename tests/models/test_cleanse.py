@@ -273,3 +273,48 @@ def test_scatter_is_what_does_not_move_smoothly() -> None:
     assert scatter_um([smooth])[0] < 0.001
     assert scatter_um([smooth + rng.normal(0.0, 0.5, smooth.shape), smooth[:2]])[0] == pytest.approx(0.5, rel=0.1)
     assert scatter_um([smooth[:3]])[0] == 0.0
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    spread=st.sampled_from([0.01, 0.2, 0.4]),
+    odd=st.sampled_from(["", "nan", "quality", "age", "range", "waiting", "never"]),
+)
+def test_a_cycle_in_which_all_is_near_is_judged_as_any_other(seed, spread, odd):
+    rng = np.random.default_rng(seed)
+    rules, count, now_s = RULES, 6, 100.0
+    accepted, at_s = 20.0 + rng.normal(0.0, 1.0, count), rng.uniform(45.0, 95.0, count)
+    state = initial_state(count, accepted, at_s)
+    indices = np.array([4, 1, 2], dtype=np.intp)
+    measured = accepted[indices] + rng.uniform(-spread, spread, 3)
+    quality, reason = np.zeros(3, dtype=np.uint8), np.zeros(3, dtype=np.uint8)
+    if odd == "nan":
+        measured[1] = np.nan
+    elif odd == "quality":
+        quality[1], reason[1] = Quality.MISSING, Reason.NOT_RECEIVED
+    elif odd == "range":
+        measured[1] = 100.0 + measured[1]
+    elif odd != "":
+        arrays = {name: np.array(getattr(state, name)) for name in CleansingState.__slots__}
+        if odd == "age":
+            arrays["accepted_at_s"][1] = now_s - 60.5
+        elif odd == "never":
+            arrays["accepted_degc"][1], arrays["accepted_at_s"][1] = np.nan, -np.inf
+        else:
+            arrays["waiting_degc"][[1, 2]], arrays["waiting_count"][[1, 2]] = 25.0, 2
+        state = CleansingState(**arrays)
+    found = cleanse_cycle(rules, state, indices, measured, quality, reason, now_s, 10.0)
+    beside = (
+        np.append(indices, 5),
+        np.append(measured, np.nan),
+        np.append(quality, np.uint8(0)),
+        np.append(reason, np.uint8(0)),
+    )
+    judged = cleanse_cycle(rules, state, *beside, now_s, 10.0)  # a sensor that has to be judged is in the cycle too
+    for name in ("degc", "quality", "reason", "returned", "new_level"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(judged, name)[:3])
+        assert getattr(found, name).dtype == getattr(judged, name).dtype
+    for name in CleansingState.__slots__:
+        np.testing.assert_array_equal(getattr(found.state, name), getattr(judged.state, name))
+    if odd in ("", "waiting") and spread < 0.3:
+        assert found.degc.tolist() == measured.tolist()
