@@ -30,6 +30,8 @@ class OutputActions:
 class EstimateComing:
     """A cycle has arrived that leads to an estimate: what stands in the control can be looked at meanwhile."""
 
+    line: str
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRefused:

@@ -31,6 +31,8 @@ class WriteAheadRecord:
         self._descriptor: int | None = None
         self._length = 0
         """Length of the file, as far as it is ours."""
+        self._identity = (0, 0)
+        """Device and number of the open file."""
 
     @classmethod
     def beside(cls, store: Path) -> "WriteAheadRecord":
@@ -67,14 +69,15 @@ class WriteAheadRecord:
         """Return the file's descriptor; a file that was deleted or replaced meanwhile is opened anew."""
         if self._descriptor is not None:
             try:
-                there = self._path.stat()
+                there = os.stat(self._path)  # noqa: PTH116 (on the way to the macro)
             except FileNotFoundError:
                 there = None
-            if there is None or not os.path.samestat(there, os.fstat(self._descriptor)):
+            if there is None or (there.st_dev, there.st_ino) != self._identity:
                 self.close()
         if self._descriptor is None:
             self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
-            self._length = min(os.fstat(self._descriptor).st_size, LONGEST_LINE)
+            opened = os.fstat(self._descriptor)
+            self._length, self._identity = min(opened.st_size, LONGEST_LINE), (opened.st_dev, opened.st_ino)
         return self._descriptor
 
     def load(self) -> dict[int, tuple[float, ...]] | None:

@@ -115,20 +115,17 @@ class ThermalTask:
         self._reference: Reference | None = None
         self.inbox = inbox
         self.latest_estimate: ThermalErrorEstimate | None = None
-        self.cycles_received = 0
+        self.cycles_received = self.cycles_incomplete = self.estimates = 0
         self.line_faults: dict[str, tuple[str, ...]] = {}
-        self.cycles_incomplete = self.estimates = 0
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
-        self._speed_at_s = -np.inf
+        self._speed_at_s = self._taken_up_s = -np.inf
         self._online = self._in_use(model)
-        self._next: ModelInUse | None = None
-        """Waits until the model in use has an estimate from which it can go on."""
+        self._next: ModelInUse | None = None  # waits until the model in use has an estimate from which it can go on
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels = self._levels.restored()
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
-        self._taken_up_s = -np.inf
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
 
     @property
@@ -225,7 +222,7 @@ class ThermalTask:
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
         """Hand the estimate on first: the control task looks ahead while it is made, and writes before the history."""
         if self._online is not None and self._reference is not None:
-            self._deliver(EstimateComing())
+            self._deliver(EstimateComing(line=cycle.line))
             await asyncio.sleep(0)
         temperatures = self._cleansing.on_cycle(cycle)
         self._levels.keep(self._cleansing.levels)
@@ -241,8 +238,7 @@ class ThermalTask:
             self._deliver_sensors()
         if self._temperature_is_shown:
             self._deliver(temperatures)
-        for _ in range(TURNS_OF_OUTPUT):
-            await asyncio.sleep(0)
+        await _turns(TURNS_OF_OUTPUT)
         if renewed is not None:
             self._history.estimate(renewed)
         self._history.temperatures(temperatures, cycle)
@@ -339,6 +335,12 @@ class ThermalTask:
             self.latest_estimate = first
             self._deliver(first)
             self._deliver_sensors()
+
+
+async def _turns(count: int) -> None:
+    """Let every other task go on, so many times."""
+    for _ in range(count):
+        await asyncio.sleep(0)
 
 
 def _tool_um_per_k(configuration: Configuration) -> FloatArray:

@@ -106,7 +106,7 @@ def test_the_names_are_those_of_the_families() -> None:
 
 
 def test_cycles_are_left_out_one_by_one(recording: Path) -> None:
-    found = figures(recording, "--leave-out-cycles")
+    found = figures(recording, "--leave-out-cycles", "--model", "lags")
     assert [test["rows"] for test in found["tests"]] == [MINUTES] * 6
     assert set(found["hyper_parameters"]) == {f"cycle {number}" for number in range(1, 7)}
     assert found["mean"]["reduction_rmse"] > 0.7
@@ -118,7 +118,7 @@ def test_runs_are_left_out_one_by_one_each_with_a_zero_of_its_own(tmp_path: Path
         columns = table(number)
         columns["c1"] = columns["c1"] + 1000.0 * number
         paths.append(write(tmp_path / f"run{number}.csv", columns))
-    found = figures(*paths, "--leave-out-runs")
+    found = figures(*paths, "--leave-out-runs", "--model", "lags")
     assert [test["name"] for test in found["tests"]] == ["run0.csv", "run1.csv", "run2.csv"]
     assert found["mean"]["reduction_rmse"] > 0.9
     assert found["refused"] is None
@@ -137,7 +137,8 @@ def test_probing_removes_what_no_temperature_tells(tmp_path: Path) -> None:
     columns = table()
     columns["c1"] = columns["c1"] + 6.0 * np.sin(columns["t"] / 60.0 / 90.0)
     recording = write(tmp_path / "wandering.csv", columns)
-    without, probed = figures(recording, *SPLIT), figures(recording, *SPLIT, "--probe-minutes", 30)
+    lags = (recording, *SPLIT, "--model", "lags")
+    without, probed = figures(*lags), figures(*lags, "--probe-minutes", 30)
     assert probed["channels"]["c1"]["rmse_um"] < 0.5 * without["channels"]["c1"]["rmse_um"]
     assert probed["mean"]["band_width_um"] < without["mean"]["band_width_um"]
 

@@ -116,7 +116,7 @@ async def test_one_request_more_and_it_is_the_last_before_the_write(rig, bench):
 
 
 async def coming(rig: Rig) -> None:
-    rig.control.deliver(EstimateComing())
+    rig.control.deliver(EstimateComing(line="spindle"))
     await rig.control._guarded(rig.control._take_messages())
 
 

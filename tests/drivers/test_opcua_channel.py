@@ -68,27 +68,27 @@ class Bench:
 
 
 @pytest.fixture(params=[False, True], ids=["plain", "encrypted"])
-async def bench(request):
+async def bench(request: pytest.FixtureRequest) -> Bench:
     return Bench(encrypted=request.param)
 
 
 @pytest.mark.parametrize("encrypted", [False, True])
 @pytest.mark.parametrize("first", [0, 99, (1 << 32) - 2, (1 << 32) - 1])
 @pytest.mark.parametrize("size", [1, 15, 16, 31, 32, 500, 8100, 30_000])
-async def test_a_message_is_what_the_library_would_send(encrypted, first, size) -> None:
+async def test_a_message_is_what_the_library_would_send(encrypted: bool, first: int, size: int) -> None:
     bench, twin = Bench(encrypted=encrypted, first=first), connection(encrypted=encrypted, first=first)
     body = (bytes(range(256)) * (size // 256 + 1))[:size]
     assert bench.channel.framed(body, 5) == twin.message_to_binary(body, request_id=5)
     assert bench.protocol._connection._sequence_number == twin._sequence_number
 
 
-async def test_an_answer_reaches_who_waits_for_it_without_the_library(bench) -> None:
+async def test_an_answer_reaches_who_waits_for_it_without_the_library(bench: Bench) -> None:
     bench.protocol.data_received(bench.answer())
     assert bytes(bench.answered.result()) == BODY and bench.left == []
     assert bench.protocol._connection._peer_sequence_number == 41 and not bench.protocol._callbackmap
 
 
-async def test_pieces_and_two_at_once_are_put_together_by_the_library(bench) -> None:
+async def test_pieces_and_two_at_once_are_put_together_by_the_library(bench: Bench) -> None:
     second = bench.waiting(8)
     whole = bench.answer() + bench.answer(b"another", 8)
     for at in range(0, len(whole), 50):
@@ -101,7 +101,7 @@ async def test_pieces_and_two_at_once_are_put_together_by_the_library(bench) -> 
 
 
 @pytest.mark.parametrize("at", range(0, 60, 3))
-async def test_a_changed_byte_is_judged_by_the_library(bench, at) -> None:
+async def test_a_changed_byte_is_judged_by_the_library(bench: Bench, at: int) -> None:
     message = bytearray(bench.answer())
     message[at] ^= 0x41
     bench.protocol.data_received(bytes(message))
@@ -113,7 +113,7 @@ async def test_a_changed_byte_is_judged_by_the_library(bench, at) -> None:
         assert not bench.answered.done() or bench.answered.exception() is not None
 
 
-async def test_an_answer_out_of_turn_or_for_nobody_is_judged_by_the_library(bench) -> None:
+async def test_an_answer_out_of_turn_or_for_nobody_is_judged_by_the_library(bench: Bench) -> None:
     skipped, answer = bench.answer(), bench.answer()
     bench.protocol.data_received(answer)
     assert skipped != answer and bench.left == [answer] and not bench.answered.done()
