@@ -47,7 +47,7 @@ DESIGNS = {
     "persistent": Design(departures=False, correlation_min=CORRELATION_MIN),
 }
 """The two ridges on each part of the lags: levels on departures from lags, generalised least squares on lags."""
-DEPARTURES = {"temperatures": False, "fast": False, "slow": True}
+DEPARTURES = {"fast": False, "slow": True}
 """Whether the Gaussian process on a part of the lags regresses on departures from them, or on the lags."""
 LEAST_GAIN = 0.005
 """Less of the error is no difference between two families, whatever the standard error."""
@@ -192,12 +192,14 @@ class ChosenProblem:
         return made
 
     def _processes(self, *, speed: bool) -> list[GaussianMember]:
-        """Return the Gaussian processes on temperatures and on each part of the lags, with speed or without."""
+        """Return the Gaussian processes on temperatures alone and on each part of the lags, these with speed or not."""
+        parts = {"gaussian temperatures": (part_of(self._inputs, (), ()), False)}
+        for part, inputs in self._parts(speed=speed):
+            if part in DEPARTURES:
+                parts[_named(f"gaussian {part}", speed)] = inputs, DEPARTURES[part]
         return [
-            GaussianMember(
-                _named(f"gaussian {part}", speed), inputs, self._rows, self._fold, self._probe_min, DEPARTURES[part]
-            )
-            for part, inputs in self._parts(speed=speed)
+            GaussianMember(name, inputs, self._rows, self._fold, self._probe_min, departures)
+            for name, (inputs, departures) in parts.items()
         ]
 
     def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:
@@ -235,8 +237,7 @@ class ChosenProblem:
             for speed in speeds:
                 ridges += self._ridges(speed=speed, lagged=False)
         if "gaussian" in self._families:
-            for speed in speeds:
-                processes += self._processes(speed=speed)
+            processes = self._processes(speed=speeds[-1])
         found = []
         if "lags" in self._families:
             found.append(mean_of("lags", ridges, self._inputs, self._rows))
