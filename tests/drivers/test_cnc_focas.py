@@ -67,17 +67,26 @@ async def test_a_poll_gives_what_the_control_shows(control: Control) -> None:
     await cnc.close()
 
 
-async def test_a_power_on_is_another_number_and_ends_the_link_whose_clock_went_back(control: Control) -> None:
+async def test_a_power_on_ends_the_link_and_is_another_number(control: Control) -> None:
     cnc = await control.connected()
     before = await cnc.read([])
     control.nc.power_on_count += 1
     control.nc._clock_s = 1.0
-    with pytest.raises(LinkError, match="late answer, or a program has set #3001"):
+    with pytest.raises(LinkError, match="ended the connection"):
         await cnc.read([])
+    await cnc.close()
     again = await control.connected()
     after = await again.read([])
     assert after.power_on_count > before.power_on_count
     await again.close()
+
+
+async def test_a_clock_that_goes_back_ends_the_link(control: Control) -> None:
+    cnc = await control.connected()
+    control.nc._clock_s = 1.0
+    with pytest.raises(LinkError, match="late answer, or a program has set #3001"):
+        await cnc.read([])
+    await cnc.close()
 
 
 async def test_what_a_control_does_not_have_is_said_with_its_reason_and_no_number(control: Control) -> None:

@@ -164,6 +164,7 @@ class SimulatedFocasServer:
         """Prepare the server; `port` None takes the configured one, 0 any free one."""
         focas = config.connection_as(FocasConfig)
         self._port = focas.port if port is None else port
+        self.nc = nc
         self.responder = FocasResponder(nc, focas.tool_macro, focas.motor_temperature_diagnosis)
         self.sessions: set[_Session] = set()
         """Who is connected now."""
@@ -203,6 +204,7 @@ class _Session(asyncio.Protocol):
         self._buffer = FrameBuffer()
         self._transport: Any = None
         self._open = False
+        self._power_on_count = server.nc.power_on_count
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport
@@ -215,6 +217,9 @@ class _Session(asyncio.Protocol):
         self._transport.abort()
 
     def data_received(self, data: bytes) -> None:
+        if self._power_on_count != self._server.nc.power_on_count:
+            self.abort()  # a control that was switched off knows no session of before
+            return
         try:
             for frame in self._buffer.feed(data):
                 self._send(self._answer(frame))
