@@ -78,6 +78,8 @@ class WatchState:
     """The same over the long time."""
     over_min: FloatArray
     """For how long each sensor has departed [min], shape (n_sensors,)."""
+    heard: npt.NDArray[np.bool_]
+    """Which sensors have ever had a value; before, one stands at its mean of training."""
     faults: tuple[SensorFault, ...] = field(default=())
 
     @property
@@ -176,6 +178,7 @@ class Watcher:
             fast=columns,
             slow=columns.copy(),
             over_min=np.zeros(count),
+            heard=np.isfinite(degc),
         )
 
     def _columns(self, degc: FloatArray, lagged: FloatArray, speed_lagged: FloatArray) -> FloatArray:
@@ -208,6 +211,8 @@ class Watcher:
         if elapsed_min <= 0.0 or not np.isfinite(degc).any():
             return state
         advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
+        if len(first := np.flatnonzero(advanced.heard & ~state.heard)):
+            advanced = self.reinitialised(advanced, first.tolist())
         if not find_faults:
             return replace(advanced, over_min=np.zeros_like(advanced.over_min), faults=state.faults)
         at_once = self._faults_at_once(state, advanced, degc)
@@ -242,6 +247,7 @@ class Watcher:
             fast=fast,
             slow=fast + np.exp(-elapsed_min / SLOW_MIN) * (state.slow - fast),
             over_min=state.over_min,
+            heard=state.heard | known,
             faults=state.faults,
         )
 
@@ -250,7 +256,7 @@ class Watcher:
         slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
-            "slew": np.isfinite(degc) & (slew > watch.slew_k_per_min),
+            "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
             "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min),
         }
         found = []

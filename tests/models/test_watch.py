@@ -99,6 +99,19 @@ def test_a_missing_sensor_is_excluded_after_what_is_bridged(watch: SensorWatch, 
     assert (fault.sensor, fault.sign, fault.time_min) == (4, "missing", 770.0)
 
 
+def test_a_line_that_is_heard_later_than_another_has_not_slewed(watch: SensorWatch, whole: Recording) -> None:
+    """After a restart one line only is there; sensors that nobody heard stand at their mean of training, not of now."""
+    watcher, first, degc = Watcher(watch), 600, whole.temperatures_degc + 15.0
+    there = np.arange(degc.shape[1]) < 2
+    state = watcher.begin(float(first), np.where(there, degc[first], np.nan), float(whole.speed_rpm[first]))
+    for row in range(first + 1, first + 120):
+        heard = degc[row] if row >= first + 3 else np.where(there, degc[row], np.nan)
+        state = watcher.step(state, float(row), heard, float(whole.speed_rpm[row]))
+        assert state.excluded == ()
+    spoilt = degc[first + 120] + 8.0 * ~there * (np.arange(len(there)) == 3)
+    assert watcher.step(state, float(first + 120), spoilt, 0.0).excluded == (3,), "what it does from now on counts"
+
+
 def test_two_faults_at_once_are_both_found(watch: SensorWatch, whole: Recording) -> None:
     degc = whole.temperatures_degc.copy()
     drift = np.arange(200.0) / 20.0
