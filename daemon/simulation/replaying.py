@@ -2,7 +2,9 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -13,14 +15,23 @@ from config.recordings.recording_map import ColumnError, RecordingMap, load_reco
 from config.records.commissioning import macro_map_digest
 from config.schema.cnc import MacroMapConfig
 from config.schema.temperatures import LONGEST_CHAIN
+from daemon.history.series import EventRecord
 from daemon.model_release.loading import read_model
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.files.recording_csv import read_header
 from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.recordings.dataset import Recording
+from models.records import OutputState
 
 MOST_CHANNELS = 20
+LONGEST_CYCLE_S = 15.0
+"""Recordings with longer steps are played at this period [s]: a reference is the mean of a minute, and with a cycle a
+minute it may find none, so that the output would never follow."""
+WHOLE_SHARE = 0.9
+"""An output that is ACTIVE for less of the time played is warned of ..."""
+LEAST_SHARE = 0.5
+"""... and one that is for less than this did not follow: the replay ends with 1."""
 LINE = "recording"
 LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, "deadband_um": 0.0}
 """Wide enough not to hide what the model does; a real machine gets its own."""
@@ -56,6 +67,61 @@ def playing_time_s(recording: Recording) -> float:
     return LEAD_IN_S + float(recording.time_s[-1] - recording.time_s[0])
 
 
+def played_utc_s(recording: Recording, began_utc_s: float) -> tuple[float, float]:
+    """Return from when to when it is played on the machine's clock, without the lead-in [s]."""
+    return began_utc_s + LEAD_IN_S, began_utc_s + playing_time_s(recording)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Following:
+    """How much of a replay the output followed the estimate."""
+
+    active_share: float
+    """Share of the played time in ACTIVE, 0..1."""
+    states: dict[str, float]
+    """Share of each state."""
+    why: str
+    """Why it was anything else for longest, '' when it never was."""
+
+    @property
+    def warning(self) -> str:
+        """Return what is said where the output did not follow all the time, '' where it did."""
+        if self.active_share >= WHOLE_SHARE:
+            return ""
+        cause = f", mostly because: {self.why}" if self.why else ""
+        return (
+            f"the output followed the estimate (ACTIVE) for {self.active_share:.0%} of the time played{cause}; the "
+            "figures with compensation are of a loop that stood still in between"
+        )
+
+
+def following(events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float) -> Following:
+    """Return for how much of a span of time the output was in each state, from the history's changes of state."""
+    state, why, at_s = OutputState.OFF.value, "it was not switched on", from_utc_s
+    spent_s: Counter[str] = Counter()
+    reasons_s: Counter[str] = Counter()
+
+    def until(time_s: float) -> None:
+        lasted_s = max(min(time_s, to_utc_s) - at_s, 0.0)
+        spent_s[state] += lasted_s
+        if state != OutputState.ACTIVE.value:
+            reasons_s[why] += lasted_s
+
+    for event in events:
+        change = re.fullmatch(r"(\w+) -> (\w+): (.*)", event.text, re.DOTALL)
+        if event.kind != "state" or change is None:
+            continue
+        if event.time_s > at_s:
+            until(event.time_s)
+            at_s = min(event.time_s, to_utc_s)
+        state, why = change[2], change[3]
+    until(to_utc_s)
+    whole_s = max(to_utc_s - from_utc_s, 1e-9)
+    states = {name: seconds / whole_s for name, seconds in spent_s.items() if seconds > 0.0}
+    longest = max(reasons_s, key=lambda reason: reasons_s[reason]) if reasons_s.total() > 0.0 else ""
+    return Following(active_share=states.get(OutputState.ACTIVE.value, 0.0), states=states, why=longest)
+
+
 def replay_machine(recording: Recording, model_file: Path, record_file: Path) -> dict[str, Any]:
     """Return a machine description for one recording: one line, a channel and an axis per displacement."""
     channels = recording.displacement_names
@@ -79,7 +145,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
                     "name": name,
                     "port": "",
                     "baud": 115200,
-                    "cycle_period_s": period_s,
+                    "cycle_period_s": min(period_s, LONGEST_CYCLE_S),
                     "chain": [f"{part[0]}-{part[-1]}"],
                 }
                 for name, part in _lines(len(sensors)).items()

@@ -20,9 +20,20 @@ from daemon.cli.common import (
 )
 from daemon.cli.pages import html_option, write_page
 from daemon.cli.simulate.demo import simulation_folder
+from daemon.history.reader import HistoryReader
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
-from daemon.simulation.replaying import axis_names, check_model, map_of, playing_time_s, replay_machine
+from daemon.simulation.replaying import (
+    LEAST_SHARE,
+    Following,
+    axis_names,
+    check_model,
+    following,
+    map_of,
+    played_utc_s,
+    playing_time_s,
+    replay_machine,
+)
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
 from models.thermal.family import model_from_json
@@ -60,7 +71,8 @@ def replay(
 ) -> None:
     """Play RECORDING: temperatures as LATSIS frames, displacements as a growing CSV, speed from the CNC.
 
-    The reference is the mean of the first block played. Reports the error per channel without and with compensation.
+    The reference is the mean of the first block played. Reports the error per channel without and with compensation,
+    and for how much of the time the output followed; ends with 1 where that is less than half.
     """
     if speed > FASTEST:
         say(f"--speed {speed:g} is taken as {FASTEST:g}: the simulated wires are no faster")
@@ -85,19 +97,30 @@ def replay(
         arguments += ["--until-s", repr(until_s), "--report-s", "60"]
         if map_path is not None:
             arguments += ["--map", str(map_path.resolve())]
-        with start_simulation(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
+        began_s = time.time()
+        with start_simulation(arguments, path, speed=speed, epoch_utc_s=began_s, directory=folder) as running:
             switch_on(running)
             _follow(running, until_s)
             final, status = settle(running)
+        with HistoryReader(running.configuration.history.path) as reader:
+            span_s = played_utc_s(part, began_s)
+            followed = following(reader.events(0.0, span_s[1]), *span_s)
     channels = axis_names(part.displacement_names)
     final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
-    report(recording, final, status, json_path)
+    report(recording, final, status, followed, json_path)
     if html_path is not None:
-        write_page(html_path, page(recording, model_path, channels, final, status))
+        write_page(html_path, page(recording, model_path, channels, final, status, followed))
+    if followed.active_share < LEAST_SHARE:
+        raise SystemExit(1)
 
 
 def page(
-    recording: Path, model_path: Path, channels: dict[str, str], final: dict[str, Any], status: dict[str, Any]
+    recording: Path,
+    model_path: Path,
+    channels: dict[str, str],
+    final: dict[str, Any],
+    status: dict[str, Any],
+    followed: Following,
 ) -> str:
     """Return the page of a replay: what was measured, what the NC applied turned round, and what that left."""
     from daemon.workbench.thermal.result_pages import Stretch, replay_page
@@ -121,16 +144,24 @@ def page(
         "sensors": len(model.sensor_ids),
         "refused by its training": model.refused or "no",
         "trained on": ", ".join(data.name for data in model.training),
+        "output followed": followed.warning or f"{followed.active_share:.0%} of the time",
     }
     found = {key: status[key] for key in ("cycles", "writes")} | {"channels": final["channels"]}
     found["cycles"] = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
     return replay_page(f"Replay of {recording.name}", found, facts, list(channels.values()), played)
 
 
-def report(recording: Path, final: dict[str, Any], status: dict[str, Any], json_path: str | None) -> None:
+def report(
+    recording: Path, final: dict[str, Any], status: dict[str, Any], followed: Following, json_path: str | None
+) -> None:
     """Print the table or write the JSON; whatever it shows is reported as it is."""
+    say(f"ACTIVE for {followed.active_share:.0%} of the time played")
+    if followed.warning:
+        say(f"warning: {followed.warning}")
     cycles = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
-    write_json(json_path, {"cycles": cycles, "writes": status["writes"], "channels": final["channels"]})
+    shares = {"active_share": followed.active_share, "states": followed.states, "why": followed.why}
+    found = {"cycles": cycles, "writes": status["writes"], "following": shares, "channels": final["channels"]}
+    write_json(json_path, found)
     if json_path is not None:
         return
     from rich.console import Console

@@ -70,6 +70,8 @@ thermal.add_command(sensors)
 @option("--b0/--no-b0", "intercept", default=False, help="Fit a drift with time.")
 @option("--channels", help="Displacement channels, separated by commas. Without: all.")
 @common_columns_option
+@option("--without", multiple=True, metavar="NAME", help="Leave the recording of this file name out; may be repeated.")
+@option("--recent", type=click.IntRange(min=1), help="Train on the last so many of the recordings alone.")
 @option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
 @option("--map-out", type=FILE, callback=destination, help="Write the proposed map here, and train with it.")
 @option("-o", "--output", required=True, type=FILE, help="The model's file.")
@@ -84,6 +86,8 @@ def train(
     intercept: bool,
     channels: str | None,
     common_columns: bool,
+    without: tuple[str, ...],
+    recent: int | None,
     split_at_speed: bool,
     map_out: Path | None,
     output: Path,
@@ -98,6 +102,7 @@ def train(
     from daemon.workbench.thermal.training import (
         Selection,
         increments_summary,
+        kept_paths,
         summary,
         train_from_files,
         write_model_file,
@@ -114,7 +119,9 @@ def train(
     )
     try:
         recording_map = load_recording_map(map_path) if map_path is not None else _proposed(recordings[0], map_out)
-        selection = Selection(hours=hours, channels=_names(channels), common_columns=common_columns)
+        selection = Selection(
+            hours=hours, channels=_names(channels), common_columns=common_columns, without=without, recent=recent
+        )
         with ProgressBar() as bar:
             recipe = increment_recipe(choices) if family is None else family
             result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
@@ -122,6 +129,8 @@ def train(
     except OSError as error:
         refuse(f"{output}: the model cannot be written ({error.strerror})")
     found = increments_summary(result, output) if family is None else summary(result, output)
+    kept = kept_paths(recordings, selection)
+    found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
     _show(found)
     write_json(json_path, found)
 
@@ -173,6 +182,8 @@ def _show(found: dict[str, Any]) -> None:
     say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
     if found["chosen"] is not None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
+    if found["recordings_left_out"]:
+        say(f"left out on request: {', '.join(found['recordings_left_out'])}")
     for sentence in found["advice"]:
         say(f"next: {sentence}")
     if not held_out["channels"]:

@@ -10,7 +10,7 @@ from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
-from models.recordings.dataset import Recording
+from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import ThermalModel
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.recipes import Recipe
@@ -27,6 +27,10 @@ class Selection:
     """Displacement channels; None: all."""
     common_columns: bool = False
     """Columns that not all recordings have are left out, not refused."""
+    without: tuple[str, ...] = ()
+    """File names of recordings that are left out on request."""
+    recent: int | None = None
+    """Only the last so many recordings, in the order in which they are given; None: all."""
 
 
 def train_from_files(
@@ -37,6 +41,7 @@ def train_from_files(
     progress: Callable[[str, int, int], None],
 ) -> FamilyTraining:
     """Read the recordings and train; raises RecordingFileError or DatasetError."""
+    paths = kept_paths(paths, selection)
     return train_family(
         [_selected(r, selection) for r in read_alike(paths, recording_map, progress, common=selection.common_columns)],
         recipe,
@@ -44,6 +49,21 @@ def train_from_files(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
     )
+
+
+def kept_paths(paths: Sequence[Path], selection: Selection) -> list[Path]:
+    """Return the recordings that are trained on; raises DatasetError where a name is unknown or nothing is left."""
+    names = [path.name for path in paths]
+    if unknown := [name for name in selection.without if name not in names]:
+        raise DatasetError(f"--without {unknown[0]}: there is no such recording; there are {', '.join(names)}")
+    kept = [path for path in paths if path.name not in selection.without]
+    if selection.recent is not None:
+        if selection.recent > len(kept):
+            raise DatasetError(f"--recent {selection.recent}: there are {len(kept)} recordings; name a smaller number")
+        kept = kept[-selection.recent :]
+    if not kept:
+        raise DatasetError("every recording is left out by --without; leave one of them in")
+    return kept
 
 
 def _selected(recording: Recording, selection: Selection) -> Recording:
@@ -72,7 +92,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
         },
         "hyper_parameters": result.hyper_parameters,
         "chosen": None if result.choice is None else {"family": result.choice.family, "why": result.choice.why},
-        "advice": [] if result.choice is None else list(result.choice.advice),
+        "advice": list(result.advice),
         "refused": trust.refused,
         "training": [
             {"name": data.name, "from_hours": data.from_hours, "to_hours": data.to_hours, "rows": data.rows}

@@ -1,5 +1,7 @@
 """What to record next: sentences for recordings that support less of a model than there could be."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from models.recordings.jumps import scatter_um
@@ -11,6 +13,10 @@ ENOUGH = 5
 """From so many whole runs or cycles on, what is left out tells families apart."""
 SHORT_RUN_MIN = 120.0
 """Shorter runs say nothing of what takes hours."""
+TELLS_APART = 8
+"""Families that are equally good on so many whole runs or cycles are equally good: nothing more need be recorded."""
+SAME = 0.005
+"""Families that leave so much more or less of the left-out error are not told apart."""
 NOISE_FACTOR = 4.0
 """A channel moves when its values between 5 and 95 % span more than so many times the scatter of neighbouring rows."""
 
@@ -47,3 +53,20 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
                 "learned about it; record runs in which its axis warms, or leave the channel out"
             )
     return tuple(found)
+
+
+def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int) -> tuple[str, ...]:
+    """Return what to record where families cannot be told apart; nothing where they can, or need not be.
+
+    `chosen`: the family that was taken. `relative_rmse`: what each family leaves of the left-out error. `independent`:
+    how many whole runs or cycles can be left out in turn.
+    """
+    own = relative_rmse.get(chosen, float("nan"))
+    same = [name for name, left in relative_rmse.items() if name != chosen and abs(left - own) <= SAME]
+    if not same or independent >= TELLS_APART:
+        return ()
+    return (
+        f"{' and '.join([chosen, *same])} leave the same of the left-out error within {SAME:.1%}, so these recordings "
+        f"cannot tell them apart and {chosen} was taken; to tell them apart record {TELLS_APART - independent} more "
+        "runs, each at speeds and with pauses that no run has had yet",
+    )

@@ -12,12 +12,15 @@ from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
+from models.thermal.training.advice import advice, indistinct
 from models.thermal.training.choice import Choice, ChosenProblem
+from models.thermal.training.families import fold_numbers
 from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data
-from models.thermal.training.prepared import prepare
+from models.thermal.training.prepared import Prepared, prepare
 from models.thermal.training.recipes import RECIPES, Recipe
-from models.thermal.training.trust import Trust, judge
+from models.thermal.training.regimes import change_of_regime, contradictions, sentences
+from models.thermal.training.trust import Trust, independent_folds, judge
 from models.thermal.training.watch_fit import fit_watch
 
 MOST_WATCHED = 400
@@ -45,6 +48,8 @@ class FamilyTraining:
     drift_um_per_min: FloatArray
     """b_0 of the fit [um/min], shape (n_channels,)."""
     warnings: tuple[str, ...]
+    advice: tuple[str, ...]
+    """What to record next, and which recordings do not go with the others."""
     choice: Choice | None = None
     """What was chosen among several families, and why; None where one was asked for by name."""
 
@@ -123,6 +128,7 @@ def train_family(
         counts=fit.counts,
         drift_um_per_min=fit.drift_um_per_min,
         warnings=warnings,
+        advice=_advice(prepared, trust),
         choice=problem.choice if isinstance(problem, ChosenProblem) else None,
     )
 
@@ -131,6 +137,21 @@ def _score(trust: Trust) -> HyperParameters:
     """Return what a candidate is compared by: RMSE with / without the model on what was left out, mean of channels."""
     score = trust.held_out_relative_rmse
     return {"held_out_relative_rmse": round(score, 4)} if isfinite(score) else {}
+
+
+def _advice(prepared: Prepared, trust: Trust) -> tuple[str, ...]:
+    inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
+    numbers = fold_numbers(rows, fold)
+    independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
+    found = advice(inputs, rows, independent)
+    if isinstance(problem, ChosenProblem):
+        scores = {one.family: one.relative_rmse for one in problem.choice.candidates if one.refused is None}
+        found += indistinct(problem.choice.family, scores, independent)
+    if not np.isfinite(trust.held_out_relative_rmse):
+        return found
+    against = contradictions(inputs, rows, fold, problem)
+    change = None if against else change_of_regime(inputs, rows, fold, problem)
+    return found + sentences(inputs, against, change)
 
 
 def _ids(all_names: Sequence[str], kept: Sequence[str]) -> tuple[int, ...]:

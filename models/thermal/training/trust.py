@@ -1,5 +1,6 @@
 """Decides whether a fitted model may be used, and how wide its prediction band is: both from training rows alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,8 @@ USUAL_PROBE_MIN = 60.0
 """How far an offset wanders between probes is told for this time between them [min], where none is asked for."""
 NORMAL_90 = 1.282
 """90 % point of the normal distribution."""
+HALF_LIFE = 2.0
+"""A forward-chained fold counts half as much as one that comes so many folds later."""
 FEWEST_FOLDS_BEFORE = 2
 """A fold is predicted from at least so many before it: one warm-up alone is no alternating operation."""
 EXCURSION_SHARE = 0.3
@@ -77,8 +80,8 @@ def judge(
     """Return whether a model may be used, and its band.
 
     The gate: at least two alternating excursions of more than 30 % of the span, or three separate
-    runs; positive skill on what was left out; and positive skill in every forward-chained fold,
-    which is predicted only from what came before it.
+    runs; positive skill on what was left out; and positive skill in the mean of the forward-chained
+    folds, each predicted only from what came before it, of which the latest count most.
 
     Parameters
     ----------
@@ -137,12 +140,26 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
         )
     if not score < 1.0:
         return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"
-    if bad := [value for value in skill if not value > 0.0]:
+    if skill and not (recently := recent_skill(skill)) > 0.0:
+        bad = [value for value in skill if not value > 0.0]
         return (
             f"predicted from what came before, {len(bad)} of {len(skill)} folds are worse than without compensation "
-            f"(by {-min(bad):.0%} at worst); record more alternating operation"
+            f"(by {-min(bad):.0%} at worst), and {-recently:.0%} worse in the mean of which the latest count most; "
+            "record more alternating operation"
         )
     return None
+
+
+def recent_skill(skill: Sequence[float]) -> float:
+    """Return the mean of the skills of folds in order of time, of which the latest count most.
+
+    A fold counts half as much as another so many folds later; what is worse than twice the error counts no more than
+    that, and a fold of which nothing is known as no skill.
+
+    `skill`: 1 - RMSE with / without of each, at least one.
+    """
+    ages = np.arange(len(skill))[::-1]
+    return float(np.average(np.clip(np.nan_to_num(skill, nan=-1.0), -1.0, 1.0), weights=0.5 ** (ages / HALF_LIFE)))
 
 
 def _forward_skill(

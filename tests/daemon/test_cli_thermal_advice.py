@@ -1,0 +1,98 @@
+"""What a new user is told whose recordings support less of a model than there could be, and what to record next."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from thermal_runs import WEIGHTS, run
+
+from daemon.cli import main
+from models.thermal.family import model_from_json
+
+
+def trained(folder: Path, *arguments: object, model: str = "ridge") -> dict[str, Any]:
+    """Train as a user does; a model is always written, and loads."""
+    output = folder / "model.json"
+    result = CliRunner().invoke(
+        main, ["thermal", "train", *map(str, arguments), "--model", model, "-o", str(output), "--json", "-"]
+    )
+    assert result.exit_code == 0, result.output
+    assert model_from_json(output.read_bytes(), str(output)).model_id
+    found: dict[str, Any] = json.loads(result.stdout)
+    assert all(sentence in result.stderr for sentence in found["advice"])
+    return found | {"said": result.stderr}
+
+
+def advice(found: dict[str, Any]) -> str:
+    return "\n".join(found["advice"])
+
+
+def test_enough_good_runs_get_no_advice(tmp_path: Path) -> None:
+    found = trained(tmp_path, *[run(tmp_path, number) for number in range(1, 7)])
+    assert (found["advice"], found["refused"]) == ([], None)
+
+
+def test_a_reversed_channel_is_named_and_left_out_on_request(tmp_path: Path) -> None:
+    paths = [run(tmp_path, number, turned=number == 4) for number in range(1, 8)]
+    found = trained(tmp_path, *paths)
+    assert "recording run04.csv contradicts the others: its channel c1 moves against" in advice(found)
+    assert "--without run04.csv" in advice(found)
+    without = trained(tmp_path, *paths, "--without", "run04.csv")
+    assert without["advice"] == [] and without["recordings_left_out"] == ["run04.csv"]
+    assert "left out on request: run04.csv" in without["said"]
+    assert without["held_out"]["relative_rmse"] < 0.5 * found["held_out"]["relative_rmse"]
+
+
+def test_a_machine_that_was_changed_is_seen_and_the_recent_runs_are_trained_on_request(tmp_path: Path) -> None:
+    other = WEIGHTS * np.array([[0.3], [1.0], [6.0]])
+    paths = [run(tmp_path, number, weights=other if number > 5 else WEIGHTS) for number in range(1, 10)]
+    found = trained(tmp_path, *paths)
+    assert "from recording run06.csv on the machine behaves otherwise" in advice(found)
+    assert "--recent 4" in advice(found)
+    recent = trained(tmp_path, *paths, "--recent", "4")
+    assert [data["name"] for data in recent["training"]] == [f"run{n:02}.csv" for n in range(6, 10)]
+    assert recent["held_out"]["relative_rmse"] < 0.5 * found["held_out"]["relative_rmse"]
+    assert recent["recordings_left_out"] == [f"run{n:02}.csv" for n in range(1, 6)]
+
+
+@pytest.mark.parametrize("model", ["ridge", "default"])
+def test_too_few_runs_are_told_how_many_more_how_long_and_how(tmp_path: Path, model: str) -> None:
+    found = trained(tmp_path, *[run(tmp_path, number) for number in (1, 2, 3)], model=model)
+    assert "3 whole run(s) or cycle(s) can be left out" in advice(found)
+    assert "record 2 more runs of about 3 h, each from a machine at rest" in advice(found)
+
+
+def test_one_run_alone_is_told_what_to_record_and_not_to_be_used_unproved(tmp_path: Path) -> None:
+    found = trained(tmp_path, run(tmp_path, 1, minutes=100), model="default")
+    assert "the longest run lasts 99 min" in advice(found) and "more runs of about" in advice(found)
+
+
+def test_a_channel_that_never_moves_is_named(tmp_path: Path) -> None:
+    still = WEIGHTS * np.array([1.0, 0.0])
+    found = trained(tmp_path, *[run(tmp_path, number, weights=still) for number in range(1, 7)])
+    assert "channel c2 moved by" in advice(found) and "record runs in which its axis warms" in advice(found)
+    assert "c1" not in advice(found)
+
+
+def test_families_that_cannot_be_told_apart_are_named_with_what_would_tell_them(tmp_path: Path) -> None:
+    found = trained(tmp_path, *[run(tmp_path, number) for number in range(1, 6)], model="default")
+    assert "cannot tell them apart" in advice(found)
+    assert "record 3 more runs, each at speeds and with pauses that no run has had yet" in advice(found)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--without", "run09.csv"), "there is no such recording; there are run01.csv, run02.csv"),
+        (("--recent", "3"), "there are 2 recordings; name a smaller number"),
+        (("--without", "run01.csv", "--without", "run02.csv"), "leave one of them in"),
+    ],
+)
+def test_what_cannot_be_left_out_is_said(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
+    paths = [str(run(tmp_path, number)) for number in (1, 2)]
+    command = ["thermal", "train", *paths, *arguments, "--model", "ridge", "-o", str(tmp_path / "m.json")]
+    result = CliRunner().invoke(main, command)
+    assert (result.exit_code, sentence in result.stderr) == (2, True), result.output

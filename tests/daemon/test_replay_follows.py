@@ -1,0 +1,81 @@
+"""A replay says for how much of the time the output followed, and ends with 1 when it did not, with every family."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from thermal_runs import run
+
+from daemon.cli import main
+from daemon.cli.thermal.evaluate import MODELS
+from daemon.history.series import EventRecord
+from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, following
+
+
+def event(time_s: float, text: str, kind: str = "state") -> EventRecord:
+    return EventRecord(time_s=time_s, kind=kind, text=text, person="daemon")
+
+
+def test_the_share_of_each_state_comes_from_the_changes() -> None:
+    events = [
+        event(90.0, "OFF -> ARMED: switched on"),
+        event(95.0, "no change", "notice"),
+        event(110.0, "ARMED -> ACTIVE: following the estimate"),
+        event(150.0, "ACTIVE -> HOLD: confidence 0.10 is below 0.70 (outside: of\nthe domain)"),
+        event(400.0, "HOLD -> ACTIVE: following the estimate"),
+    ]
+    found = following(events, 100.0, 200.0)
+    assert found.states == pytest.approx({"ARMED": 0.1, "ACTIVE": 0.4, "HOLD": 0.5})
+    assert found.active_share == pytest.approx(0.4)
+    assert "ACTIVE) for 40% of the time played, mostly because: confidence 0.10 is below" in found.warning
+
+
+def test_an_output_that_followed_throughout_is_not_warned_of_and_one_without_events_never_did() -> None:
+    whole = following([event(50.0, "ARMED -> ACTIVE: following the estimate")], 100.0, 200.0)
+    assert (whole.active_share, whole.why, whole.warning) == (1.0, "", "")
+    never = following([], 100.0, 200.0)
+    assert (never.active_share, never.states) == (0.0, {"OFF": 1.0}) and "was not switched on" in never.warning
+    assert 0.0 < LEAST_SHARE < WHOLE_SHARE <= 1.0
+
+
+def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-P", "-m", "daemon.cli", "replay", str(recording), "--model", str(model), "--json", "-"]
+    return subprocess.run([*command, *options], capture_output=True, text=True, check=False, cwd=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.wires
+@pytest.mark.parametrize("family", MODELS)
+def test_every_family_that_training_makes_is_followed(tmp_path: Path, family: str) -> None:
+    """Half of a run that the model has not seen; two families or more are averaged, lags and processes included."""
+    paths = [str(run(tmp_path, number)) for number in range(1, 7)]
+    model = tmp_path / "model.json"
+    trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "--model", family, "-o", str(model)])
+    assert trained.exit_code == 0, trained.output
+    done = played(tmp_path, Path(paths[-1]), model, "--speed", "60", "--to-hours", "0.4")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["following"]["active_share"] >= LEAST_SHARE and "ACTIVE for" in done.stderr
+    if family != "increments-b0":
+        assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
+
+
+@pytest.mark.slow
+@pytest.mark.wires
+def test_a_recording_far_from_training_is_not_followed_and_ends_with_1(tmp_path: Path) -> None:
+    paths = [str(run(tmp_path, number)) for number in range(1, 4)]
+    model = tmp_path / "model.json"
+    trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "--model", "ridge", "-o", str(model)])
+    assert trained.exit_code == 0, trained.output
+    far = np.loadtxt(paths[-1], delimiter=",", skiprows=1)
+    far[:, 2:5] += 60.0
+    np.savetxt(paths[-1], far, delimiter=",", header="t,rpm,T1,T2,T3,c1,c2", comments="", fmt="%.9g")
+    done = played(tmp_path, Path(paths[-1]), model, "--speed", "60", "--to-hours", "0.3")
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)["following"]["active_share"] < LEAST_SHARE
+    assert "warning: the output followed the estimate (ACTIVE) for 0%" in done.stderr
+    assert "outside the range that the model was trained on" in done.stderr
