@@ -15,7 +15,14 @@ from models.thermal.training.families import default_family
 from models.thermal.training.folds import cycles, inner_folds, spindle_starts
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
-from models.thermal.training.trust import excursions, few_folds_factor, fit_bias_filter, independent_folds, judge
+from models.thermal.training.trust import (
+    excursions,
+    few_folds_factor,
+    fit_bias_filter,
+    independent_folds,
+    judge,
+    recent_skill,
+)
 
 
 def recording(um: FloatArray, degc: FloatArray, rpm: FloatArray | None, step_s: float = 60.0) -> Recording:
@@ -205,3 +212,10 @@ def test_frequent_probes_correct_a_drift_that_a_minute_does_not_show(noise_um: f
     noise = (measured_um - true_um)[:, None]
     left_um = probed_residual_um(inputs.time_min, true_um[:, None] - true_um[0], 1.0, kalman, noise)
     assert np.sqrt(np.mean(np.square(left_um))) < max(0.05, 0.5 * noise_um)
+
+
+def test_one_bad_fold_does_not_refuse_for_good_and_a_bad_latest_one_counts_most() -> None:
+    assert recent_skill([-0.67, 0.49, 0.55]) > 0.0
+    assert recent_skill([0.4, -0.9, 0.9]) > 0.0 > recent_skill([0.9, 0.4, -0.9, -0.9])
+    assert recent_skill([-0.1]) < 0.0 and recent_skill([float("nan")]) < 0.0
+    assert recent_skill([-50.0, 0.8, 0.8, 0.8]) > 0.0
