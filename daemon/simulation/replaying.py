@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, count
@@ -98,8 +98,8 @@ class Following:
 def following(events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float) -> Following:
     """Return for how much of a span of time the output was in each state, from the history's changes of state."""
     state, why, at_s = OutputState.OFF.value, "it was not switched on", from_utc_s
-    spent_s: Counter[str] = Counter()
-    reasons_s: Counter[str] = Counter()
+    spent_s: defaultdict[str, float] = defaultdict(float)
+    reasons_s: defaultdict[str, float] = defaultdict(float)
 
     def until(time_s: float) -> None:
         lasted_s = max(min(time_s, to_utc_s) - at_s, 0.0)
@@ -118,7 +118,7 @@ def following(events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float)
     until(to_utc_s)
     whole_s = max(to_utc_s - from_utc_s, 1e-9)
     states = {name: seconds / whole_s for name, seconds in spent_s.items() if seconds > 0.0}
-    longest = max(reasons_s, key=lambda reason: reasons_s[reason]) if reasons_s.total() > 0.0 else ""
+    longest = max(reasons_s, key=lambda reason: reasons_s[reason]) if sum(reasons_s.values()) > 0.0 else ""
     return Following(active_share=states.get(OutputState.ACTIVE.value, 0.0), states=states, why=longest)
 
 
