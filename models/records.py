@@ -194,6 +194,8 @@ class ThermalErrorEstimate:
     """What it is still off for the step that a sensor's return would have been [um], of the worst channel and tool."""
     inhibit: str = ""
     """Why the model cannot be followed yet, '' when it can."""
+    held_s: float = 0.0
+    """Age of the oldest temperature that counts, of a sensor that has missed cycles [s]; 0 where none has."""
     model_id: str
     reference_id: str | None
     line: str

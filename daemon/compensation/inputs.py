@@ -53,6 +53,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         estimate_age_s=view.now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
         confidence=estimate.confidence if estimate is not None else 0.0,
         inhibit=estimate.inhibit if estimate is not None else "",
+        held_s=estimate.held_s if estimate is not None else 0.0,
         in_domain=estimate.in_domain if estimate is not None else False,
         fading_um=estimate.fading_um if estimate is not None else 0.0,
         reference_id=reference.reference_id if reference is not None else None,

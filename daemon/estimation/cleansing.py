@@ -1,5 +1,6 @@
 """Temperatures of the whole machine from the cycles of its lines: cleansed, and their means over a window."""
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,13 @@ from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
 from models.quality import Quality, Reason
-from models.records import FloatArray, MachineTemperatures, TemperatureCycle
+from models.records import FloatArray, MachineTemperatures, Reference, TemperatureCycle
 from models.sensor_levels import BelievedValues, first_levels, renewed_levels, trusted_anew, with_past
+
+NAMED = 3
+"""So many sensors are named in one sentence."""
+HELD_PERIODS = 2.5
+"""A sensor whose value is older than so many cycles of its line has missed two."""
 
 
 class Cleansing:
@@ -25,6 +31,10 @@ class Cleansing:
             each.name: (np.array([position[i] for i in each.sensor_ids]), each.cycle_period_s)
             for each in temperatures.inputs
         }
+        self._sensor_ids = temperatures.sensor_ids
+        self._period_s = np.zeros(len(position))
+        for indices, period_s in self._lines.values():
+            self._period_s[indices] = period_s
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
@@ -36,6 +46,7 @@ class Cleansing:
         self._silent = np.ones(len(position), dtype=np.bool_)
         self.levels = first_levels(len(position))
         """What every sensor's level counts as; the means hold it, the latest temperatures do not."""
+        self._jumped_at_s = np.full(len(position), -np.inf)
         self._measured = np.full(len(position), np.nan)
         self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
         self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
@@ -55,6 +66,38 @@ class Cleansing:
     def mean_degc(self) -> FloatArray:
         """Return the mean of each sensor over the window [degC], in the machine's order, NaN where there is none."""
         return self._mean.mean()
+
+    def counted_degc(self, absent: npt.NDArray[np.bool_], reference: Reference | None) -> FloatArray:
+        """Return the means [degC] without sensors whose level is doubted or mixed and that the reference does not hold.
+
+        They were `absent` until now; what they would count from, once set anew, would be that level, also when they
+        leave it again.
+        """
+        if reference is None:
+            return self.mean_degc()
+        now_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
+        doubted = (self.levels.uncertainty_k != 0.0) & (self.levels.shift_k == 0.0)
+        unsure = doubted | (now_s - self._jumped_at_s <= self.window_s)
+        return np.where(absent & unsure & np.isnan(reference.degc), np.nan, self.mean_degc())
+
+    def refusal(self, usable: int, now_s: float) -> str:
+        """Return why the means of now are no reference, '' when they are; `usable`: how many sensors have one."""
+        if usable == 0:
+            return f"no temperature has arrived in the last {self.window_s:.0f} s"
+        mixed = np.flatnonzero(now_s - self._jumped_at_s <= self.window_s)[:NAMED]
+        if not len(mixed):
+            return ""
+        named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in mixed)
+        return f"the level of {named} has changed within the last {self.window_s:.0f} s: position again in a minute"
+
+    def held_s(self, degc: FloatArray, now_s: float, imputed: Collection[int]) -> float:
+        """Return the age of the oldest value that counts although its sensor has missed cycles [s]; 0 without one.
+
+        `degc`: the means, NaN where a sensor has none. `imputed`: IDs of sensors that do not count.
+        """
+        ages_s = age_s(self._state, now_s)
+        held = np.isfinite(degc) & (ages_s > HELD_PERIODS * self._period_s) & ~np.isin(self._sensor_ids, [*imputed])
+        return float(ages_s[held].max(initial=0.0))
 
     def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
         """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
@@ -84,8 +127,11 @@ class Cleansing:
         unsaid = stale & (self._quality != Quality.MISSING)
         self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
         usable = (cycle.quality == Quality.GOOD) & np.isfinite(cycle.degc)
+        heard = now_s - self._usable_at_s[indices] <= HELD_PERIODS * period_s
         returned = result.returned & self._after_silence(indices, usable, now_s)
-        jumped = result.new_level & ~returned & np.isfinite(before_degc)
+        far = (result.quality == Quality.GOOD) & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
+        jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
+        self._jumped_at_s[indices[far]] = now_s
         self._silent[indices[result.quality == Quality.GOOD]] = False
         seen = BelievedValues(
             now_s=now_s,

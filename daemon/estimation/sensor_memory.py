@@ -29,6 +29,7 @@ from models.thermal.mean_increment import (
 
 log = structlog.get_logger(__name__)
 
+SAME_UM = 1e-6
 Places = npt.NDArray[np.intp]
 
 
@@ -51,13 +52,14 @@ class SinceReference:
         self._reference_min = 0.0
         self._rest: dict[str, Fading] = {}
         self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
+        self._followed_um: FloatArray | None = None
 
     def begin(self, reference: Reference) -> None:
         """Count from a new reference: no sensor has been missing since, and none is excluded."""
         self._reference_id = reference.reference_id
         self._told = None
         self._reference_min = reference.time.monotonic_s / 60.0
-        self._rest, self._before = {}, None
+        self._rest, self._before, self._followed_um = {}, None, None
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
@@ -80,12 +82,23 @@ class SinceReference:
         log.info("sensors.restored", absent=len(kept.absent), excluded=sorted(self.excluded))
 
     def goes_on_um(
-        self, model: ThermalModel, imputed: tuple[int, ...], now_um: FloatArray, time_min: float
+        self,
+        model: ThermalModel,
+        imputed: tuple[int, ...],
+        now_um: FloatArray,
+        time_min: float,
+        followed: bool,
     ) -> FloatArray:
-        """Return the thermal error, in which no return of a sensor is a step: what it would be fades out [um]."""
+        """Return the thermal error, in which no return of a sensor is a step: what it would be fades out [um].
+
+        `followed`: the output may follow it. What it goes on from at a return is what could be followed last: the
+        output has stood there since, and what was estimated from too few sensors would only lead it astray.
+        """
         rest_um = self._rest_um(model.channels, time_min)
         if self._before is not None:
             model_id, away, before_um = self._before
+            if self._followed_um is not None and not np.allclose(before_um, now_um + rest_um, atol=SAME_UM):
+                before_um = self._followed_um
             if model_id == model.model_id and set(away) - set(imputed):
                 steps = zip(model.channels, before_um, now_um, strict=True)
                 self._rest = {
@@ -93,6 +106,8 @@ class SinceReference:
                 }
                 rest_um = before_um - now_um
         self._before = (model.model_id, imputed, now_um + rest_um)
+        if followed or (self._followed_um is not None and len(self._followed_um) != len(now_um)):
+            self._followed_um = now_um + rest_um if followed else None
         return now_um + rest_um
 
     def fading_um(self, channels: Sequence[str], time_min: float, tool_um_per_k: FloatArray) -> float:

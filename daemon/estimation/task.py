@@ -13,7 +13,7 @@ import numpy as np
 import structlog
 
 from config.schema import Configuration
-from daemon.estimation.cleansing import Cleansing
+from daemon.estimation.cleansing import NAMED, Cleansing
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
@@ -62,8 +62,6 @@ UNSURE_UM = 1.0
 """An estimate that may be wrong by more since its reference is not followed [um]."""
 TURNS_OF_OUTPUT = 4
 """The loop turns so often until the control task has the answer to its look ahead and has sent its first write."""
-NAMED = 3
-"""So many sensors are named in one sentence."""
 
 
 class ThermalInbox(asyncio.Queue[Message]):
@@ -120,7 +118,7 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
         self._online = self._in_use(model)
-        self._next: ModelInUse | None = None  # waits until the model in use has an estimate from which it can go on
+        self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels = self._levels.restored()
@@ -196,12 +194,8 @@ class ThermalTask:
             if self._reference is not None:
                 known = (self._since.excluded, self._since.of_model)
                 await asyncio.to_thread(online.set_reference, self._reference, now_s, *known)
-        latest = self.latest_estimate
-        age_s = np.inf if latest is None else self._clock.now().monotonic_s - latest.trace.first_byte.monotonic_s
-        if self._online is None or online is None or self._reference is None or age_s <= self._cleansing.stale_after_s:
-            self._online, self._next = online, None
-        else:
-            self._next = online
+        at_once = self._online is None or online is None or self._reference is None
+        self._online, self._next = (online, None) if at_once else (self._online, online)
 
     def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
         if model is None:
@@ -229,12 +223,13 @@ class ThermalTask:
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
+        if self._next is not None and _may_go_over(self.latest_estimate, renewed, self._cleansing):
+            self._online, self._next = self._next, None
+            renewed = self._estimate(temperatures)
         if renewed is not None:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
-            if self._next is not None:
-                self._online, self._next = self._next, None
             self._deliver_sensors()
         if self._temperature_is_shown:
             self._deliver(temperatures)
@@ -249,7 +244,8 @@ class ThermalTask:
             self._say_faults(cycle)
 
     def _estimate(self, temperatures: MachineTemperatures) -> ThermalErrorEstimate | None:
-        degc, now_s = self._cleansing.mean_degc(), temperatures.trace.first_byte.monotonic_s
+        degc = self._cleansing.counted_degc(self._since.absent, self._reference)
+        now_s = temperatures.trace.first_byte.monotonic_s
         speed_rpm = float(self._speed.mean()[0]) if now_s - self._speed_at_s <= self._speed.window_s else np.nan
         online, reference = self._online, self._reference
         if online is None:
@@ -269,9 +265,10 @@ class ThermalTask:
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
         since_labels = self._since.label_increments(degc, now_s / 60.0)
-        goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0)
-        self._since.update(degc, online)
         unsure = _unsure_of_levels(online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids)
+        followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
+        goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
+        self._since.update(degc, online)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=goes_on_um,
@@ -283,6 +280,7 @@ class ThermalTask:
             imputed=tuple(outcome.imputed),
             fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
             inhibit=unsure or self.inhibit(),
+            held_s=self._cleansing.held_s(degc, now_s, set(outcome.imputed)),
             model_id=model.model_id,
             reference_id=reference.reference_id,
             line=temperatures.line,
@@ -309,10 +307,9 @@ class ThermalTask:
         latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
         degc = self._cleansing.mean_degc() if now.monotonic_s - latest_s <= self._cleansing.window_s else np.empty(0)
         usable = int(np.isfinite(degc).sum())
-        if usable == 0:
-            window = f"the last {self._cleansing.window_s:.0f} s"
-            why = f"reference of {request.source} refused: no temperature has arrived in {window}"
-            self._deliver(ReferenceRefused(reference_id=request.reference_id, why=why))
+        if why := self._cleansing.refusal(usable, now.monotonic_s):
+            refused = f"reference of {request.source} refused: {why}"
+            self._deliver(ReferenceRefused(reference_id=request.reference_id, why=refused))
             return
         reference = Reference(
             reference_id=request.reference_id,
@@ -324,6 +321,7 @@ class ThermalTask:
             power_on_count=request.power_on_count,
         )
         self._reference, self._taken_up_s = reference, -np.inf
+        self._online, self._next = self._next or self._online, None
         self._cleansing.trust_anew()
         self._since.begin(reference)
         if self._online is not None:
@@ -341,6 +339,19 @@ async def _turns(count: int) -> None:
     """Let every other task go on, so many times."""
     for _ in range(count):
         await asyncio.sleep(0)
+
+
+def _may_go_over(
+    before: ThermalErrorEstimate | None, renewed: ThermalErrorEstimate | None, cleansing: Cleansing
+) -> bool:
+    """Whether another model may go on from this estimate; the difference of the two stays with the reference."""
+    if before is None or renewed is None:
+        return False
+    gap_s = renewed.trace.first_byte.monotonic_s - before.trace.first_byte.monotonic_s
+    same = (before.reference_id, before.imputed) == (renewed.reference_id, renewed.imputed)
+    trusted = renewed.in_domain and renewed.confidence >= cleansing.least
+    whole = renewed.held_s == 0.0 and renewed.fading_um <= UNSURE_UM / 2
+    return same and trusted and whole and gap_s <= cleansing.window_s / 2
 
 
 def _tool_um_per_k(configuration: Configuration) -> FloatArray:

@@ -221,13 +221,17 @@ def tool_setting_inhibit(
 
 
 def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
-    """Return why what is measured now cannot be counted from: sensors are missing, or have only just returned."""
+    """Return why what is measured now cannot be counted from: sensors are missing, held, or have only just returned."""
     if inputs.fading_um > FADED_UM:
         return Inhibit(
             code=InhibitCode.CONFIDENCE,
             text=f"sensors have just returned: the estimate goes over to what they say by {inputs.fading_um:.1f} um",
             remedy="measure again in two minutes",
         )
+    if inputs.held_s > 0.0 or inputs.estimate_age_s > limits.stale_after_s / 2:
+        oldest_s = max(inputs.held_s, inputs.estimate_age_s)
+        text = f"sensors are silent: the oldest temperature that counts is from {oldest_s:.0f} s ago"
+        return Inhibit(code=InhibitCode.STALE, text=text, remedy="measure again when they are back, or left out")
     if inputs.confidence >= limits.full_confidence:
         return None
     return Inhibit(

@@ -135,6 +135,8 @@ def _not_resumed(
     if left.request_counter != request_counter:
         return "the NC program asked for something while the daemon was away"
     gap_s, now = away_s(left, sample), seen_of(sample, rules)
+    if now.sequence_number in rules.sequence_numbers and now.sequence_number != left.seen.sequence_number:
+        return "the program stands at the positioning of the work, which began while the daemon was away"
     return may_be_missed(left.seen, now, gap_s, rules, by_handshake=record.by_handshake)
 
 

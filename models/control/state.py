@@ -82,6 +82,8 @@ class OutputInputs:
     """What the estimate is still off for the step that a sensor's return would have been [um]."""
     inhibit: str = ""
     """Why confidence is low when no sensor is missing: states that are not filled yet."""
+    held_s: float = 0.0
+    """Age of the oldest temperature that is held because its sensor has missed cycles [s]; 0 where none has."""
     reference_id: str | None
     """The valid reference; None when there is none."""
     reference_ended: str = ""

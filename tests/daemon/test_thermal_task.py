@@ -237,3 +237,85 @@ async def test_after_a_reference_has_ended_nothing_is_estimated_from_it(task):
     count = len(task.estimates)
     await task.minutes(1)
     assert len(task.estimates) == count
+
+
+async def test_after_too_few_sensors_the_estimate_goes_on_from_what_was_followed_last(task):
+    """The output has held meanwhile: what one sensor of two makes of it would lead it astray."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=20.9)
+    followed = task.estimates[-1]
+    assert followed.confidence == 1.0 and followed.fading_um == followed.held_s == 0.0
+    await task.minutes(0.5, spindle=None)
+    assert task.estimates[-1].held_s == 30.0, "nothing is counted from what sensors said half a minute ago"
+    await task.minutes(3.5, spindle=None)
+    astray = task.estimates[-1]
+    assert astray.confidence < 0.7 and abs(astray.thermal_error_um - followed.thermal_error_um) > 1.0
+    seen = len(task.estimates)
+    await task.minutes(12, spindle=21.3)
+    back = [one for one in task.estimates[seen:] if one.confidence == 1.0]
+    errors = [float(one.thermal_error_um[0]) for one in back]
+    assert errors[0] == pytest.approx(followed.thermal_error_um[0], abs=1e-9)
+    assert errors == sorted(errors) and errors[-1] == pytest.approx(2.6, abs=0.05)
+    assert back[0].fading_um == pytest.approx(errors[-1] - errors[0], abs=0.1) and back[-1].fading_um < 0.1
+
+
+async def test_a_reference_waits_until_no_mean_holds_two_levels(task):
+    await task.minutes(2)
+    await task.minutes(0.5, spindle=[22.5, 20.0, 20.0])
+    await task.ask()
+    refused = task.delivered[-1]
+    assert isinstance(refused, ReferenceRefused)
+    assert "the level of sensor 1 has changed within the last 60 s: position again in a minute" in refused.why
+    await task.minutes(1.5, spindle=[22.5, 20.0, 20.0])
+    await task.ask("r2")
+    assert task.references[-1].reference_id == "r2" and task.references[-1].degc[0] == 22.5
+
+
+async def test_a_sensor_that_jumps_although_it_was_heard_all_the_time_is_doubted(task):
+    """Its last value that counted is so old that the jump would be explained, but nobody was silent."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=[22.5, 20.0, 20.0])
+    assert task.estimates[-1].confidence == 0.0 and "the level of sensor 1 by 2.5 K" in task.estimates[-1].inhibit
+    await task.minutes(3, spindle=20.0)
+    assert task.estimates[-1].confidence == 1.0
+    assert task.estimates[-1].thermal_error_um == pytest.approx(0.0, abs=0.01)
+
+
+async def test_a_sensor_that_was_missing_at_the_reference_does_not_count_from_a_doubted_level(task):
+    await task.minutes(2)
+    await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
+    await task.ask()
+    await task.minutes(3, spindle=[23.0, 20.0, 20.0])
+    await task.minutes(4, spindle=20.0)
+    assert task.estimates[-1].imputed == () and task.estimates[-1].confidence == 1.0
+    assert task.estimates[-1].thermal_error_um == pytest.approx(0.0, abs=0.01)
+
+
+async def test_a_model_released_while_sensors_come_and_go_waits(task):
+    """The difference of two models stays as long as the reference: it is not taken where one has fewer sensors."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(3, spindle=20.9)
+    await task.task.use_model(model(model_id="next"))
+    await task.minutes(4, spindle=None, column=None)
+    await task.minutes(0.5, spindle=None, column=20.0)
+    assert {one.model_id for one in task.estimates} == {"made-up"}, "it waits"
+    await task.minutes(12, spindle=21.3)
+    assert task.estimates[-1].model_id == "next"
+    before = next(one for one in reversed(task.estimates) if one.model_id == "made-up")
+    after = next(one for one in task.estimates if one.model_id == "next")
+    assert before.imputed == after.imputed == ()
+    assert after.thermal_error_um == pytest.approx(before.thermal_error_um, abs=0.5)
+
+
+async def test_with_a_new_reference_a_released_model_waits_no_longer(task):
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(1, spindle=[np.nan, 20.0, 20.0])
+    await task.task.use_model(model(model_id="next"))
+    await task.minutes(3, spindle=[np.nan, 20.0, 20.0])
+    assert task.estimates[-1].model_id == "made-up"
+    await task.ask("r2")
+    assert task.estimates[-1].model_id == "next"

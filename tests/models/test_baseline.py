@@ -117,6 +117,24 @@ def test_a_tool_is_not_set_while_the_step_of_a_sensor_s_return_still_fades():
     assert "sensors have just returned" in str(refusal)
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fading_um": 0.6}, "goes over to what they say by 0.6 um"),
+        ({"held_s": 25.0}, "the oldest temperature that counts is from 25 s ago"),
+        ({"estimate_age_s": 0.6 * LIMITS.stale_after_s}, "the oldest temperature that counts"),
+        ({"confidence": LIMITS.full_confidence - 0.01}, "sensors are missing: confidence"),
+    ],
+)
+def test_nothing_is_counted_from_an_estimate_that_fades_or_is_held(changes, words):
+    machine = Machine().following()
+    usual, inputs = machine.inputs(), machine.inputs(**changes)
+    deviation = np.array([np.nan, 1.0])
+    assert tool_setting_inhibit(machine.memory, usual, LIMITS, None) is None
+    assert words in str(tool_setting_inhibit(machine.memory, inputs, LIMITS, None))
+    assert words in str(probe_inhibit(machine.memory, inputs, LIMITS, None, deviation))
+
+
 # --- confidence --------------------------------------------------------------------------
 
 

@@ -228,7 +228,8 @@ STANDS = {"run": CncRun.STOP}
         (3.0, {}, {"program": 1000}, {"rules": replace(RULES, program=7)}, ENDED),
         (60.0, {}, {}, {"handshake": True}, VALID),
         (60.0, {}, {}, {"rules": replace(RULES, sequence_numbers=frozenset())}, VALID),
-        (60.0, STANDS, STANDS, {}, VALID),
+        (1.9, STANDS, STANDS, {}, VALID),
+        (60.0, STANDS, STANDS, {}, ENDED),
         (60.0, STANDS, STANDS | {"sequence_number": 300}, {}, ENDED),
         (60.0, {}, STANDS, {}, ENDED),
         (60.0, STANDS, {}, {}, ENDED),
@@ -386,8 +387,7 @@ class Workshop(RuleBasedStateMachine):
     """A control whose program positions work again and again, and a daemon that polls it when it can.
 
     Known is what the daemon cannot know: how often the work was positioned. Nothing may count from a positioning
-    that is not the latest. What standing idle proves is taken at its word: a program that was started unseen does
-    not stop unseen at the block where it was started.
+    that is not the latest.
     """
 
     def __init__(self):
@@ -400,7 +400,7 @@ class Workshop(RuleBasedStateMachine):
         """Identity -> question of the daemon that nobody has answered."""
         self.zero_of = {}
         """Identity -> how often the work had been positioned when the reference was asked for."""
-        self.linked, self.polled, self.started_at = True, False, None
+        self.linked, self.polled = True, False
 
     @initialize(handshake=st.booleans(), counted=st.booleans())
     def programme(self, handshake, counted):
@@ -449,7 +449,7 @@ class Workshop(RuleBasedStateMachine):
             self._take(reference.positioned_by_handshake(self.memory, self.rules))
             how = {"positioning": True, "handshake": True}
             self._take(reference.request(self.memory, next(self.ids), "handshake", **how))
-        self.polled, self.started_at = True, None
+        self.polled = True
 
     @rule(polls=st.integers(1, 8))
     @precondition(lambda self: self.linked)
@@ -470,10 +470,8 @@ class Workshop(RuleBasedStateMachine):
     @rule()
     def start_or_stop(self):
         if self.run is not CncRun.START:
-            self.run, self.started_at, self.until_s = CncRun.START, self.block, self.now_s + OTHER_S
-            if self.block == 100:
-                self.until_s = self.now_s + DWELL_S
-        elif self.started_at is None or self.block != self.started_at:
+            self.run, self.until_s = CncRun.START, self.now_s + (DWELL_S if self.block == 100 else OTHER_S)
+        else:
             self.run = CncRun.STOP
 
     @rule(program=st.sampled_from([1000, 2000]), work_offset=st.sampled_from([54, 55]))
