@@ -19,13 +19,11 @@ from models.thermal.known_history import KnownHistory
 from models.thermal.left_out import LeftOut
 from models.thermal.model import LinearParameters
 from models.thermal.model_state import ModelState
-from models.thermal.solution import band_factor, far_confidence
+from models.thermal.solution import band_factor, far_confidence, fast_confidence
 from models.thermal.watch import SensorFault, Watcher, WatchState
 
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
-SPEED_MARGIN = 2.1
-"""Spindle speed may exceed that of training by this factor; the leverage says what its lags are worth before."""
 DOMAIN_WIDENING = 1.0
 """The range seen in training is widened on both sides by this share of its width."""
 DOMAIN_MARGIN_K = 0.5
@@ -241,14 +239,13 @@ class LinearEstimator:
         seen = change[:sensors] if self.model.domain.of_increments else state.degc
         outside = counted & ((seen < self._lowest) | (seen > self._highest))
         distance, unknown_share = self.left_out.distance(change, excluded)
-        highest_rpm = self.model.domain.highest_speed_rpm
-        slow_enough = state.speed_rpm <= SPEED_MARGIN * highest_rpm or not highest_rpm
         near = far_confidence(distance, unknown_share)
+        near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
         known, past_factor = self._past.since(state, reference)
         return Estimation(
             thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
             confidence=known * near * self.left_out.share(excluded),
-            in_domain=not outside.any() and near > 0.0 and slow_enough,
+            in_domain=not outside.any() and near > 0.0,
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),
             band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor),

@@ -15,6 +15,10 @@ FULL_DISTANCE = 8.0
 """Up to so many times the farthest that training went, distance alone takes nothing from confidence ..."""
 NO_DISTANCE = 16.0
 """... and here it leaves nothing: no machine is linear for ever."""
+FULL_SPEED = 1.05
+"""Up to so many times the highest spindle speed of training, speed takes nothing from confidence ..."""
+NO_SPEED = 2.1
+"""... and here it leaves nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -220,3 +224,15 @@ def far_confidence(distance: float, unknown_share: float) -> float:
     near = float(np.clip((NO_DISTANCE - distance) / (NO_DISTANCE - FULL_DISTANCE), 0.0, 1.0))
     unknown = min(unknown_share / max(1.0 - unknown_share, 1e-9), 1e3) if distance > 1.0 else 0.0
     return near / (1.0 + unknown * unknown)
+
+
+def fast_confidence(speed_rpm: float, highest_rpm: float) -> float:
+    """Return how far an estimate may be followed at a spindle speed beyond that of training, 0..1.
+
+    Leverage sees only what the features hold, and temperatures do not tell at once of losses that grow with speed.
+
+    `speed_rpm`: of now. `highest_rpm`: of training; 0 where none was recorded.
+    """
+    if highest_rpm <= 0.0:
+        return 1.0
+    return float(np.clip((NO_SPEED - abs(speed_rpm) / highest_rpm) / (NO_SPEED - FULL_SPEED), 0.0, 1.0))

@@ -144,3 +144,20 @@ def test_residuals_of_nothing_are_refused() -> None:
         residual_metrics(("a",), np.zeros((3, 1)), np.zeros((2, 1)))
     with pytest.raises(ValueError, match="not finite"):
         residual_metrics(("a",), np.zeros((3, 1)), np.full((3, 1), np.nan))
+
+
+@pytest.mark.parametrize(
+    ("speed_rpm", "confidence", "in_domain"),
+    [(np.nan, 1.0, True), (5250.0, 1.0, True), (7875.0, 0.5, True), (10500.0, 0.0, False), (1e9, 0.0, False)],
+)
+def test_faster_than_in_training_confidence_fades_until_the_output_holds(
+    speed_rpm: float, confidence: float, in_domain: bool
+) -> None:
+    domain = replace(MODEL.domain, highest_speed_rpm=5000.0)
+    estimator = LinearEstimator(replace(MODEL, domain=domain), COMPONENTS)
+    found = estimator.estimate(estimator.begin(1.0, REFERENCE, speed_rpm), estimator.begin(0.0, REFERENCE))
+    assert found is not None
+    assert (found.confidence, found.in_domain) == (pytest.approx(confidence), in_domain)
+    unrecorded = LinearEstimator(MODEL, COMPONENTS)
+    found = unrecorded.estimate(unrecorded.begin(1.0, REFERENCE, speed_rpm), unrecorded.begin(0.0, REFERENCE))
+    assert found is not None and (found.confidence, found.in_domain) == (1.0, True)
