@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from thermal_runs import run
@@ -62,20 +61,3 @@ def test_every_family_that_training_makes_is_followed(tmp_path: Path, family: st
     assert found["following"]["active_share"] >= LEAST_SHARE and "ACTIVE for" in done.stderr
     if family != "increments-b0":
         assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
-
-
-@pytest.mark.slow
-@pytest.mark.wires
-def test_a_recording_far_from_training_is_not_followed_and_ends_with_1(tmp_path: Path) -> None:
-    paths = [str(run(tmp_path, number)) for number in range(1, 4)]
-    model = tmp_path / "model.json"
-    trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "--model", "ridge", "-o", str(model)])
-    assert trained.exit_code == 0, trained.output
-    far = np.loadtxt(paths[-1], delimiter=",", skiprows=1)
-    far[:, 2:5] += 60.0
-    np.savetxt(paths[-1], far, delimiter=",", header="t,rpm,T1,T2,T3,c1,c2", comments="", fmt="%.9g")
-    done = played(tmp_path, Path(paths[-1]), model, "--speed", "60", "--to-hours", "0.3")
-    assert done.returncode == 1, done.stderr
-    assert json.loads(done.stdout)["following"]["active_share"] < LEAST_SHARE
-    assert "warning: the output followed the estimate (ACTIVE) for 0%" in done.stderr
-    assert "outside the range that the model was trained on" in done.stderr
