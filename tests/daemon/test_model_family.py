@@ -49,6 +49,7 @@ class MeanTemperature:
     training: tuple[TrainingData, ...]
     test_vectors: tuple[str, ...] = ()
     axis_positions: tuple[str, ...] = ()
+    probing: None = None
 
     def __post_init__(self) -> None:
         if self.um_per_k.shape != (len(self.channels),):
