@@ -6,11 +6,12 @@ beside it, and one line in `drivers/registry.py`.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, TypeVar, get_args
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
+from config.schema.base import ENDPOINT_PATTERN, KeyProblems, MacroNumber, Section
+from config.schema.driver_section import SectionOfDriver
 
 Connection = TypeVar("Connection", bound="CncConnection")
 
@@ -157,31 +158,8 @@ class FocasConfig(CncConnection):
         return f"{self.host.lower()}:{self.port}"
 
 
-def section_of_driver(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Tell JSON Schema that the driver needs its own section and takes no other."""
-    drivers = drivers_of(model)
-    schema["allOf"] = [
-        {
-            "if": {"properties": {"driver": {"const": driver}}, "required": [] if driver == drivers[0] else ["driver"]},
-            "then": {
-                "required": [driver],
-                "properties": {driver: {"type": "object"}}
-                | {other: {"type": "null"} for other in drivers if other != driver},
-            },
-        }
-        for driver in drivers
-    ]
-
-
-def drivers_of(model: type[BaseModel]) -> tuple[str, ...]:
-    """Return the names that `driver` may have, the default first."""
-    return get_args(model.model_fields["driver"].annotation)
-
-
-class CncDriverConfig(Section):
+class CncDriverConfig(SectionOfDriver):
     """The driver and its section: a union that `driver` decides, with one key per driver."""
-
-    model_config = ConfigDict(json_schema_extra=section_of_driver)
 
     driver: Literal["opcua", "focas"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"
@@ -193,21 +171,6 @@ class CncDriverConfig(Section):
     allow_insecure_writes: bool = Field(
         False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
     )
-
-    @model_validator(mode="after")
-    def _only_the_section_of_the_driver(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
-        for driver in drivers_of(type(self)):
-            given = getattr(self, driver) is not None
-            if driver == self.driver and not given:
-                description = type(self).model_fields[driver].description
-                problems.append(((driver,), f"this key is required and missing: {description}"))
-            elif driver != self.driver and given:
-                sentence = f"this section is for driver {driver}, but driver is {self.driver}: keep one of the two"
-                problems.append(((driver,), sentence))
-        if problems:
-            raise KeyProblems(problems)
-        return self
 
     @property
     def connection(self) -> CncConnection:

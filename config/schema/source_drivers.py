@@ -1,20 +1,18 @@
 """An entry of `temperatures.sources`: its name, its period, its driver and the section that this driver reads."""
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field
 
-from config.schema.base import KeyPath, KeyProblems, Name, Seconds, Section
-from config.schema.cnc_drivers import drivers_of, section_of_driver
+from config.schema.base import Name, Seconds
+from config.schema.driver_section import SectionOfDriver
 from config.schema.modbus import ModbusConfig
 from config.schema.source_sections import CsvConfig, KernelConfig, MqttConfig, OpcUaTagsConfig, ProcessConfig
 from config.schema.sources import SourceConnection, SourceSensorConfig
 
 
-class SourceConfig(Section):
+class SourceConfig(SectionOfDriver):
     """One source of temperatures beside the LATSIS lines."""
-
-    model_config = ConfigDict(json_schema_extra=section_of_driver)
 
     name: Name = Field(description="name of the source in logs, history and commands", examples=["pt100"])
     driver: Literal["modbus", "csv", "kernel", "process", "mqtt", "opcua"] = Field(
@@ -29,21 +27,6 @@ class SourceConfig(Section):
     process: ProcessConfig | None = Field(None, description="a program that writes JSON lines")
     mqtt: MqttConfig | None = Field(None, description="a broker to which devices publish")
     opcua: OpcUaTagsConfig | None = Field(None, description="tags of an OPC UA server")
-
-    @model_validator(mode="after")
-    def _only_the_section_of_the_driver(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
-        for driver in drivers_of(type(self)):
-            given = getattr(self, driver) is not None
-            if driver == self.driver and not given:
-                description = type(self).model_fields[driver].description
-                problems.append(((driver,), f"this key is required and missing: {description}"))
-            elif driver != self.driver and given:
-                sentence = f"this section is for driver {driver}, but driver is {self.driver}: keep one of the two"
-                problems.append(((driver,), sentence))
-        if problems:
-            raise KeyProblems(problems)
-        return self
 
     @property
     def connection(self) -> SourceConnection:

@@ -23,7 +23,7 @@ import yaml
 from config.loader import load_configuration
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import drivers_of
+from config.schema.driver_section import drivers_of
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
 from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY

@@ -8,7 +8,8 @@ import pytest
 from pydantic import Field
 
 from config.loader import ConfigurationError, parse_yaml_model
-from config.schema.cnc_drivers import CncConnection, CncDriverConfig, OpcUaConfig, drivers_of
+from config.schema.cnc_drivers import CncConnection, CncDriverConfig, OpcUaConfig
+from config.schema.driver_section import drivers_of
 
 OPCUA = "opcua:\n  endpoint: opc.tcp://192.0.2.1:4840/cnc\n  namespace_uri: urn:cnc\n"
 

@@ -16,7 +16,7 @@ from config.machines import machine_names, shipped_file
 from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import drivers_of
+from config.schema.driver_section import drivers_of
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from daemon.cli import main

@@ -6,7 +6,7 @@ from commissioning_bench import Bench, Person, serving
 
 from config.records.commissioning import commissioning_inhibit, save_commissioning
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import drivers_of
+from config.schema.driver_section import drivers_of
 from daemon.checkup.machine import preflight
 from models.records import WriteOutcome
 

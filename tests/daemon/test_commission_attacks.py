@@ -12,7 +12,7 @@ import pytest_asyncio
 from commissioning_bench import STOPPED, Bench, Person, refused, serving
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import drivers_of
+from config.schema.driver_section import drivers_of
 from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError

@@ -20,8 +20,9 @@ from pydantic import Field, create_model
 from scripted_machine import ScriptedNc, cnc_config
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import CncConnection, drivers_of
+from config.schema.cnc_drivers import CncConnection
 from config.schema.displacements import DisplacementsConfig
+from config.schema.driver_section import drivers_of
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from drivers import registry

@@ -18,7 +18,7 @@ import pytest_asyncio
 from asyncua import Server, ua
 from source_contract import CHECKS, NAME, PATIENCE_S, SENSORS, Check, SourceBench
 
-from config.schema.cnc_drivers import drivers_of
+from config.schema.driver_section import drivers_of
 from config.schema.modbus import ModbusSensorConfig
 from config.schema.source_drivers import SourceConfig
 from daemon.simulation.processes import free_port
