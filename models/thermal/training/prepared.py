@@ -8,12 +8,12 @@ import numpy as np
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.choice import ChosenProblem
-from models.thermal.training.contradiction import contradictions, reversed_runs
 from models.thermal.training.families import Problem
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs
 from models.thermal.training.lags import offered_lags, part_of
 from models.thermal.training.recipes import Recipe
+from models.thermal.training.reversed_runs import reversed_runs, reversed_sentences
 
 LARGEST_INCOMPLETE_SHARE = 0.5
 """When fewer training rows than this are complete, that is said instead of fitting the rest."""
@@ -73,7 +73,7 @@ def prepare(
     fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
     problem = recipe.prepare(inputs, rows, fold, probe_min)
     if isinstance(problem, ChosenProblem):
-        problem.advise(contradictions(inputs, wrong))
+        problem.advise(reversed_sentences(inputs, wrong))
         inputs = part_of(inputs, problem.layout.lags_min, problem.layout.speed_lags_min)
     return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem)
 

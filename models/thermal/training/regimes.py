@@ -1,7 +1,8 @@
 """Recordings that do not go with the others: one that contradicts them, and a machine that has changed since.
 
 Both are found by what fits without a recording say of it, and proved by what is left of the other recordings once it is
-left out. Nothing is left out by itself: a person decides.
+left out. Nothing is left out by itself: a person decides. Runs that are the wrong way round have been left out before
+(`models.thermal.training.reversed_runs`).
 """
 
 from collections.abc import Mapping

@@ -7,8 +7,8 @@ import pytest
 
 from models.recordings.dataset import Recording
 from models.thermal.features import lag_table
-from models.thermal.training.contradiction import contradictions, reversed_runs
 from models.thermal.training.inputs import build_inputs
+from models.thermal.training.reversed_runs import reversed_runs, reversed_sentences
 from models.thermal.training.train_family import train_family
 
 RUNS, MINUTES = 6, 150
@@ -71,5 +71,5 @@ def test_of_a_part_of_a_recording_the_hours_are_told() -> None:
         displacements_um=np.vstack([whole.displacements_um, part.displacements_um]),
     )
     inputs = build_inputs([joined], sample_s=60.0, lags_min=(), speed_lags_min=())
-    (sentence,) = contradictions(inputs, {1: ("y",)})
+    (sentence,) = reversed_sentences(inputs, {1: ("y",)})
     assert sentence.startswith("run 0, hours 5.0 to 7.5: y reads")

@@ -107,7 +107,7 @@ def _left(
     return best
 
 
-def contradictions(inputs: Inputs, wrong: Mapping[int, tuple[str, ...]]) -> tuple[str, ...]:
+def reversed_sentences(inputs: Inputs, wrong: Mapping[int, tuple[str, ...]]) -> tuple[str, ...]:
     """Return what to do about runs that `reversed_runs` found, one sentence each."""
     sentences = []
     for run, channels in wrong.items():
