@@ -17,7 +17,10 @@ def zero_bench(directory: Path) -> Bench:
     cnc = configuration.cnc.model_copy(
         update={"guard": simulated_guard(axes).model_copy(update={"on_expiry": "zero"})},
     )
-    bench.configuration = configuration.model_copy(update={"cnc": cnc})
+    # work lies so long at its positioning that none is missed while the computer stalls
+    lasting = configuration.compensation.reference.model_copy(update={"positioning_dwell_s": 600.0})
+    compensation = configuration.compensation.model_copy(update={"reference": lasting})
+    bench.configuration = configuration.model_copy(update={"cnc": cnc, "compensation": compensation})
     bench.nc.guard = SafePointApplication(cnc.macros, axes, cnc.guard)
     bench.nc.guard.initialise(bench.nc.macros, bench.nc.clock_s)
     return bench

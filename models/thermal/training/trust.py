@@ -81,7 +81,8 @@ def judge(
 
     The gate: at least two alternating excursions of more than 30 % of the span, or three separate
     runs; positive skill on what was left out; and positive skill in the mean of the forward-chained
-    folds, each predicted only from what came before it, of which the latest count most.
+    folds, each predicted only from what came before it, of which the latest count most. Parts of one or two runs
+    are not independent of each other: there every one must have positive skill.
 
     Parameters
     ----------
@@ -140,8 +141,14 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
         )
     if not score < 1.0:
         return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"
+    bad = [value for value in skill if not value > 0.0]
+    if bad and runs < FEWEST_RUNS:
+        return (
+            f"predicted from what came before, {len(bad)} of {len(skill)} parts of the same run are worse than without "
+            f"compensation (by {-min(bad):.0%} at worst), which runs of their own would have to outweigh; record "
+            f"{FEWEST_RUNS} separate runs"
+        )
     if skill and not (recently := recent_skill(skill)) > 0.0:
-        bad = [value for value in skill if not value > 0.0]
         return (
             f"predicted from what came before, {len(bad)} of {len(skill)} folds are worse than without compensation "
             f"(by {-min(bad):.0%} at worst), and {-recently:.0%} worse in the mean of which the latest count most; "
