@@ -61,7 +61,7 @@ def kills(rig: Rig, row: Row, count: int, moments: random.Random) -> None:
             row.check("no OFF, no FAULT", in_order(status["output"]), status["output"])
         rig.kill()
         rig.check_store(row, rig.acknowledged, whole=k % WHOLE_EVERY == 0)
-        if k % WHOLE_EVERY == WHOLE_EVERY - 1:
+        if k % WHOLE_EVERY == WHOLE_EVERY - 1 and k + 1 < count:
             rig.ensure_following()
     row.start_s.append(rig.start())
     rig.back(row, time.monotonic())
