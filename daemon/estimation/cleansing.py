@@ -39,6 +39,7 @@ class Cleansing:
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
         self.least = configuration.compensation.output.min_confidence
+        self._full = configuration.compensation.output.full_confidence
         """With less confidence the output holds."""
         names = sorted(set(temperatures.components))
         self._group = np.array([names.index(each) for each in temperatures.components], dtype=np.intp)
@@ -79,6 +80,17 @@ class Cleansing:
         doubted = (self.levels.uncertainty_k != 0.0) & (self.levels.shift_k == 0.0)
         unsure = doubted | (now_s - self._jumped_at_s <= self.window_s)
         return np.where(absent & unsure & np.isnan(reference.degc), np.nan, self.mean_degc())
+
+    def withheld(self, degc: FloatArray, confidence: float) -> str:
+        """Return why what is left without doubted sensors is not followed, '' when it counts whole.
+
+        `degc`: what `counted_degc` gave. `confidence`: of the estimate from it.
+        """
+        out = np.flatnonzero(np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0))
+        if confidence >= self._full or not len(out):
+            return ""
+        named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in out[:NAMED])
+        return f"{named} came back at a level that is doubted, and too much rests on it: position the work again"
 
     def refusal(self, usable: int, now_s: float) -> str:
         """Return why the means of now are no reference, '' when they are; `usable`: how many sensors have one."""

@@ -250,14 +250,12 @@ class ThermalTask:
         online, reference = self._online, self._reference
         if online is None:
             return None
-        online.on_sample(now_s, degc, speed_rpm)
-        if self._next is not None:
-            self._next.on_sample(now_s, degc, speed_rpm)
+        for each in filter(None, (online, self._next)):
+            each.on_sample(now_s, degc, speed_rpm)
         self._heard |= np.isfinite(degc)
         if reference is None or self._waits_for_sensors(online, reference, now_s):
             return None
-        answer = online.estimate(reference, now_s, degc, self._since.absent)
-        if answer is None:
+        if (answer := online.estimate(reference, now_s, degc, self._since.absent)) is None:
             return None
         outcome, counted = answer
         if counted is not reference:
@@ -265,7 +263,9 @@ class ThermalTask:
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
         since_labels = self._since.label_increments(degc, now_s / 60.0)
-        unsure = _unsure_of_levels(online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids)
+        unsure = self._cleansing.withheld(degc, outcome.confidence) or _unsure_of_levels(
+            online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids
+        )
         followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
         self._since.update(degc, online)

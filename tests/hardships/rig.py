@@ -120,7 +120,9 @@ class Rig(Wires):
             for entry in self.entries(self._log_start):
                 if entry["event"] == "daemon.ready":
                     return datetime.fromisoformat(entry["timestamp"]).timestamp() - self._spawned_utc_s
-            assert self.running.daemon.poll() is None, f"the daemon ended with {self.running.daemon.returncode}: {self.tail()}"
+            assert self.running.daemon.poll() is None, (
+                f"the daemon ended with {self.running.daemon.returncode}: {self.tail()}"
+            )
             time.sleep(0.01)
 
     def status(self) -> dict[str, Any]:
