@@ -6,8 +6,8 @@ import sys
 
 from config.machines import shipped_file
 
-MODULES, LINES = 200, 26_000
-"""A little above what it is; to come down to 150 modules and 20 000 lines."""
+MODULES, LINES = 187, 25_876
+"""What it is; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
 import daemon.app, daemon.cli, daemon.cli.operate.run
