@@ -267,7 +267,7 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
     rig.ensure_following()
     port = rig.directory / "fixed.tty"
     device = port.readlink()
-    offset, after = rig.log_path.stat().st_size, rig.last_write()
+    offset, after, usual_mib = rig.log_path.stat().st_size, rig.last_write(), _rss_mib(rig)
     row.runs += 1
     rig.kill()
     frames = _listen(device)
@@ -281,6 +281,7 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
         rig.start()
         rig.ensure_link_up()
         rss_mib, answers_s, said, sent = [_rss_mib(rig)], [0.0], "", hose.sent
+        before_mib = max(usual_mib, rss_mib[0])  # a daemon that has just started is still loading
         began_s = time.monotonic()
         while time.monotonic() < began_s + seconds:
             asked_s = time.monotonic()
@@ -297,12 +298,12 @@ def flooded(rig: Rig, row: Row, seconds: float) -> None:
         rate = (hose.sent - sent) / (time.monotonic() - began_s) / 1e3
         row.notes |= {
             "kB/s": round(rate),
-            "RSS at its begin MiB": round(rss_mib[0], 1),
+            "RSS before MiB": round(before_mib, 1),
             "RSS at most MiB": round(max(rss_mib), 1),
             "slowest answer s": round(max(answers_s), 2),
             "loss of bytes said": float(bool(said)),
         }
-        row.check("memory stays within 24 MiB of what it was", max(rss_mib) - rss_mib[0] <= 24.0, max(rss_mib))
+        row.check("memory stays within 24 MiB of what it was", max(rss_mib) - before_mib <= 24.0, max(rss_mib))
         row.check("it says that bytes are dropped", bool(said) or rate < FLOOD_KB_PER_S, rate)
     pulled_s, flooded = time.monotonic(), rig.status()["history"]["acknowledged"].get("fixed", 0)
     rig.wait("the loss", lambda status: link(status, "latsis fixed")["losses"] > 0, PATIENCE_S)
