@@ -1,6 +1,7 @@
 """Every driver of a CNC passes the same checks: the example of the how-to, and OPC UA over its wire."""
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -71,12 +72,10 @@ class ExampleBench:
         del self._guide["CONTROLS"]["here"][number]
 
 
-class OpcUaBench:
-    """The OPC UA driver at the simulated server."""
+class SimulatedBench(ABC):
+    """A driver at one of the simulated servers."""
 
-    def __init__(self) -> None:
-        self._nc = ScriptedNc()
-        self._server = SimulatedCncServer(self._nc, cnc_config(), port=0)
+    _server: SimulatedCncServer | SimulatedFocasServer
 
     async def start(self) -> None:
         await self._server.start()
@@ -90,6 +89,18 @@ class OpcUaBench:
     @property
     def port(self) -> int:
         return self._server.port
+
+    @abstractmethod
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        """Return a connection that is not open yet to whatever listens at a port of this computer."""
+
+
+class OpcUaBench(SimulatedBench):
+    """The OPC UA driver at the simulated server."""
+
+    def __init__(self) -> None:
+        self._nc = ScriptedNc()
+        self._server = SimulatedCncServer(self._nc, cnc_config(), port=0)
 
     def open_at(self, port: int, **changes: Any) -> Cnc:
         return OpcUaCnc(cnc_config(f"opc.tcp://127.0.0.1:{port}/cnc", **changes), SystemClock())
@@ -104,26 +115,13 @@ class OpcUaBench:
         del self._nc.macros.values[number]
 
 
-class FocasBench:
+class FocasBench(SimulatedBench):
     """The FOCAS driver at the simulated server."""
 
     def __init__(self) -> None:
         config = cnc_config(focas={"host": "127.0.0.1"})
         self._nc = ScriptedNc()
         self._server = SimulatedFocasServer(self._nc, config, port=0)
-
-    async def start(self) -> None:
-        await self._server.start()
-
-    async def stop(self) -> None:
-        await self._server.stop()
-
-    def open(self, **changes: Any) -> Cnc:
-        return self.open_at(self.port, **changes)
-
-    @property
-    def port(self) -> int:
-        return self._server.port
 
     def open_at(self, port: int, **changes: Any) -> Cnc:
         return FocasCnc(cnc_config(focas={"host": "127.0.0.1", "port": port}, **changes), SystemClock())
