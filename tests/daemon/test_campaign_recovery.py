@@ -6,7 +6,7 @@ import pytest
 from campaign_claims import claims
 
 from daemon.simulation.faults.invariants import Ledger
-from daemon.simulation.faults.recovery import WITHIN_S, GoodInput, RecoveryWatch, Truth, where_it_leads
+from daemon.simulation.faults.recovery import WITHIN_S, CutFreeze, GoodInput, RecoveryWatch, Truth, where_it_leads
 from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.faults import FaultKind
 
@@ -28,6 +28,8 @@ def truth(**changes: bool) -> Truth:
         ("ACTIVE", {}, {"confidence": 0.5}, "HOLD"),
         ("ACTIVE", {}, {"in_domain": False}, "HOLD"),
         ("ACTIVE", {"distrust": True}, {}, "FAULT"),
+        ("HOLD", {"frozen_in_cut": True}, {}, "HOLD"),
+        ("ACTIVE", {"frozen_in_cut": True}, {}, "HOLD"),
         ("HOLD", {"distrust": True}, {}, "FAULT"),
         ("FAULT", {}, {}, "FAULT"),
         ("ACTIVE", {}, {"wanted": (False,)}, "RETREAT"),
@@ -37,6 +39,34 @@ def truth(**changes: bool) -> Truth:
 )
 def test_where_the_table_leads(state: str, known: dict[str, bool], said: dict[str, Any], expected: str) -> None:
     assert where_it_leads(state, truth(**known), claims(state, **said), 0.7) == expected
+
+
+@pytest.mark.parametrize(
+    ("before", "within", "state", "frozen"),
+    [
+        (1.0, 0.87, "ACTIVE", True),
+        (1.0, 0.87, "HOLD", True),
+        (1.0, 0.96, "ACTIVE", False),
+        (0.87, 0.87, "HOLD", False),
+        (0.8, 0.9, "ACTIVE", False),
+        (1.0, 0.87, "ARMED", False),
+    ],
+)
+def test_within_a_cut_an_estimate_of_less_confidence_is_not_followed(
+    before: float, within: float, state: str, frozen: bool
+) -> None:
+    freeze = CutFreeze(0.95)
+    assert not freeze.look(claims(confidence=before), 0.7, cutting=False)
+    assert freeze.look(claims(state, confidence=within), 0.7, cutting=True) is frozen
+    assert not freeze.look(claims(state, confidence=within), 0.7, cutting=False), "between cuts the weight falls"
+    assert not freeze.look(claims(state, confidence=within), 0.7, cutting=True)
+
+
+def test_confidence_that_was_too_little_between_cuts_does_not_count_as_weighed() -> None:
+    freeze = CutFreeze(0.95)
+    assert not freeze.look(claims(confidence=1.0), 0.7, cutting=False)
+    assert not freeze.look(claims("HOLD", confidence=0.5), 0.7, cutting=False)
+    assert freeze.look(claims("HOLD", confidence=0.8), 0.7, cutting=True)
 
 
 def watched(states: list[tuple[float, str]], **known: bool) -> tuple[Ledger, RecoveryWatch]:

@@ -14,6 +14,8 @@ from daemon.simulation.faults.state_oracle import Situation, resting_state
 from drivers.latsis.line_pass import RELEASED_AFTER_CYCLES
 from drivers.sim.faults import FaultKind
 
+STAYING = frozenset({"ACTIVE", "HOLD"})
+"""States in which a cut freezes the weight of the estimate."""
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
 
@@ -39,6 +41,28 @@ class Truth:
     """The model needs hours of history; it may still say that it has too little."""
     sensor_was_wrong: bool = False
     """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
+    frozen_in_cut: bool = False
+    """The work is being cut, and confidence is less than what the estimate was weighed with before the cut."""
+
+
+class CutFreeze:
+    """Tells when falling confidence must freeze an output: within a cut the estimate's weight does not change.
+
+    `full_confidence`: from there on the estimate counts whole.
+    """
+
+    def __init__(self, full_confidence: float) -> None:
+        self._full = full_confidence
+        self._weighed = 0.0
+
+    def look(self, claims: Claims, least_confidence: float, *, cutting: bool) -> bool:
+        """Return whether the output must stay where it is; `cutting`: neither idle nor at a safe point."""
+        confidence = min(claims.confidence, self._full)
+        if cutting and claims.state in STAYING:
+            return confidence < self._weighed
+        if confidence >= least_confidence:
+            self._weighed = confidence
+        return False
 
 
 def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
@@ -54,6 +78,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and (claims.estimated or not truth.reference_blind)
         and not (claims.doubtful and truth.model_has_states)
         and not (claims.harmful and truth.sensor_was_wrong)
+        and not truth.frozen_in_cut
     )
 
 

@@ -4,7 +4,7 @@ from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims
 from daemon.simulation.faults.models import CampaignModels
 from daemon.simulation.faults.operations_check import QUIET, OperationsWatch
-from daemon.simulation.faults.recovery import Truth
+from daemon.simulation.faults.recovery import CutFreeze, Truth
 from daemon.simulation.faults.script import Happening
 from daemon.simulation.faults.world import CampaignWorld
 from drivers.sim.nc.nc import RunCode
@@ -23,7 +23,11 @@ class TruthKeeper:
     def __init__(
         self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, models: CampaignModels
     ) -> None:
+        output = configuration.compensation.output
         self._macros = configuration.cnc.macros
+        self._safe, self._least = frozenset(output.safe_sequence_numbers), output.min_confidence
+        self._freeze = CutFreeze(output.full_confidence)
+        self._frozen = False
         self._world = world
         self._operations = operations
         self._models = models
@@ -41,7 +45,10 @@ class TruthKeeper:
             self._disturbed_s = time_s
 
     def heard(self, time_s: float, claims: Claims) -> None:
-        """Take what the daemon says of its reference: was a line away when it was set?"""
+        """Take what the daemon says: was a line away when its reference was set, has confidence fallen in a cut?"""
+        nc = self._world.machine.nc
+        cutting = nc.run == RunCode.START and nc.sequence_number not in self._safe
+        self._frozen = self._freeze.look(claims, self._least, cutting=cutting)
         if claims.reference != self._reference:
             self._reference, self._reference_s = claims.reference, time_s
             self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
@@ -89,5 +96,6 @@ class TruthKeeper:
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
+            frozen_in_cut=self._frozen,
             model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )
