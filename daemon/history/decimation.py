@@ -13,7 +13,7 @@ from daemon.history.columns.frames import Kind
 from daemon.history.columns.joining import ms_from_s
 from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
 from daemon.history.database import HOUR_MS
-from daemon.history.reader import TABLES, HistoryReader
+from daemon.history.reader import TABLES, HistoryReader, naming_damage
 from models.quality import Quality
 
 HOUR_S = 3600.0
@@ -50,7 +50,9 @@ class SeriesReader(HistoryReader):
     def positions(self, sensor_ids: Collection[int]) -> list[tuple[int, dict[int, int]]]:
         """Return for each layout of a line that holds one of the sensors: its number, position of each by its ID."""
         found = []
-        for layout_id, _, members in self._line_layouts():
+        with naming_damage(self.path):
+            layouts = self._line_layouts()
+        for layout_id, _, members in layouts:
             if places := {i: position for position, i in enumerate(members) if i in sensor_ids}:
                 found.append((layout_id, places))
         return found
@@ -65,7 +67,7 @@ class SeriesReader(HistoryReader):
                 (*span, kind),
             ),
         )
-        with self._snapshot() as connection:
+        with naming_damage(self.path), self._snapshot() as connection:
             return {hour * HOUR_MS for sql, values in queries for (hour,) in connection.execute(sql, values)}
 
     def extremes(self, kind: str, layout_id: int, from_utc_s: float, to_utc_s: float) -> Iterator[tuple[int, Extremes]]:
@@ -75,7 +77,10 @@ class SeriesReader(HistoryReader):
             "SELECT hour_ms, data FROM extremes WHERE kind = ? AND layout_id = ? AND hour_ms >= ? AND hour_ms < ?",
             (kind, layout_id, *span),
         )
-        return ((hour_ms, decode_extremes(data)) for hour_ms, data in found if data)
+        with naming_damage(self.path):
+            for hour_ms, data in found:
+                if data:
+                    yield hour_ms, decode_extremes(data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,11 +2,13 @@
 
 import json
 import sqlite3
-from collections.abc import Collection, Iterator, Sequence
+import zlib
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -34,7 +36,11 @@ from daemon.history.series import (
     TemperatureHistory,
     WriteRecord,
 )
+from models.errors import RefusedInputError
 from models.records import ProbeSample, Reference
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 TABLES = {
     TEMPERATURES: CYCLES.table,
@@ -43,6 +49,38 @@ TABLES = {
     "probes": "probes",
 }
 """Table of each kind of record that can be counted and listed."""
+
+
+@contextmanager
+def naming_damage(path: Path) -> Iterator[None]:
+    """Raise HistoryError when a page of the store is not as it was written.
+
+    Flipped bits show in SQLite's own structures, in a text, or in what columns and blobs are unpacked to.
+    """
+    try:
+        yield
+    except RefusedInputError:
+        raise
+    except (sqlite3.DatabaseError, ValueError, TypeError, LookupError, ArithmeticError, zlib.error) as error:
+        if isinstance(error, sqlite3.DatabaseError):
+            corrupt = getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT")
+            if not corrupt and not str(error).startswith("Could not decode to UTF-8"):
+                raise
+        raise HistoryError(
+            f"{path}: the store is damaged ({error}); move it aside and restore a back-up "
+            "(`toolpoint restore`), or let the daemon begin a new one"
+        ) from error
+
+
+def _named_damage(read: Callable[Concatenate["HistoryReader", P], T]) -> Callable[Concatenate["HistoryReader", P], T]:
+    """Return a reading method that names damage."""
+
+    @wraps(read)
+    def named(self: "HistoryReader", /, *args: P.args, **kwargs: P.kwargs) -> T:
+        with naming_damage(self.path):
+            return read(self, *args, **kwargs)
+
+    return named
 
 
 class HistoryReader:
@@ -58,13 +96,8 @@ class HistoryReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-        if _shows_damage(error):
-            raise HistoryError(
-                f"{self.path}: the store is damaged ({error}); move it aside and restore a back-up "
-                "(`toolpoint restore`), or let the daemon begin a new one"
-            ) from error
 
     @contextmanager
     def _snapshot(self) -> Iterator[sqlite3.Connection]:
@@ -78,12 +111,12 @@ class HistoryReader:
         finally:
             self._connection.execute("COMMIT")
 
-    # --- measurements --------------------------------------------------------------------
-
+    @_named_damage
     def sensor_ids(self) -> tuple[int, ...]:
         """Return all sensors of which the store knows, in ascending order."""
         return tuple(sorted({i for _, _, members in self._line_layouts() for i in members}))
 
+    @_named_damage
     def temperatures(self, sensor_ids: Sequence[int] | None, from_utc_s: float, to_utc_s: float) -> TemperatureHistory:
         """Return the cycles of all lines on which one of the sensors hangs (None: all sensors)."""
         wanted = self.sensor_ids() if sensor_ids is None else tuple(sensor_ids)
@@ -128,6 +161,7 @@ class HistoryReader:
         )
         return [data for (data,) in found]
 
+    @_named_damage
     def frame(self, kind: Kind, from_utc_s: float, to_utc_s: float, names: Collection[str] | None = None) -> Frame:
         """Return the rows of a kind as columns, in order of time."""
         from_ms, to_ms = ms_from_s(from_utc_s), ms_from_s(to_utc_s)
@@ -143,6 +177,7 @@ class HistoryReader:
         joined = concatenate([*frames, frame_from_rows(kind, columns, rows)])
         return in_order(joined, from_ms, to_ms)
 
+    @_named_damage
     def displacements(self, from_utc_s: float, to_utc_s: float) -> DisplacementHistory:
         """Return the rows of the logger's files."""
         frame = self.frame(DISPLACEMENTS, from_utc_s, to_utc_s)
@@ -155,6 +190,7 @@ class HistoryReader:
             source=texts_of(frame, "source"),
         )
 
+    @_named_damage
     def cnc(self, from_utc_s: float, to_utc_s: float) -> CncHistory:
         """Return the polls of the CNC."""
         frame = self.frame(CNC, from_utc_s, to_utc_s)
@@ -174,6 +210,7 @@ class HistoryReader:
             macros={int(key): values for key, values in frame.mapping("macros").values.items()},
         )
 
+    @_named_damage
     def estimates(self, from_utc_s: float, to_utc_s: float) -> EstimateHistory:
         frame = self.frame(ESTIMATES, from_utc_s, to_utc_s)
         return EstimateHistory(
@@ -191,12 +228,12 @@ class HistoryReader:
             reference_id=tuple(frame.texts("reference_id")),
         )
 
-    # --- audit ---------------------------------------------------------------------------
-
+    @_named_damage
     def writes(self, from_utc_s: float, to_utc_s: float) -> list[WriteRecord]:
         """Return the audit of macro writes."""
         return write_records(self.frame(WRITES, from_utc_s, to_utc_s))
 
+    @_named_damage
     def unsettled_writes(self) -> list[WriteRecord]:
         """Return the intents whose outcome is not known: the daemon ended in between."""
         rows = self._connection.execute(
@@ -204,11 +241,13 @@ class HistoryReader:
         ).fetchall()
         return write_records(frame_from_rows(WRITES, WRITES.names, rows))
 
+    @_named_damage
     def last_write_id(self) -> int | None:
         """Return the highest number of a write in the audit, None where there never was one."""
         found = self._connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'writes'").fetchone()
         return None if found is None else int(found[0])
 
+    @_named_damage
     def last_written_macros(self, of: Sequence[int] = ()) -> dict[int, tuple[float, ...]] | None:
         """Return per macro what it may hold: the last verified value, then what later writes may have left.
 
@@ -229,6 +268,7 @@ class HistoryReader:
         for (data,) in chunks:
             yield from reversed(write_records(decode_frame(WRITES, data)))
 
+    @_named_damage
     def events(self, from_utc_s: float, to_utc_s: float) -> list[EventRecord]:
         """Return operator actions, state changes and alarms."""
         found = self._connection.execute(
@@ -237,6 +277,7 @@ class HistoryReader:
         )
         return [EventRecord(time_s=ms / 1e3, kind=kind, text=text, person=who) for ms, kind, text, who in found]
 
+    @_named_damage
     def probes(self, from_utc_s: float, to_utc_s: float) -> list[ProbeSample]:
         """Return what probes measured."""
         found = self._connection.execute(
@@ -246,6 +287,7 @@ class HistoryReader:
         )
         return [probe_from_row(row) for row in found]
 
+    @_named_damage
     def references(self, from_utc_s: float, to_utc_s: float) -> list[Reference]:
         """Return the references that were set."""
         found = self._connection.execute(
@@ -255,13 +297,13 @@ class HistoryReader:
         )
         return [reference_from_row(row) for row in found]
 
-    # --- the daemon's own ----------------------------------------------------------------
-
+    @_named_damage
     def get_state(self, key: str) -> Any:
         """Return what the daemon kept under a key; None where there is nothing."""
         found = self._connection.execute("SELECT json FROM state WHERE key = ?", (key,)).fetchone()
         return None if found is None else json.loads(found[0])
 
+    @_named_damage
     def acknowledged(self) -> dict[str, int]:
         """Return the number of the last committed cycle of each line."""
         return dict(self._connection.execute("SELECT line, number FROM acknowledged").fetchall())
@@ -271,6 +313,7 @@ class HistoryReader:
         extent = self.extent(DISPLACEMENTS.name)
         return None if extent is None else extent[1]
 
+    @_named_damage
     def extent(self, kind: str) -> tuple[float, float] | None:
         """Return first and last time [s] of a kind ('temperatures', 'cnc', ..); None where there is nothing."""
         with self._snapshot() as connection:
@@ -281,17 +324,10 @@ class HistoryReader:
         times = [ms / 1e3 for pair in found for ms in pair if ms is not None]
         return (min(times), max(times)) if times else None
 
+    @_named_damage
     def row_count(self, kind: str) -> int:
         """Return how many rows of a kind there are, packed ones included."""
         with self._snapshot() as connection:
             (raw,) = connection.execute(f"SELECT count(*) FROM {TABLES[kind]}").fetchone()
             (packed,) = connection.execute("SELECT sum(row_count) FROM chunks WHERE kind = ?", (kind,)).fetchone()
         return int(raw + (packed or 0))
-
-
-def _shows_damage(error: BaseException | None) -> bool:
-    """Return whether an error comes from a page of the store that is not as it was written."""
-    if isinstance(error, sqlite3.OperationalError) and str(error).startswith("Could not decode to UTF-8"):
-        return True
-    named = getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT")
-    return named or isinstance(error, json.JSONDecodeError)

@@ -1,6 +1,7 @@
 """Puts documents into the history's store and gets them back, whichever version wrote them."""
 
 import json
+import zlib
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
@@ -36,13 +37,21 @@ KEYS: dict[type, str] = {
 }
 """Document -> its key in the table `state`."""
 VERSION_KEY = "format_version"
+CHECKSUM_KEY = "crc32"
+"""Last member: CRC-32 of the document's text without it, so that one flipped bit of the disk is not a temperature."""
 
 Document = TypeVar("Document")
 
 
 def document_json(document: Any) -> dict[str, Any]:
     """Return a document as it stands in the store."""
-    return {VERSION_KEY: FORMAT_VERSION, **to_json(document)}
+    stored: dict[str, Any] = json.loads(_checked_text(json.dumps({VERSION_KEY: FORMAT_VERSION, **to_json(document)})))
+    return stored
+
+
+def _checked_text(text: str) -> str:
+    """Return a document's JSON text with its checksum."""
+    return f'{text[:-1]}, "{CHECKSUM_KEY}": {zlib.crc32(text.encode())}}}'
 
 
 class StateStore:
@@ -58,7 +67,8 @@ class StateStore:
         """Keep a document for the next start of the daemon."""
         key = KEYS[type(document)]
         texts = (f'"{field.name}": {self._text(getattr(document, field.name))}' for field in fields(document))
-        return self._history.put_state(key, document, f'{{"{VERSION_KEY}": {FORMAT_VERSION}, {", ".join(texts)}}}')
+        text = f'{{"{VERSION_KEY}": {FORMAT_VERSION}, {", ".join(texts)}}}'
+        return self._history.put_state(key, document, _checked_text(text))
 
     def _text(self, value: Any) -> str:
         """Return a member as JSON text; a record that is the very one of before is not coded anew."""
@@ -82,12 +92,20 @@ class StateStore:
                 return read
             if _version_of(found) != FORMAT_VERSION:
                 raise DocumentError(f"{VERSION_KEY} {_version_of(found)} is unknown")
+            _refuse_changed(found)
             document: Document = from_json(kind, found, self._clock.now())
         except DocumentError as error:
             log.error("state.unreadable", key=KEYS[kind], problem=str(error))
             denying: Document | None = _denying(kind, str(error))
             return denying
         return document
+
+
+def _refuse_changed(found: dict[str, Any]) -> None:
+    """Raise DocumentError when a document is not as it was written; one of an earlier version has no checksum."""
+    written = found.pop(CHECKSUM_KEY, None)
+    if written is not None and written != zlib.crc32(json.dumps(found).encode()):
+        raise DocumentError("it does not match its checksum: the store is damaged")
 
 
 def _version_of(found: Any) -> int | None:

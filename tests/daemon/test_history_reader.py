@@ -346,6 +346,25 @@ def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str
         reader.temperatures(None, 0.0, 1e11)
 
 
+@pytest.mark.parametrize("statement", [
+    "UPDATE temperature_cycles SET flags = x'ff7f0101' WHERE id = 3",
+    "UPDATE temperature_cycles SET flags = x'ff7f01' WHERE id = 3",
+    "UPDATE temperature_cycles SET counts = x'0102030405' WHERE id = 3",
+    "UPDATE layouts SET members = '[1'",
+])  # fmt: skip
+def test_flipped_bits_within_a_cycle_are_a_sentence(tmp_path: Path, statement: str) -> None:
+    path = tmp_path / "history.sqlite"
+    writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
+    writer.start()
+    for k in range(5):
+        writer.temperatures(None, make.cycle("bed", k, EPOCH_S + 10 * k, [20.0 + k, 20.0]))
+    writer.close()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(statement)
+    with HistoryReader(path) as reader, pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"):
+        reader.temperatures(None, EPOCH_S - 100.0, EPOCH_S + 100.0)
+
+
 @pytest.mark.parametrize(("before", "after"), [(b'"wanted', b'"wan\xffed'), (b'{"wanted', b'["wanted')])
 def test_flipped_bits_in_a_kept_document_are_a_sentence_too(tmp_path: Path, before: bytes, after: bytes) -> None:
     path = tmp_path / "history.sqlite"

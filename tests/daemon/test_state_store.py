@@ -22,7 +22,7 @@ from daemon.state_store.documents import (
     SpindleSpeedSwitch,
     WantedAxes,
 )
-from daemon.state_store.store import FORMAT_VERSION, KEYS, StateStore
+from daemon.state_store.store import FORMAT_VERSION, KEYS, StateStore, document_json
 from models.control.reference_records import CncSeen, ReferenceDocument, ReferenceState, ToolOrigin
 from models.records import FloatArray, Instant
 
@@ -240,3 +240,22 @@ def test_a_record_that_is_put_again_is_coded_once_and_another_one_anew(history, 
         store.put(document)
         assert store.get(ReferenceDocument) == document
     assert [value for value in coded if isinstance(value, CncSeen)] == [seen, later]
+
+
+def test_a_flipped_bit_in_a_kept_number_is_no_reference(history, store):
+    document = reference_of_0_1_0(history, store)
+    store.put(document)
+    kept = history.get_state(KEYS[ReferenceDocument])
+    kept["record"]["reference"]["degc"][0] = 24.32  # one bit of 24.36's text
+    history.put_state(KEYS[ReferenceDocument], kept)
+    assert store.get(ReferenceDocument) is None
+    fault = json.loads(json.dumps(document_json(OutputFault(reasons=("a",)))).replace('"a"', '"c"'))
+    history.put_state(KEYS[OutputFault], fault)
+    assert "checksum" in store.get(OutputFault).reasons[0]
+
+
+def test_a_document_without_a_checksum_is_one_of_a_version_before(history, store):
+    kept = document_json(WantedAxes(axes={"z": True}))
+    del kept["crc32"]
+    history.put_state(KEYS[WantedAxes], kept)
+    assert store.get(WantedAxes) == WantedAxes(axes={"z": True})
