@@ -72,6 +72,19 @@ class CncSession:
         return self.sample is not None and self._block.expired(self._seen, self.sample.clock_s)
 
     @property
+    def withdrawn(self) -> bool:
+        """The guard may have taken the offset of an expired block out, and has not put it back."""
+        return self._after_expiry
+
+    @property
+    def lapsed(self) -> bool:
+        """A guard that takes an expired offset out may have begun to since the latest poll."""
+        if self.sample is None or not self._block.expires_to_zero:
+            return False
+        clock_s = self.sample.clock_s + self._clock.now().monotonic_s - self.sample.time.monotonic_s
+        return self._block.expired(self._seen, clock_s)
+
+    @property
     def written_um(self) -> FloatArray:
         """What the block holds per axis as it was last seen [um], NaN where it is vacant or unknown."""
         return self._block.values_um(self._seen)

@@ -22,6 +22,7 @@ class OutputView:
     """The CNC answers, its echo is known, and it may be written to."""
     applied_um: FloatArray
     written_um: FloatArray | None
+    withdrawn: bool
     sources: tuple[AxisSource, ...]
     estimate: ThermalErrorEstimate | None
     reference: ReferenceMemory
@@ -44,6 +45,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         link=view.link,
         applied_um=view.applied_um,
         written_um=view.written_um,
+        withdrawn=view.withdrawn,
         thermal_error_um=nose_errors_um(view.sources, estimate)
         if estimate is not None
         else np.full(len(view.sources), np.nan),

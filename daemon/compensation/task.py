@@ -146,7 +146,7 @@ class ControlTask:
             now_s = self._clock.now().monotonic_s
             await self._guarded(self._take_messages())
             estimate, self._fresh = self._fresh, None
-            if self._unseen_reference or self.requests:  # both begin from where the guard stands now
+            if self._unseen_reference or self.requests or (self.session and self.session.lapsed):  # echo first
                 await self._guarded(self._poll())
             if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
@@ -265,19 +265,19 @@ class ControlTask:
         record_changes(self.journal, self.limits.axes, before, after, alarm)
 
     def _now(self) -> OutputNow:
-        inputs = self._inputs(NO_REQUEST)
-        return OutputNow(memory=self.memory, estimate=self._estimate, inputs=inputs, now=self._clock.now())
+        memory, inputs = self.memory, self._inputs(NO_REQUEST)
+        return OutputNow(memory=memory, estimate=self._estimate, inputs=inputs, now=self._clock.now())
 
     def _inputs(self, request: OperatorRequest) -> OutputInputs:
         session, interlocks = self.session, self._parts.interlocks
-        answers = session is not None and session.echo is not None
         return output_inputs(
             OutputView(
                 now_s=self._clock.now().monotonic_s,
                 phase=self.phase,
-                link=session is not None and answers and interlocks.write_inhibit(session.cnc) is None,
+                link=session is not None and session.echo is not None and interlocks.write_inhibit(session.cnc) is None,
                 applied_um=self.applied_um(),
                 written_um=session.written_um if session is not None else None,
+                withdrawn=session is not None and session.withdrawn,
                 sources=self._sources,
                 estimate=self._estimate,
                 reference=self._references.memory,

@@ -144,7 +144,7 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     memory = _heed_requests(memory, inputs, limits)
     memory = follow_tool(follow_reference(memory, inputs, limits.stale_after_s), inputs)
     memory = follow_confidence(take_probe(memory, inputs, limits), inputs, limits)
-    memory = _change_state(memory, inputs, limits)
+    memory = _where_withdrawn(_change_state(memory, inputs, limits), inputs)
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)
     memory = replace(
@@ -265,6 +265,16 @@ def _enter(
     if target is OutputState.OFF:
         entered = replace(entered, to_zero=False)
     return entered
+
+
+def _where_withdrawn(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+    """Let what is not followed begin where the guard has gone after an expiry: only an estimate puts it back."""
+    if not inputs.withdrawn or memory.state in (OutputState.OFF, OutputState.FAULT):
+        return memory
+    rests = np.isfinite(inputs.applied_um) & (np.abs(inputs.applied_um) < np.abs(memory.command_um))
+    if memory.state is OutputState.ACTIVE:
+        rests &= ~np.array(memory.wanted, dtype=bool)
+    return replace(memory, command_um=np.where(rests, inputs.applied_um, memory.command_um)) if rests.any() else memory
 
 
 def _request(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:

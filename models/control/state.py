@@ -70,6 +70,8 @@ class OutputInputs:
     """The guard's echo per axis [um]; NaN where it is unknown."""
     written_um: FloatArray | None = None
     """What the block held at the latest read-back or poll [um]; None where it is not watched."""
+    withdrawn: bool = False
+    """The guard may have taken the offset of an expired block out, and has not put it back."""
     thermal_error_um: FloatArray
     """Estimated error per axis since the reference, without the tool [um]; NaN where there is none."""
     tool_term_um: FloatArray | None = None

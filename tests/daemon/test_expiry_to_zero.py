@@ -1,9 +1,10 @@
 """A guard under the policy `zero` takes an expired offset out; the daemon must know that and not call it false."""
 
+import asyncio
 from pathlib import Path
 
 import pytest
-from control_rig import Bench, Rig, running
+from control_rig import Bench, Rig, Z, running
 
 from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication, simulated_guard
 from models.records import CncRun
@@ -87,3 +88,42 @@ async def test_once_the_guard_has_caught_up_a_loss_without_expiry_is_a_fault_aga
         bench.nc.macros.set(bench.configuration.cnc.macros.echo_applied["z"], 0.0)
         await rig.turn(rig.estimate(0.0, -25.0), safe=False)
         assert "the CNC says that it applies 0.000 um" in (rig.control.journal.fault or "")
+
+
+@pytest.mark.parametrize("calls", [1, 3])
+async def test_an_output_that_holds_stays_where_the_guard_has_gone(tmp_path: Path, calls: int) -> None:
+    """Going back to what was applied before would move the tool without an estimate."""
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -25.0, 80)
+        await expire(bench, rig, calls=calls)
+        stands_um = rig.applied["z"]
+        assert stands_um == {1: 15.0, 3: 0.0}[calls]
+        bench.nc.run = CncRun.START
+        for _ in range(5):
+            await rig.turn(rig.estimate(0.0, -25.0, confidence=0.1))
+            assert (rig.state, rig.applied["z"]) == ("HOLD", stands_um)
+        await rig.follow(0.0, -25.0, 80)
+        assert (rig.state, rig.applied["z"]) == ("ACTIVE", pytest.approx(25.0)), "an estimate leads back"
+
+
+async def test_after_a_stall_it_is_looked_first_where_the_guard_has_gone(tmp_path: Path) -> None:
+    """An estimate is acted on before the next poll; what was seen before the stall is no longer where the tool is."""
+    bench = zero_bench(tmp_path)
+    rig = bench.rig()
+    async with running(rig):
+        await rig.active()
+        await rig.follow(0.0, -8.0, 80)
+        session = rig.control.session
+        assert session is not None and not session.lapsed
+        await expire(bench, rig, calls=1)
+        assert (rig.applied["z"], session.lapsed) == (0.0, True)
+        working = asyncio.create_task(rig.control.run())
+        rig.control.deliver(rig.estimate(0.0, -8.0, confidence=0.1))
+        while rig.state != "HOLD":
+            await asyncio.sleep(0.001)
+        rig.control.stop()
+        await working
+        assert bench.nc.macros.get(Z) == 0.0

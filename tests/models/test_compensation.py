@@ -63,6 +63,25 @@ def active(seconds=600):
     return run(started(), seconds, request=OperatorRequest(enable=frozenset(AXES)))
 
 
+@pytest.mark.parametrize(
+    ("changes", "state", "first"),
+    [
+        ({"confidence": 0.1}, OutputState.HOLD, [0.0, 0.0]),
+        ({"request": OperatorRequest(disable=frozenset({"y"}))}, OutputState.ACTIVE, [0.0, 20.0]),
+        ({"request": OperatorRequest(disable=frozenset(AXES))}, OutputState.RETREAT, [0.0, 0.0]),
+    ],
+)
+def test_what_the_guard_has_taken_out_comes_back_with_an_estimate_alone(changes, state, first):
+    memory, command = active()
+    assert command.compensation_um == pytest.approx([3.0, 20.0], abs=0.1)
+    out = {"applied_um": np.zeros(2), "withdrawn": True}
+    memory, command = step(memory, inputs(now_s=601.0, **out, **changes), LIMITS)
+    assert memory.state is state
+    assert command.compensation_um == pytest.approx(first, abs=0.1)
+    _, command = step(active()[0], inputs(now_s=601.0, applied_um=np.zeros(2), **changes), LIMITS)
+    assert command.compensation_um[1] == pytest.approx(20.0, abs=0.2), "a guard that merely lags catches up"
+
+
 def test_starts_off_and_writes_nothing_but_zero():
     memory, command = run(started(), 3)
     assert memory.state is OutputState.OFF
