@@ -17,7 +17,7 @@ from config.schema.base import (
     Section,
 )
 from config.schema.cnc_drivers import CncDriverConfig
-from config.schema.guard import GuardConfig
+from config.schema.guard import SHOWN, GuardConfig
 from config.schema.temperatures import expand_ranges
 
 
@@ -214,6 +214,11 @@ class CncConfig(CncDriverConfig):
     )
     guard: GuardConfig = Field(default_factory=GuardConfig, description="guard macro that the CNC runs at safe points")
 
+    @property
+    def is_sinumerik(self) -> bool:
+        """Whether the control is a SINUMERIK, whose R parameters are the macro variables."""
+        return self.opcua is not None and self.opcua.preset == "sinumerik"
+
     @model_validator(mode="after")
     def _memory_apart(self) -> "CncConfig":
         memory = self.guard.memory_of(len(self.macros.values))
@@ -224,6 +229,10 @@ class CncConfig(CncDriverConfig):
             raise KeyProblems(
                 [(key, f"#{taken[0]} (of #{memory[0]} to #{memory[-1]}) is in the macro map or in `writable` already")]
             )
+        shown = {*range(self.guard.shown, self.guard.shown + SHOWN)}
+        if self.is_sinumerik and (taken := sorted(shown & {*memory, *self.macros.block, *self.macros.allowed})):
+            sentence = f"R{taken[0]} is in the guard's memory, in the macro map or in `writable` already"
+            raise KeyProblems([(("guard", "shown"), sentence)])
         return self
 
     @model_validator(mode="after")

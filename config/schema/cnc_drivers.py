@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import BaseModel, Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, KeyProblems, MacroNumber, Section
+from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
 from config.schema.driver_section import SectionOfDriver
 
 Connection = TypeVar("Connection", bound="CncConnection")
@@ -75,26 +75,44 @@ class OpcUaSecurityConfig(Section):
     )
 
 
-class OpcUaNodesConfig(Section):
-    """Identifiers of the CNC's variables in its OPC UA namespace (s=text or i=number)."""
+NO_NODE = "none"
+"""In place of an identifier: the control does not have it."""
+NEEDED_NODES = ("mode", "run", "alarm", "macro")
+"""What no control can be without."""
+SINUMERIK_NAMESPACE = "SinumerikVarProvider"
 
-    mode: str = Field("s=Mode", description="operating mode: 0 MDI, 1 MEM, 3 EDIT, 4 HND, 5 JOG, 10 RMT")
-    run: str = Field("s=RunState", description="0 reset, 1 stop, 2 hold, 3 start, 4 start (MSTR)")
-    alarm: str = Field("s=Alarm", description="not zero: an alarm is active")
-    program: str = Field("s=Program", description="O number of the main program, else of the running one")
-    sequence_number: str = Field("s=SequenceNumber", description="last N number passed")
-    spindle_speed: str = Field("s=SpindleSpeed", description="actual spindle speed [1/min]")
-    motor_temperature: str = Field("s=SpindleMotorTemperature", description="spindle motor [degC]")
-    clock: str = Field("s=Clock", description="the CNC's own clock [s]")
-    power_on_count: str = Field("s=PowerOnCount", description="rises with every power-on")
-    work_offset: str = Field("s=WorkOffset", description="active work offset, 54..59")
-    tool_number: str = Field("s=ToolNumber", description="tool in the spindle")
-    macro: str = Field("s=Macro.{number}", description="macro variable; {number} is replaced")
+
+class OpcUaNodesConfig(Section):
+    """Identifiers of the CNC's variables in its OPC UA namespace (s=text or i=number); none: the control has no such.
+
+    A key that is not given is the preset's.
+    """
+
+    mode: str | None = Field(
+        None, description="operating mode: 0 MDI, 1 MEM, 3 EDIT, 4 HND, 5 JOG, 10 RMT", examples=["s=Mode"]
+    )
+    run: str | None = Field(
+        None, description="0 reset, 1 stop, 2 hold, 3 start, 4 start (MSTR)", examples=["s=RunState"]
+    )
+    alarm: str | None = Field(None, description="not zero: an alarm is active", examples=["s=Alarm"])
+    program: str | None = Field(
+        None, description="O number of the main program, else of the running one", examples=["s=Program"]
+    )
+    sequence_number: str | None = Field(None, description="last N number passed", examples=["s=SequenceNumber"])
+    spindle_speed: str | None = Field(None, description="actual spindle speed [1/min]", examples=["s=SpindleSpeed"])
+    motor_temperature: str | None = Field(None, description="spindle motor [degC]", examples=["none"])
+    clock: str | None = Field(None, description="the CNC's own clock [s]", examples=["s=Clock"])
+    power_on_count: str | None = Field(None, description="rises with every power-on", examples=["s=PowerOnCount"])
+    work_offset: str | None = Field(None, description="active work offset, 54..59", examples=["s=WorkOffset"])
+    tool_number: str | None = Field(None, description="tool in the spindle", examples=["s=ToolNumber"])
+    macro: str | None = Field(None, description="macro variable; {number} is replaced", examples=["s=Macro.{number}"])
 
     @model_validator(mode="after")
-    def _macro_has_number(self) -> "OpcUaNodesConfig":
-        if "{number}" not in self.macro:
+    def _sensible(self) -> "OpcUaNodesConfig":
+        if self.macro not in (None, NO_NODE) and "{number}" not in str(self.macro):
             raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
+        if absent := [name for name in NEEDED_NODES if getattr(self, name) == NO_NODE]:
+            raise KeyProblems([((absent[0],), "no control can be compensated without it: name its identifier")])
         return self
 
 
@@ -109,13 +127,40 @@ class OpcUaConfig(CncConnection):
         description="address of the CNC's server: opc.tcp://host:port/path",
         examples=["opc.tcp://192.168.10.20:4840/cnc"],
     )
-    namespace_uri: str = Field(
-        min_length=1, description="namespace that holds the variables", examples=["urn:toolpoint:cnc"]
+    preset: Literal["fanuc", "sinumerik", "generic"] = Field(
+        "fanuc",
+        description="identifiers and codes to begin with: fanuc (FANUC's codes; s=Mode and so on), sinumerik (a "
+        "SINUMERIK's own server, R parameters as macros), generic (FANUC's codes, every identifier in `nodes`)",
     )
-    nodes: OpcUaNodesConfig = Field(default_factory=OpcUaNodesConfig, description="identifiers of the variables")
+    namespace_uri: str | None = Field(
+        None,
+        min_length=1,
+        description="namespace that holds the variables; needed but with preset sinumerik, which has its own",
+        examples=["urn:toolpoint:cnc"],
+    )
+    nodes: OpcUaNodesConfig | None = Field(
+        None, description="identifiers of variables, before those of the preset; none: the preset's alone"
+    )
     security: OpcUaSecurityConfig | None = Field(
         None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
     )
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        missing: list[tuple[KeyPath, str]] = []
+        if self.namespace_uri is None and self.preset != "sinumerik":
+            missing.append((("namespace_uri",), "this key is required and missing: namespace that holds the variables"))
+        if self.preset == "generic":
+            absent = [name for name in NEEDED_NODES if getattr(self.nodes, name, None) is None]
+            missing += [(("nodes", name), "this key is required and missing with preset generic") for name in absent]
+        if missing:
+            raise KeyProblems(missing)
+        return self
+
+    @property
+    def namespace(self) -> str:
+        """URI of the namespace that holds the variables."""
+        return self.namespace_uri or SINUMERIK_NAMESPACE
 
     @property
     def encrypted(self) -> bool:
@@ -164,7 +209,11 @@ class CncDriverConfig(SectionOfDriver):
     driver: Literal["opcua", "focas"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"
     )
-    opcua: OpcUaConfig | None = Field(None, description="OPC UA connection; required with driver opcua")
+    opcua: OpcUaConfig | None = Field(
+        None,
+        description="OPC UA connection; required with driver opcua",
+        examples=[{"namespace_uri": "urn:toolpoint:cnc"}],
+    )
     focas: FocasConfig | None = Field(
         None, description="FOCAS2/Ethernet connection, which cannot be encrypted; required with driver focas"
     )

@@ -13,6 +13,10 @@ PROGRAMS = 5
 """Numbers that the programs take: guard, initialise, request, safe point begins, safe point ends."""
 PROGRAM_LABELS = range(90_000, 91_000)
 """N numbers in the programs; the control reports them like any other, so none may mean anything in a part program."""
+SHOWN = 2
+"""R parameters in which a SINUMERIK's guard shows the daemon what its server does not: clock, count of power-ons."""
+VACANT_R = -999_999_999.0
+"""What an R parameter holds that is vacant: R parameters are always numbers, and nothing of ours is ever this one."""
 SHARED_MEMORY = 4
 """Memory macros that all axes share: pending axis, planned value, offset before, offset after."""
 
@@ -34,6 +38,11 @@ class GuardConfig(Section):
         590,
         description=f"first macro of the guard's own memory, {SHARED_MEMORY} and one per axis; survives power-off, "
         "outside `writable`",
+    )
+    shown: Annotated[int, Field(ge=500, le=998)] = Field(
+        580,
+        description="SINUMERIK only: first of the two R parameters in which the guard shows the daemon the clock [s] "
+        "and the count of power-ons; outside `writable`",
     )
     axes: dict[Name, GuardAxisConfig] = Field(
         default_factory=dict,

@@ -25,7 +25,7 @@ from drivers.contract import ClockWatch, DriverError, FatalDriverError, LinkErro
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import Services
-from drivers.opcua.variables import Variables
+from drivers.opcua.variables import Variables, node_map
 from models.records import CncSample
 
 T = TypeVar("T")
@@ -189,22 +189,22 @@ class OpcUaCnc:
             )
 
     async def _find_variables(self, client: Client, services: Services) -> Variables:
-        uri = self._opcua.namespace_uri
+        uri = self._opcua.namespace
         namespaces = await client.get_namespace_array()
         if uri not in namespaces:
             raise FatalDriverError(
                 f"{self._endpoint} has no namespace {uri!r} (cnc.opcua.namespace_uri); it has {', '.join(namespaces)}"
             )
-        variables = Variables(self._opcua.nodes, namespaces.index(uri))
+        variables = Variables(node_map(self._config), namespaces.index(uri))
         block = self._config.macros.block
         answers = await services.read(variables.read_request(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
         self._watch.stands_still(sample)
         measured = {"spindle_speed": sample.spindle_speed_rpm, "motor_temperature": sample.motor_temperature_degc}
-        self.cannot = {
+        self.cannot = variables.cannot | {
             name: f"the server gives no value for cnc.opcua.nodes.{name}"
             for name, value in measured.items()
-            if math.isnan(value)
+            if math.isnan(value) and name not in variables.cannot
         }
         return variables
 

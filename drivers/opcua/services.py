@@ -50,7 +50,8 @@ RESPONSE_HEADER = struct.Struct("<4sqIIBi3si")
 VARIABLE = struct.Struct("<BBd")
 """A DataValue with a value alone, which is a Double."""
 WITH_VALUE, WITH_STATUS = 1, 2
-NULL, DOUBLE = 0, 11
+NULL, DOUBLE, STRING = 0, 11, 12
+LENGTH = struct.Struct("<i")
 STATUS = struct.Struct("<I")
 NUMBERS = {kind: struct.Struct("<" + code) for kind, code in enumerate("?bBhHiIqQfd", start=1)}
 """Built-in type on the wire -> its bytes (OPC 10000-6, 5.1.2)."""
@@ -100,7 +101,7 @@ def decode_write(body: bytes) -> list[int]:
 
 
 def _plain_values(body: bytes) -> list[Answer] | None:
-    """Return the values of a good answer that holds numbers and statuses alone; None where it holds more."""
+    """Return the values of a good answer that holds numbers, texts and statuses alone; None where it holds more."""
     plain = _plain(body, READ_RESPONSE)
     if plain is None:
         return None
@@ -115,11 +116,17 @@ def _plain_values(body: bytes) -> list[Answer] | None:
             kind = body[at]
             at += 1
             if kind != NULL:
-                number = NUMBERS.get(kind)
-                if number is None:
+                if kind == STRING:
+                    (length,) = LENGTH.unpack_from(body, at)
+                    at += LENGTH.size + max(length, 0)
+                    if length < -1 or at > len(body):
+                        return None
+                    value = str(body[at - length : at], "utf-8", "replace") if length >= 0 else None
+                elif (number := NUMBERS.get(kind)) is not None:
+                    (value,) = number.unpack_from(body, at)
+                    at += number.size
+                else:
                     return None
-                (value,) = number.unpack_from(body, at)
-                at += number.size
         if mask & WITH_STATUS:
             (status,) = STATUS.unpack_from(body, at)
             at += STATUS.size

@@ -1,14 +1,16 @@
 """The CNC's variables in its OPC UA address space: their node ids, and what their values mean."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
-from config.schema.cnc_drivers import OpcUaNodesConfig
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.contract import MODES, RUNS, FatalDriverError, LinkError
 from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
@@ -42,17 +44,69 @@ UNKNOWN_NODE = frozenset({StatusCodes.BadNodeIdUnknown, StatusCodes.BadNodeIdInv
 FORBIDDEN = frozenset({StatusCodes.BadUserAccessDenied, StatusCodes.BadNotReadable})
 
 
+FANUC_NODES = {
+    "mode": "s=Mode",
+    "run": "s=RunState",
+    "alarm": "s=Alarm",
+    "program": "s=Program",
+    "sequence_number": "s=SequenceNumber",
+    "spindle_speed": "s=SpindleSpeed",
+    "motor_temperature": "s=SpindleMotorTemperature",
+    "clock": "s=Clock",
+    "power_on_count": "s=PowerOnCount",
+    "work_offset": "s=WorkOffset",
+    "tool_number": "s=ToolNumber",
+    "macro": "s=Macro.{number}",
+}
+Reading = Callable[[str], float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeMap:
+    """Where a kind of control keeps its variables, and what their values mean."""
+
+    nodes: Mapping[str, str]
+    """Identifier by the key of the configuration; what is not there the control does not have."""
+    modes: Mapping[int, CncMode] = field(default_factory=lambda: MODES)
+    runs: Mapping[int, CncRun] = field(default_factory=lambda: RUNS)
+    vacant: float | None = None
+    """Value of a macro variable that is vacant, where the control always gives one."""
+    texts: Mapping[str, Reading] = field(default_factory=dict)
+    """Number of a variable that is a text; raises ValueError for a text that means nothing."""
+
+
+def node_map(config: CncConfig) -> NodeMap:
+    """Return the preset's map with the identifiers that the configuration gives."""
+    opcua = config.connection_as(OpcUaConfig)
+    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {})
+    if opcua.preset == "sinumerik":
+        from drivers.opcua.sinumerik import sinumerik_map
+
+        found = sinumerik_map(config.guard.shown)
+    given = {} if opcua.nodes is None else opcua.nodes.model_dump(exclude_none=True)
+    nodes = {**found.nodes, **given}
+    return replace(found, nodes={key: text for key, text in nodes.items() if text != NO_NODE})
+
+
 class Variables:
     """Node ids of one CNC, built once per connection, and requests prepared from them."""
 
-    def __init__(self, nodes: OpcUaNodesConfig, namespace_index: int) -> None:
+    def __init__(self, found: NodeMap, namespace_index: int) -> None:
+        self._map = found
         self._namespace_index = namespace_index
-        self._macro_pattern = nodes.macro
+        self._macro_pattern = found.nodes["macro"]
         self._macros: dict[int, ua.NodeId] = {}
         self._targets: dict[int, bytes] = {}
-        self._texts = [getattr(nodes, key) for key in STATE_NODES]
-        self._state = [self._node_id(key, text) for key, text in zip(STATE_NODES, self._texts, strict=True)]
+        self._keys = tuple(key for key in STATE_NODES if key in found.nodes)
+        self._texts = [found.nodes[key] for key in self._keys]
+        self._state = [self._node_id(key, text) for key, text in zip(self._keys, self._texts, strict=True)]
         self._reads: dict[tuple[int, ...], bytes] = {}
+        self.cannot = {
+            key: f"cnc.opcua.nodes.{key} names no variable of the server"
+            for key in STATE_NODES
+            if key not in self._keys
+        }
+        """What the control has no variable for, with the reason."""
 
     def read_request(self, macros: Sequence[int], *, state: bool) -> bytes:
         """Return the parameters that read the state (or not) and the given macro variables."""
@@ -73,17 +127,16 @@ class Variables:
 
     def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[Answer]) -> CncSample:
         """Return what the answers to a read of state and macros say; raises LinkError or FatalDriverError."""
-        expected = len(STATE_NODES) + len(macros)
+        expected = len(self._keys) + len(macros)
         if len(answers) != expected:
             raise LinkError(f"the CNC answered {len(answers)} values to a request for {expected}")
-        values = {
-            key: self._state_value(key, text, answer)
-            for key, text, answer in zip(STATE_NODES, self._texts, answers, strict=False)
-        }
+        values = {key: math.nan if key in (*MEASURED, "clock") else 0.0 for key in self.cannot}
+        for key, text, answer in zip(self._keys, self._texts, answers, strict=False):
+            values[key] = self._state_value(key, text, answer)
         return CncSample(
             time=time,
-            mode=MODES.get(int(values["mode"]), CncMode.UNKNOWN),
-            run=RUNS.get(int(values["run"]), CncRun.UNKNOWN),
+            mode=self._map.modes.get(int(values["mode"]), CncMode.UNKNOWN),
+            run=self._map.runs.get(int(values["run"]), CncRun.UNKNOWN),
             alarm=values["alarm"] != 0,
             program=int(values["program"]),
             sequence_number=int(values["sequence_number"]),
@@ -93,7 +146,7 @@ class Variables:
             power_on_count=int(values["power_on_count"]),
             work_offset=int(values["work_offset"]),
             tool_number=int(values["tool_number"]),
-            macros=self.macro_values(macros, answers[len(STATE_NODES) :]),
+            macros=self.macro_values(macros, answers[len(self._keys) :]),
         )
 
     def macro_values(self, macros: Sequence[int], answers: Sequence[Answer]) -> dict[int, float | None]:
@@ -104,7 +157,7 @@ class Variables:
 
     def _macro_value(self, number: int, answer: Answer) -> float | None:
         if answer.status == 0 and type(answer.value) is float:  # as nearly all are
-            return None if math.isnan(answer.value) else answer.value
+            return None if math.isnan(answer.value) or answer.value == self._map.vacant else answer.value
         status = ua.StatusCode(ua.UInt32(answer.status))
         if status.value in VACANT:
             return None
@@ -112,17 +165,26 @@ class Variables:
         if not status.is_good():
             raise _unreadable(name, status)
         value = _number(name, answer)
-        return None if math.isnan(value) else value
+        return None if math.isnan(value) or value == self._map.vacant else value
 
     def _state_value(self, key: str, text: str, answer: Answer) -> float:
         status = ua.StatusCode(ua.UInt32(answer.status))
         name = f"variable {key} ({text})"
         if status.value in UNKNOWN_NODE or not (status.is_good() or key in MEASURED):
             raise _unreadable(name, status)
-        value = _number(name, answer) if status.is_good() else math.nan
+        value = self._meaning(key, name, answer) if status.is_good() else math.nan
         if key not in MEASURED and not math.isfinite(value):
             raise LinkError(f"the CNC gives no value for the {name}")
         return value
+
+    def _meaning(self, key: str, name: str, answer: Answer) -> float:
+        read = self._map.texts.get(key)
+        if read is None or not isinstance(answer.value, str):
+            return _number(name, answer)
+        try:
+            return read(answer.value)
+        except ValueError as error:
+            raise LinkError(f"the CNC's {name} is {answer.value!r:.60}: {error}") from error
 
     def _macro_node_id(self, number: int) -> ua.NodeId:
         if number not in self._macros:

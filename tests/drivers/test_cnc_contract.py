@@ -18,7 +18,7 @@ from cnc_contract import (
     reconnecting_leaves_nothing_behind,
 )
 from pydantic import Field, create_model
-from scripted_machine import ScriptedNc, cnc_config
+from scripted_machine import ScriptedNc, ScriptedSinumerik, cnc_config
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import CncConnection
@@ -115,6 +115,17 @@ class OpcUaBench(SimulatedBench):
         del self._nc.macros.values[number]
 
 
+class SinumerikBench(OpcUaBench):
+    """The OPC UA driver at the simulated SINUMERIK."""
+
+    def __init__(self) -> None:
+        self._nc = ScriptedSinumerik()
+        self._server = SimulatedCncServer(self._nc, cnc_config(preset="sinumerik", namespace_uri=None), port=0)
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        return super().open_at(port, preset="sinumerik", namespace_uri=None, **changes)
+
+
 class FocasBench(SimulatedBench):
     """The FOCAS driver at the simulated server."""
 
@@ -136,7 +147,7 @@ class FocasBench(SimulatedBench):
         self._server.responder.refused_macros[number] = PROTECTED
 
 
-BENCHES = {"opcua": OpcUaBench, "focas": FocasBench}
+BENCHES = {"opcua": OpcUaBench, "sinumerik": SinumerikBench, "focas": FocasBench}
 PROTECTED = 7
 
 

@@ -61,6 +61,27 @@ class ScriptedNc:
         return self._clock_s
 
 
+class _ShowingMacros(ScriptedMacros):
+    """R580 and R581 show the clock and the count of power-ons, as a SINUMERIK's guard lets them."""
+
+    def __init__(self, nc: ScriptedNc) -> None:
+        super().__init__()
+        self._nc = nc
+
+    def get(self, number: int) -> float | None:
+        return {580: lambda: self._nc.clock_s, 581: lambda: self._nc.power_on_count}.get(
+            number, lambda: super(_ShowingMacros, self).get(number)
+        )()
+
+
+class ScriptedSinumerik(ScriptedNc):
+    """The same control as a SINUMERIK with a guard."""
+
+    def reset(self) -> None:
+        super().reset()
+        self.macros = _ShowingMacros(self)
+
+
 class ScriptedMachine:
     """Registers are 0x190 plus the sensor's id; errors follow `truth_table`."""
 
@@ -95,7 +116,7 @@ def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> C
 
     With the section of another driver, such as `focas={"host": ...}`, that driver's CNC.
     """
-    opcua = {key: changes.pop(key) for key in ("security", "nodes", "namespace_uri") if key in changes}
+    opcua = {key: changes.pop(key) for key in ("security", "nodes", "namespace_uri", "preset") if key in changes}
     changes.setdefault("allow_insecure_writes", opcua.get("security") is None)
     if other := next((driver for driver in drivers_of(CncConfig) if driver in changes), None):
         changes["driver"] = other

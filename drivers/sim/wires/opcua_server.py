@@ -1,8 +1,9 @@
-"""The OPC UA face of a simulated CNC.
+"""The OPC UA face of a simulated CNC, a FANUC's or a SINUMERIK's.
 
 Every read is answered from the NC's present state, and every accepted write reaches the NC's macro
 variables at once and in the order of the request; nothing is copied in between. A vacant macro
-variable is answered with status BadNoData and no value.
+variable is answered with status BadNoData and no value. A SINUMERIK has no vacant R parameters, so the number that
+stands for one is answered, and R parameters cannot be browsed.
 """
 
 import asyncio
@@ -32,28 +33,55 @@ from cryptography.hazmat.primitives import serialization
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import OpcUaConfig
+from config.schema.guard import SHOWN, VACANT_R
 from drivers.opcua.certificates import load_certificate, load_private_key
 from drivers.opcua.log import limit_library_log
+from drivers.opcua.variables import node_map
 from drivers.sim.contract import SimulatedNc
 
 APPLICATION_URI = "urn:toolpoint:simulated-cnc"
 PUBLISH_PERIOD_S = 0.1
 """How often subscribed values are looked at [s of the wall clock]."""
 
-STATE = {
-    "mode": ("mode", ua.VariantType.Int32),
-    "run": ("run", ua.VariantType.Int32),
-    "alarm": ("alarm", ua.VariantType.Int32),
-    "program": ("program", ua.VariantType.Int32),
-    "sequence_number": ("sequence_number", ua.VariantType.Int32),
-    "spindle_speed": ("spindle_speed_rpm", ua.VariantType.Double),
-    "motor_temperature": ("motor_temperature_degc", ua.VariantType.Double),
-    "clock": ("clock_s", ua.VariantType.Double),
-    "power_on_count": ("power_on_count", ua.VariantType.Int32),
-    "work_offset": ("work_offset", ua.VariantType.Int32),
-    "tool_number": ("tool_number", ua.VariantType.Int32),
+Shown = Callable[[SimulatedNc], float | int | str]
+
+
+def _of(attribute: str) -> Shown:
+    return lambda nc: getattr(nc, attribute)
+
+
+INT, DOUBLE, TEXT = ua.VariantType.Int32, ua.VariantType.Double, ua.VariantType.String
+STATE: dict[str, tuple[ua.VariantType, Shown]] = {
+    "mode": (INT, _of("mode")),
+    "run": (INT, _of("run")),
+    "alarm": (INT, _of("alarm")),
+    "program": (INT, _of("program")),
+    "sequence_number": (INT, _of("sequence_number")),
+    "spindle_speed": (DOUBLE, _of("spindle_speed_rpm")),
+    "motor_temperature": (DOUBLE, _of("motor_temperature_degc")),
+    "clock": (DOUBLE, _of("clock_s")),
+    "power_on_count": (INT, _of("power_on_count")),
+    "work_offset": (INT, _of("work_offset")),
+    "tool_number": (INT, _of("tool_number")),
 }
-"""Attribute of the NC and its type on the wire, by key of the configured nodes."""
+"""Type on the wire and value of the NC's state, by key of the nodes."""
+SINUMERIK_MODES = {0: 1, 1: 2, 5: 0}
+"""opMode (JOG 0, MDA 1, AUTO 2) of the NC's mode; AUTO for every other one."""
+SINUMERIK_RUNS = {0: 5, 1: 2, 2: 1, 3: 3, 4: 3}
+"""progStatus (interrupted 1, stopped 2, running 3, aborted 5) of the NC's run state."""
+SINUMERIK_STATE: dict[str, tuple[ua.VariantType, Shown]] = {
+    "mode": (ua.VariantType.UInt16, lambda nc: SINUMERIK_MODES.get(nc.mode, 2)),
+    "run": (ua.VariantType.UInt16, lambda nc: SINUMERIK_RUNS.get(nc.run, 0)),
+    "alarm": (ua.VariantType.UInt16, lambda nc: 2 if nc.alarm else 0),
+    "program": (TEXT, lambda nc: f"/_N_MPF_DIR/_N_O{nc.program}_MPF"),
+    "sequence_number": (TEXT, lambda nc: f"N{nc.sequence_number}"),
+    "spindle_speed": (DOUBLE, _of("spindle_speed_rpm")),
+    "motor_temperature": (DOUBLE, _of("motor_temperature_degc")),
+    "work_offset": (TEXT, lambda nc: f"G{nc.work_offset}"),
+    "tool_number": (ua.VariantType.UInt16, _of("tool_number")),
+}
+"""The same of a SINUMERIK; clock and count of power-ons are R parameters there."""
+EMPTY: dict[ua.VariantType, float | int | str] = {DOUBLE: 0.0, TEXT: ""}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +120,9 @@ class SimulatedCncServer:
         self._path = url.path
         self._port = (url.port or 4840) if port is None else port
         self._security = security
-        self._readable = frozenset(readable)
+        shown = range(config.guard.shown, config.guard.shown + SHOWN) if config.is_sinumerik else ()
+        self._readable = frozenset([*readable, *shown])
+        self._vacant = VACANT_R if config.is_sinumerik else None
         self._server: Server | None = None
         self._publisher: asyncio.Task[None] | None = None
 
@@ -150,40 +180,45 @@ class SimulatedCncServer:
 
     async def _add_variables(self, server: Server) -> list[ua.NodeId]:
         """Add the NC's variables at the configured node ids and return them."""
-        namespace = await server.register_namespace(self._opcua.namespace_uri)
+        namespace = await server.register_namespace(self._opcua.namespace)
         folder = await server.nodes.objects.add_object(
             ua.NodeId.from_string(f"ns={namespace};s=CNC"), f"{namespace}:CNC"
         )
-        nodes, macros, nc = self._opcua.nodes, self._config.macros, self._nc
+        nodes, macros, nc = node_map(self._config).nodes, self._config.macros, self._nc
         added: list[ua.NodeId] = []
 
         async def add(text: str, name: str, kind: ua.VariantType, read: Callable[[], ua.DataValue]) -> ua.NodeId:
             node_id = ua.NodeId.from_string(f"ns={namespace};{text}")
-            zero = ua.Variant(0.0 if kind == ua.VariantType.Double else 0, kind)
-            await folder.add_variable(node_id, f"{namespace}:{name}", zero)
+            await folder.add_variable(node_id, f"{namespace}:{name}", ua.Variant(EMPTY.get(kind, 0), kind))
             server.set_attribute_value_callback(node_id, lambda *_: read())
             added.append(node_id)
             return node_id
 
-        for key, (attribute, kind) in STATE.items():
-            await add(getattr(nodes, key), key, kind, _state_reader(nc, attribute, kind))
+        for key, (kind, shown) in (SINUMERIK_STATE if self._config.is_sinumerik else STATE).items():
+            if key in nodes:
+                await add(nodes[key], key, kind, _state_reader(nc, shown, kind))
         echo = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
         writable: dict[ua.NodeId, int] = {}
         for number in sorted(macros.allowed.union(macros.block, self._readable)):
-            text = nodes.macro.format(number=number)
-            node_id = await add(text, f"Macro{number}", ua.VariantType.Double, _macro_reader(nc, number))
+            text = nodes["macro"].format(number=number)
+            node_id = await add(text, f"Macro{number}", DOUBLE, _macro_reader(nc, number, self._vacant))
+            if self._config.is_sinumerik:
+                await folder.delete_reference(node_id, ObjectIds.HasComponent)
             if number in macros.allowed and number not in echo:
                 await server.get_node(node_id).set_writable()
                 writable[node_id] = number
-        server.iserver.attribute_service = _MacroWrites(server.iserver.aspace, nc, writable)
+        server.iserver.attribute_service = _MacroWrites(server.iserver.aspace, nc, writable, self._vacant)
         return added
 
 
 class _MacroWrites(AttributeService):
     """Brings accepted writes to the NC, in the order of the request, and answers each with its own status."""
 
-    def __init__(self, space: AddressSpace, nc: SimulatedNc, writable: dict[ua.NodeId, int]) -> None:
+    def __init__(
+        self, space: AddressSpace, nc: SimulatedNc, writable: dict[ua.NodeId, int], vacant: float | None
+    ) -> None:
         super().__init__(space)
+        self._vacant = vacant
         self._nc = nc
         self._writable = writable
 
@@ -203,7 +238,8 @@ class _MacroWrites(AttributeService):
         if not math.isfinite(sent.Value.Value):
             return StatusCodes.BadOutOfRange
         try:
-            self._nc.macros.set(number, sent.Value.Value)
+            value = sent.Value.Value
+            self._nc.macros.set(number, None if value == self._vacant else value)
         except KeyError:
             return StatusCodes.BadNotWritable
         return StatusCodes.Good
@@ -240,17 +276,17 @@ class _Trust:
             raise ServiceError(StatusCodes.BadCertificateUntrusted)
 
 
-def _state_reader(nc: SimulatedNc, attribute: str, kind: ua.VariantType) -> Callable[[], ua.DataValue]:
-    convert = float if kind == ua.VariantType.Double else int
-    return lambda: ua.DataValue(ua.Variant(convert(getattr(nc, attribute)), kind))
+def _state_reader(nc: SimulatedNc, shown: Shown, kind: ua.VariantType) -> Callable[[], ua.DataValue]:
+    convert = {DOUBLE: float, TEXT: str}.get(kind, int)
+    return lambda: ua.DataValue(ua.Variant(convert(shown(nc)), kind))
 
 
-def _macro_reader(nc: SimulatedNc, number: int) -> Callable[[], ua.DataValue]:
+def _macro_reader(nc: SimulatedNc, number: int, vacant: float | None) -> Callable[[], ua.DataValue]:
     def read() -> ua.DataValue:
         value = nc.macros.get(number)
-        if value is None:
+        if value is None and vacant is None:
             return ua.DataValue(StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.BadNoData)))
-        return ua.DataValue(ua.Variant(float(value), ua.VariantType.Double))
+        return ua.DataValue(ua.Variant(vacant if value is None else float(value), ua.VariantType.Double))
 
     return read
 
