@@ -46,6 +46,33 @@ class Rows:
     """Displacements, relative to their deviation, shape (n, n_channels)."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Between:
+    """What the kernel needs of each pair of some rows."""
+
+    used: IntArray
+    """The rows, shape (m,)."""
+    linear: FloatArray
+    """Products of the columns of each group, shape (n_groups, m, m)."""
+    apart: FloatArray
+    """Squared distances of the coordinates, shape (m, m)."""
+    same_run: FloatArray
+    """1 where both are of one run, shape (m, m)."""
+    elapsed_min: FloatArray
+    """Time between them, shape (m, m)."""
+
+    def among(self, used: IntArray) -> "_Between":
+        """Return the same of some of the rows."""
+        some = np.ix_(used, used)
+        return _Between(
+            used=used,
+            linear=self.linear[:, used[:, None], used],
+            apart=self.apart[some],
+            same_run=self.same_run[some],
+            elapsed_min=self.elapsed_min[some],
+        )
+
+
 class GaussianProcess:
     """The matrices of some rows, prepared once; folds are left out by leaving rows out of them.
 
@@ -54,11 +81,15 @@ class GaussianProcess:
 
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
-        self._linear = np.stack([rows.columns[:, group] @ rows.columns[:, group].T for group in rows.groups])
-        self._apart = squared_distances(rows.coordinates, rows.coordinates)
-        self._same_run = (rows.run[:, None] == rows.run).astype(np.float64)
-        self._elapsed_min = np.abs(rows.time_min[:, None] - rows.time_min)
-        known = self._apart[self._apart > 0.0]
+        self._whole = _Between(
+            used=np.arange(len(rows.columns)),
+            linear=np.stack([rows.columns[:, group] @ rows.columns[:, group].T for group in rows.groups]),
+            apart=squared_distances(rows.coordinates, rows.coordinates),
+            same_run=(rows.run[:, None] == rows.run).astype(np.float64),
+            elapsed_min=np.abs(rows.time_min[:, None] - rows.time_min),
+        )
+        self._last: _Between | None = None
+        known = self._whole.apart[self._whole.apart > 0.0]
         self._typical = 0.5 * float(np.log(np.median(known))) if len(known) else 0.0
 
     @property
@@ -82,20 +113,24 @@ class GaussianProcess:
 
         `logarithms`: of the hyper-parameters, see `first`. `used`, shape (m,): rows.
         """
-        count, some = len(self.rows.groups), np.ix_(used, used)
+        count, between = len(self.rows.groups), self._among(used)
         scale = np.exp(logarithms)
-        linear = np.square(scale[:count])[:, None, None] * self._linear[:, used[:, None], used]
-        bend = np.square(scale[count]) * np.exp(-0.5 * self._apart[some] / np.square(scale[count + 1]))
-        persists = np.exp(-self._elapsed_min[some] / scale[count + 3])
-        return linear, bend, np.square(scale[count + 2]) * persists * self._same_run[some]
+        linear = np.square(scale[:count])[:, None, None] * between.linear
+        bend = np.square(scale[count]) * np.exp(-0.5 * between.apart / np.square(scale[count + 1]))
+        persists = np.exp(-between.elapsed_min / scale[count + 3])
+        return linear, bend, np.square(scale[count + 2]) * persists * between.same_run
+
+    def _among(self, used: IntArray) -> _Between:
+        """Return the matrices of some rows; a search asks for the same rows again and again."""
+        if self._last is None or not np.array_equal(self._last.used, used):
+            self._last = self._whole.among(used)
+        return self._last
 
     def noisy(self, logarithms: FloatArray, used: IntArray) -> FloatArray:
         """Return the covariance of the displacements of some rows, shape (m, m)."""
         linear, bend, residual = self.parts(logarithms, used)
         noise = np.exp(2.0 * logarithms[-1]) * np.eye(len(used))
-        return np.asarray(
-            linear.sum(axis=0) + bend + residual + noise + RUN_VARIANCE * self._same_run[np.ix_(used, used)]
-        )
+        return np.asarray(linear.sum(axis=0) + bend + residual + noise + RUN_VARIANCE * self._among(used).same_run)
 
     def surprise(self, logarithms: FloatArray, used: IntArray) -> tuple[float, FloatArray]:
         """Return minus the logarithm of the evidence per row, but for a constant, and its gradient (eqs. 5.8, 5.9).
@@ -103,10 +138,10 @@ class GaussianProcess:
         `logarithms`: of the hyper-parameters. `used`, shape (m,): rows.
         """
         linear, bend, residual = self.parts(logarithms, used)
-        same = self._same_run[np.ix_(used, used)]
+        between = self._among(used)
         noise = float(np.exp(2.0 * logarithms[-1]))
         values, channels = self.rows.values[used], self.rows.values.shape[1]
-        covariance = linear.sum(axis=0) + bend + residual + RUN_VARIANCE * same + noise * np.eye(len(used))
+        covariance = linear.sum(axis=0) + bend + residual + RUN_VARIANCE * between.same_run + noise * np.eye(len(used))
         try:
             lower = np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:
@@ -119,10 +154,9 @@ class GaussianProcess:
         gradient = np.empty_like(logarithms)
         gradient[:count] = np.einsum("gij,ij->g", linear, pull)
         gradient[count] = (pull * bend).sum()
-        gradient[count + 1] = 0.5 * (pull * bend * self._apart[np.ix_(used, used)]).sum() / np.square(scale[count + 1])
+        gradient[count + 1] = 0.5 * (pull * bend * between.apart).sum() / np.square(scale[count + 1])
         gradient[count + 2] = (pull * residual).sum()
-        elapsed_min = self._elapsed_min[np.ix_(used, used)]
-        gradient[count + 3] = 0.5 * (pull * residual * elapsed_min).sum() / scale[count + 3]
+        gradient[count + 3] = 0.5 * (pull * residual * between.elapsed_min).sum() / scale[count + 3]
         gradient[count + 4] = noise * np.trace(pull)
         return value / len(used), gradient / len(used)
 
