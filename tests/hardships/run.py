@@ -45,17 +45,24 @@ CUTS = {
 Play = Callable[[Rig, Row], None]
 
 
-def plays(options: argparse.Namespace, moments: random.Random) -> dict[str, tuple[Play, bool]]:
-    """Return what is played, by name, and whether it needs the computer's own clock."""
+def plays(options: argparse.Namespace) -> dict[str, tuple[Play, bool]]:
+    """Return what is played, by name, and whether it needs the computer's own clock.
+
+    The moments of a row are the same whatever is played before it.
+    """
+
+    def moments(name: str) -> random.Random:
+        return random.Random(f"{options.seed} {name}")
+
     quick = options.quick
     few = 1 if quick else 5
     found: dict[str, tuple[Play, bool]] = {
-        "kills": (partial(process_rows.kills, count=options.kills, moments=moments), False),
+        "kills": (partial(process_rows.kills, count=options.kills, moments=moments("kills")), False),
     }
     for name, cut in CUTS.items():
-        cuts = partial(store_rows.power_cuts, count=1 if quick else 25, moments=moments, cut=cut)
+        cuts = partial(store_rows.power_cuts, count=1 if quick else 25, moments=moments(name), cut=cut)
         found[f"power cut, {name}"] = (cuts, False)
-    pages = partial(store_rows.damaged_pages, count=2 if quick else 25, moments=moments)
+    pages = partial(store_rows.damaged_pages, count=2 if quick else 25, moments=moments("pages"))
     found["pages of the store damaged"] = (pages, False)
     found["full disk"] = (partial(store_rows.full_disk, count=few), False)
     found["read-only disk"] = (partial(store_rows.read_only_disk, count=few), False)
@@ -80,8 +87,7 @@ def plays(options: argparse.Namespace, moments: random.Random) -> dict[str, tupl
 
 def play_all(options: argparse.Namespace) -> list[Row]:
     """Play everything; rows that need the same clock share a machine, which is built anew after an accident."""
-    moments = random.Random(options.seed)
-    wanted = plays(options, moments)
+    wanted = plays(options)
     rows = {name: Row(name=name) for name in wanted}
     for own_clock in (False, True):
         left = [name for name, (_, own) in wanted.items() if own is own_clock]
