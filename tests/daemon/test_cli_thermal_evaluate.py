@@ -1,12 +1,14 @@
 """`toolpoint thermal evaluate` and `train --model` from recordings on disk to figures and model files."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from searched_once import searched_once
 
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS, parse_fault
@@ -18,6 +20,13 @@ from models.thermal.training.trial import Fault
 
 MINUTES = 120
 SPLIT = ("--train-hours", "0-8", "--test-hours", "8-12")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def searches_once() -> Iterator[None]:
+    """Most tests train on the same hours of the same day."""
+    with searched_once():
+        yield
 
 
 def table(seed: int = 0, cycles: int = 6) -> dict[str, Any]:

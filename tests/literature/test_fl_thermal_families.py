@@ -8,11 +8,13 @@ asks of itself; they leave room for other linear algebra libraries, not for anot
 """
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from searched_once import searched_once
 
 from daemon.cli.thermal.evaluate import parse_fault
 from daemon.workbench.thermal.evaluation import Protocol, evaluate
@@ -23,6 +25,13 @@ SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "sh
 PATH = SHARED / "data" / "fl_thermal" / "fl_thermal_46h_15s.csv"
 pytestmark = pytest.mark.skipif(not PATH.is_file(), reason=f"the recording is not there ({PATH}); set TOOLPOINT_SHARED")
 SPLIT_A: dict[str, Any] = {"train_hours": (0.0, 32.0), "test_hours": (32.0, 46.3)}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def searches_once() -> Iterator[None]:
+    """With and without probes it is trained on the same hours, or on the same cycles."""
+    with searched_once():
+        yield
 
 
 @pytest.fixture(scope="module")
