@@ -1,8 +1,10 @@
 """What probes would have done on a recording: how fast the model's offset wanders, and what is left with probes."""
 
+import itertools
+
 import numpy as np
 
-from models.control.probing import BiasFilter, full_reset
+from models.control.probing import BiasFilter, BiasState, full_reset
 from models.records import FloatArray
 
 
@@ -62,12 +64,20 @@ def probed_residual_um(
     elapsed_min = time_min - time_min[0]
     if isinstance(probe_min, float | int):
         probe_min = probe_min * np.arange(1.0, np.floor(elapsed_min[-1] / probe_min + 1e-9) + 1.0)
-    probed = set(np.searchsorted(elapsed_min, np.asarray(probe_min) - 1e-9).tolist())
-    for row, now_min in enumerate(time_min):
-        if row in probed:
+    probed = np.unique(np.searchsorted(elapsed_min, np.asarray(probe_min) - 1e-9))
+    probed = probed[probed < len(time_min)]
+    for row, end in itertools.pairwise([-1, *probed.tolist(), len(time_min)]):
+        if row >= 0:
             seen_um = residual_um[row] if noise_um is None else residual_um[row] + noise_um[row]
-            state = bias_filter.correct(state, float(now_min), seen_um)
-        else:
-            state = bias_filter.advanced(state, float(now_min))
-        corrected[row] = residual_um[row] - state.bias_um
+            state = bias_filter.correct(state, float(time_min[row]), seen_um)
+        until = slice(max(row, 0), end)
+        corrected[until] = residual_um[until] - _offset_um(bias_filter, state, time_min[until])
     return corrected
+
+
+def _offset_um(bias_filter: BiasFilter, state: BiasState, time_min: FloatArray) -> FloatArray:
+    """Return the offset after a probe at later times, until the next one [um], shape (n or 1, n_channels)."""
+    if bias_filter.correlation_min is None:
+        return state.bias_um[None, :]
+    elapsed_min = np.maximum(time_min - state.time_min, 0.0)
+    return np.asarray(np.exp(-elapsed_min[:, None] / bias_filter.correlation_min) * state.bias_um)
