@@ -1,6 +1,10 @@
-"""What holds for every test: no deadline because the computer was slow, a log as nobody has set it; and the order."""
+"""What holds for every test: no deadline because the computer was slow, a log as nobody has set it, order, folders."""
 
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,13 +21,50 @@ LONGEST_FIRST = (
 """Files that take longest, in this order: whoever comes last with a long one leaves the other processors idle."""
 ONE_BY_ONE = frozenset({"tests/system/test_hardships.py"})
 """Files whose tests share nothing, and are given to processes one by one."""
+IN_MEMORY = Path("/dev/shm")
+"""Where files never wait for a disk. No test takes away what was not synced by taking away a disk's power."""
+ENOUGH_BYTES = 4 << 30
+_folder = pytest.StashKey[str]()
+
+
+def plain_log() -> None:
+    """Let the log be as nobody has configured it, but for the values of all variables, megabytes with a traceback."""
+    structlog.reset_defaults()
+    plain = structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback)
+    structlog.configure(processors=[*structlog.get_config()["processors"][:-1], plain])
+
+
+plain_log()
 
 
 @pytest.fixture(autouse=True)
 def log_as_it_begins() -> Iterator[None]:
     """Undo what a command that ran in this process has set the log to."""
     yield
-    structlog.reset_defaults()
+    plain_log()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the tests' folders in memory, where the computer has enough of it, unless `--basetemp` names another."""
+    if hasattr(config, "workerinput") or config.option.basetemp is not None or not fit(IN_MEMORY):
+        return
+    config.stash[_folder] = tempfile.tempdir = os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="tests-", dir=IN_MEMORY)
+    config.option.basetemp = f"{tempfile.tempdir}/t"
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Give the memory back."""
+    if _folder in config.stash:
+        shutil.rmtree(config.stash[_folder], ignore_errors=True)
+
+
+def fit(folder: Path) -> bool:
+    """Return whether a folder is there in which programs may be started, with room for all that tests write."""
+    if not os.access(folder, os.W_OK):
+        return False
+    system = os.statvfs(folder)
+    return not system.f_flag & os.ST_NOEXEC and system.f_bavail * system.f_frsize >= ENOUGH_BYTES
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import socket
 
 import pytest
 from monitor_bench import monitor
@@ -94,7 +95,11 @@ async def test_a_viewer_who_takes_nothing_is_cut_off_and_the_others_go_on(tmp_pa
     monkeypatch.setattr(live, "LOOK_S", 0.01)
     monkeypatch.setattr(live, "LONGEST_S", 0.01)
     async with monitor(tmp_path) as bench, asyncio.timeout(120):
-        dead_reader, dead = await asyncio.open_connection("127.0.0.1", bench.port, limit=1024)
+        narrow = socket.socket()  # on a local connection the buffers of both ends hold megabytes: hundreds of events
+        narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        narrow.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, 1000)
+        narrow.connect(("127.0.0.1", bench.port))
+        dead_reader, dead = await asyncio.open_connection(sock=narrow, limit=1024)
         dead.write(HEAD % b"/api/v1/events")
         reader, writer = await connected(bench.port)
         writer.write(HEAD % b"/api/v1/events")
