@@ -10,9 +10,11 @@ from monitor_bench import PASSWORD, accounts_file, monitor
 from starlette.requests import Request
 
 from daemon.history.reader import HistoryReader
+from daemon.monitor import passwords
 from daemon.monitor.accounts import Accounts
+from daemon.monitor.passwords import LoginLimit
 from daemon.monitor.web import access
-from daemon.monitor.web.access import Access, LoginLimit
+from daemon.monitor.web.access import Access
 
 ACTIONS = [("reference", None), ("enable", {}), ("disable", {}), ("acknowledge", None)]
 
@@ -129,15 +131,15 @@ async def test_wrong_passwords_are_counted_and_then_refused_without_a_check(tmp_
 def test_the_limit_lets_go_after_its_time_and_does_not_grow_for_ever():
     now = [0.0]
     limit = LoginLimit(lambda: now[0])
-    for _ in range(access.MOST_FAILURES):
+    for _ in range(passwords.MOST_FAILURES):
         limit.failed("address a", "account x")
-    assert limit.wait_s("address a") == limit.wait_s("account x") == access.FAILURE_WINDOW_S
+    assert limit.wait_s("address a") == limit.wait_s("account x") == passwords.FAILURE_WINDOW_S
     assert limit.wait_s("address b") == 0.0
-    now[0] = access.FAILURE_WINDOW_S
+    now[0] = passwords.FAILURE_WINDOW_S
     assert limit.wait_s("address a") == 0.0
-    for number in range(2 * access.MOST_ADDRESSES):
+    for number in range(2 * passwords.MOST_ADDRESSES):
         limit.failed(f"address {number}")
-    assert len(limit._failures) == access.MOST_ADDRESSES
+    assert len(limit._failures) == passwords.MOST_ADDRESSES
 
 
 class Asked:

@@ -12,6 +12,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from monitor_bench import accounts_file, monitor
 
+from daemon.monitor import passwords
 from daemon.monitor.web import access
 
 HOST = "mill-7.hall"
@@ -112,7 +113,7 @@ async def test_a_session_that_ends_closes_its_live_events_too(tmp_path, monkeypa
 
 async def test_wrong_passwords_are_limited_through_tls_too(tmp_path):
     async with opened(tmp_path, anna="viewer") as bench:
-        for _ in range(access.MOST_FAILURES):
+        for _ in range(passwords.MOST_FAILURES):
             assert (await bench.browser().login("anna", "a wrong password")).status == 401
         answer = await bench.browser().login("anna")
         assert answer.status == 429 and "too many wrong passwords" in answer.detail and answer.headers["retry-after"]

@@ -1,6 +1,5 @@
 """Who may look and who may act: accounts, logins, sessions, and the checks of every request."""
 
-import asyncio
 import base64
 import binascii
 import hashlib
@@ -8,24 +7,20 @@ import hmac
 import ipaddress
 import secrets
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from daemon.monitor.accounts import Accounts, Role, hashed, verified
+from daemon.monitor.accounts import Accounts, Role
+from daemon.monitor.passwords import Passwords, TooManyWrongError, WrongPasswordError
 from daemon.monitor.web.problems import ProblemError
 
 IDLE_S = 1800.0
 """A session that nobody used for so long ends; an open page uses it [s]."""
 MOST_SESSIONS = 256
 """So many sessions are kept; the one that was not used longest makes room."""
-MOST_FAILURES = 5
-FAILURE_WINDOW_S = 60.0
-"""So many wrong passwords within this time are taken from one address or for one account [s]."""
-MOST_ADDRESSES = 4096
 CSRF_HEADER = "x-csrf-token"
 Report = Callable[[str, str, str | None], object]
 """Takes the kind of an event, its text and the person."""
@@ -60,33 +55,6 @@ class Session:
     used_s: float
 
 
-class LoginLimit:
-    """Counts wrong passwords by address and by account."""
-
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._failures: dict[str, deque[float]] = {}
-
-    def wait_s(self, *keys: str) -> float:
-        """Return how long one of these must wait before another password is taken [s]."""
-        return max((self._wait_of(key) for key in keys), default=0.0)
-
-    def _wait_of(self, key: str) -> float:
-        failures = self._failures.get(key)
-        if not failures or len(failures) < MOST_FAILURES:
-            return 0.0
-        return max(0.0, failures[0] + FAILURE_WINDOW_S - self._now_s())
-
-    def failed(self, *keys: str) -> None:
-        """Note a wrong password."""
-        for key in keys:
-            failures = self._failures.pop(key, None) or deque(maxlen=MOST_FAILURES)
-            failures.append(self._now_s())
-            self._failures[key] = failures
-        while len(self._failures) > MOST_ADDRESSES:
-            del self._failures[next(iter(self._failures))]
-
-
 @dataclass(kw_only=True)
 class Access:
     """Decides for every request who asks and what they may."""
@@ -99,13 +67,10 @@ class Access:
     report: Report
     now_s: Callable[[], float] = time.monotonic
     _sessions: dict[str, Session] = field(default_factory=dict)
-    _decoy: str = ""
-    _one_at_a_time: asyncio.Lock = field(default_factory=asyncio.Lock)
-    """Each check of a password takes 9 MiB."""
 
     def __post_init__(self) -> None:
-        """Prepare the hash that is checked for a name that does not exist."""
-        self._limit = LoginLimit(self.now_s)
+        """Prepare the check of passwords."""
+        self._passwords = Passwords(self.now_s)
 
     @property
     def cookie(self) -> str:
@@ -136,21 +101,14 @@ class Access:
     async def _check_password(self, name: str, password: str, address: str) -> None:
         """Raise ProblemError unless this is the account's password."""
         accounts = self._known()
-        keys = (f"address {address}", f"account {name}")
-        if (wait_s := self._limit.wait_s(*keys)) > 0.0:
-            raise ProblemError(
-                429,
-                f"too many wrong passwords for this account or from this address; try again in {wait_s:.0f} s",
-                {"retry-after": str(int(wait_s) + 1)},
-            )
-        async with self._one_at_a_time:
-            self._decoy = self._decoy or await asyncio.to_thread(hashed, secrets.token_urlsafe(16))
-            known = accounts.get(name)
-            right = await asyncio.to_thread(verified, known.password_hash if known else self._decoy, password)
-        if known is None or not right:
-            self._limit.failed(*keys)
+        try:
+            await self._passwords.check(accounts, name, password, address)
+        except TooManyWrongError as error:
+            retry = {"retry-after": str(int(error.wait_s) + 1)}
+            raise ProblemError(429, str(error), retry) from error
+        except WrongPasswordError as error:
             self.report("access", f"wrong name or password for the monitor ({name!r})", address)
-            raise ProblemError(401, "name or password is wrong; `toolpoint users list` on the computer shows the names")
+            raise ProblemError(401, str(error)) from error
 
     def _known(self) -> Any:
         if self.accounts is None:
