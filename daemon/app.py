@@ -51,6 +51,7 @@ from models.records import DisplacementSample
 from models.thermal.family import ThermalModel
 
 if TYPE_CHECKING:
+    from daemon.monitor.opcua.serving import OpcUaService
     from daemon.spindle_speed.messages import OpenedModel
 
 log = structlog.get_logger(__name__)
@@ -86,6 +87,25 @@ def _load_monitor() -> Callable[..., Serve]:
     from daemon.monitoring import monitor_service  # noqa: PLC0415 (loaded only where it is configured)
 
     return monitor_service
+
+
+def _load_opcua_service() -> "type[OpcUaService]":
+    from daemon.monitor.opcua.serving import OpcUaService  # noqa: PLC0415 (loaded only where it is configured)
+
+    return OpcUaService
+
+
+def _outlets(
+    links: Links, configuration: Configuration, board: SnapshotBoard, desk: CommandDesk, history: HistoryWriter
+) -> Iterator[Coroutine[Any, Any, None]]:
+    """Yield the work of what is served to other systems; the libraries of each are loaded where it is configured."""
+
+    async def serve_tags(came_up: Callable[[], None]) -> None:
+        service = await asyncio.to_thread(_load_opcua_service)
+        await service(configuration, board, desk, history).serve(came_up)
+
+    if (tags := configuration.opcua_server) is not None:
+        yield links.own("opcua_server", f"{tags.host}:{tags.port}", serve_tags)
 
 
 def _collect_what_comes_now() -> None:
@@ -262,6 +282,7 @@ class Daemon:
         yield links.own("service.socket", service.socket, control_socket.run)
         if service.http_port is not None:
             yield links.own("service.http_port", service.http_port, self._serve_monitor)
+        yield from _outlets(links, self._configuration, self.snapshots, self._commands, self._history)
 
     async def _serve_monitor(self, came_up: Callable[[], None]) -> None:
         """Serve the monitor; its libraries, a quarter of the start, are loaded while the daemon already runs."""

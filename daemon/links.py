@@ -42,7 +42,11 @@ class Links:
         }
         self._displacements = LinkHealth("displacement files")
         self.planner_health = LinkHealth("speed planner")
-        self._own = {"service.socket": LinkHealth("local socket"), "service.http_port": LinkHealth("metrics")}
+        self._own = {
+            "service.socket": LinkHealth("local socket"),
+            "service.http_port": LinkHealth("metrics"),
+            "opcua_server": LinkHealth("OPC UA server"),
+        }
         self.shown = [*self._lines.values(), cnc.health]
         """Those to the machine, and to the process that plans for it."""
         if configuration.displacements is not None:

@@ -9,7 +9,7 @@ from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
 from config.schema.guard import PROGRAM_LABELS
-from config.schema.service import HistoryConfig, ServiceConfig, SignaturesConfig
+from config.schema.service import HistoryConfig, OpcUaServerConfig, ServiceConfig, SignaturesConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from config.schema.temperatures import TemperaturesConfig
 
@@ -29,7 +29,9 @@ class Configuration(Section):
     )
     history: HistoryConfig = Field(default_factory=HistoryConfig, description="the store")
     service: ServiceConfig = Field(default_factory=ServiceConfig, description="socket, monitor, metrics, log, retry")
-
+    opcua_server: OpcUaServerConfig | None = Field(
+        None, description="tags and methods over OPC UA for others; none: not served"
+    )
     signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 
     @model_validator(mode="after")
@@ -60,6 +62,9 @@ class Configuration(Section):
             problems.append((("compensation", "output", "validity_s"), sentence))
         problems += self._speed_macros()
         problems += self._positionings()
+        if self.opcua_server is not None and self.service.users is None:
+            sentence = "is required with opcua_server: nobody could log in (`toolpoint users add NAME` makes the file)"
+            problems.append((("service", "users"), sentence))
         if problems:
             raise KeyProblems(problems)
         return self

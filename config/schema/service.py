@@ -113,3 +113,22 @@ class ServiceConfig(Section):
                     "(docs/how-to/open-the-monitor.md); or keep 127.0.0.1"
                 )
                 yield ("http_host",), sentence
+
+
+class OpcUaServerConfig(Section):
+    """The daemon as an OPC UA server: every sensor, estimate, compensation and state as tags, methods for operators."""
+
+    host: str = Field("127.0.0.1", min_length=1, description="address that is listened on; 0.0.0.0: every one")
+    port: int = Field(4841, ge=1, le=65535, description="TCP port; clients find it at opc.tcp://HOST:PORT/")
+    certificate: Path = Field(
+        description="certificate of the server (PEM or DER); its subject alternative name holds the application URI",
+        examples=["/etc/toolpoint/opcua-server.der"],
+    )
+    private_key: Path = Field(
+        description="private key of that certificate (PEM)", examples=["/etc/toolpoint/secrets/opcua-server.pem"]
+    )
+    trusted_clients: Path = Field(
+        description="folder of the certificates of the clients that may connect; empty: nobody may",
+        examples=["/etc/toolpoint/opcua-clients"],
+    )
+    sessions: int = Field(10, ge=1, le=50, description="so many may be logged in at a time")

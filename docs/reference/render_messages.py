@@ -53,6 +53,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "models/spindle_speed/tuning.py",
         "models/spindle_speed/verification.py",
     ),
+    "The OPC UA server": (
+        "daemon/monitor/passwords.py",
+        "daemon/monitor/opcua/users.py",
+        "drivers/opcua/server/settings.py",
+        "drivers/opcua/server/wire.py",
+    ),
     "The history store": (
         "daemon/history/engine.py",
         "daemon/history/writer.py",

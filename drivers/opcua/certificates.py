@@ -140,7 +140,7 @@ def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
             "OPC UA servers refuse it; make a new one"
         )
     private_key = load_private_key(config.private_key)
-    _refuse_readable_by_others(config.private_key, "private key")
+    refuse_readable_by_others(config.private_key, "private key")
     return OpcUaCredentials(
         user_name=config.user_name,
         password=_read_password(config.password_file),
@@ -153,7 +153,7 @@ def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
 
 def _read_password(path: Path) -> str:
     content = read_file(path, "password file")
-    _refuse_readable_by_others(path, "password file")
+    refuse_readable_by_others(path, "password file")
     try:
         password = content.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as error:
@@ -163,7 +163,8 @@ def _read_password(path: Path) -> str:
     return password
 
 
-def _refuse_readable_by_others(path: Path, what: str) -> None:
+def refuse_readable_by_others(path: Path, what: str) -> None:
+    """Raise FatalDriverError when every user of this computer may read a file."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & stat.S_IRWXO:
         raise FatalDriverError(

@@ -1,0 +1,356 @@
+"""The daemon as an OPC UA server: what is served, who may do what, and that nobody can change it."""
+
+import asyncio
+import contextlib
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from asyncua import Client, ua
+from asyncua.common.utils import Buffer
+from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+from control_rig import SENSOR_IDS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from opcua_bench import ROLES, TAGS, OpcUaBench, tag_server
+from scripted_machine import Keys
+
+from daemon.history.reader import HistoryReader
+from drivers.opcua.server import subscriptions
+from drivers.opcua.server.encoding import Kind, variant
+from drivers.opcua.server.requests import Request, ServiceError
+from drivers.opcua.server.space import Variable
+from drivers.opcua.server.subscriptions import Item, Publisher, PublishRequest
+from models.quality import Quality, Reason
+from models.records import Instant, MachineTemperatures, Trace
+
+NOW = Instant(monotonic_s=1000.0, utc_s=1_760_000_400.0, real_s=1000.0)
+METHODS = {"reference": [], "enable": [[]], "disable": [[], False], "acknowledge": []}
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    return Keys(tmp_path_factory.mktemp("keys"))
+
+
+def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s) -> MachineTemperatures:
+    """Five sensors: good, held, out of range, not received, good."""
+    return MachineTemperatures(
+        line="spindle",
+        measured_degc=np.array([first_degc, 99.0, 300.0, np.nan, 20.0]),
+        degc=np.array([first_degc, 22.0, np.nan, np.nan, 20.0]),
+        quality=np.array([Quality.GOOD, Quality.HELD, Quality.MISSING, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
+        reason=np.array(
+            [Reason.NONE, Reason.RATE, Reason.OUT_OF_RANGE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8
+        ),
+        age_s=np.array([0.0, 12.0, np.inf, np.inf, 4.0]),
+        trace=Trace(first_byte=NOW, last_byte=replace(NOW, utc_s=utc_s)),
+    )
+
+
+def tell(bench: OpcUaBench, **of: float) -> None:
+    board = bench.rig.snapshots
+    board.thermal = replace(board.thermal, temperatures=temperatures(**of))
+
+
+async def index(client: Client) -> int:
+    return int(await client.get_namespace_index(TAGS))
+
+
+async def node(client: Client, name: str):
+    return client.get_node(ua.NodeId(name, await index(client)))
+
+
+async def test_every_sensor_is_a_tag_with_quality_source_time_and_where_it_sits(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        before = await (await node(client, "temperature.1")).read_data_value(raise_on_bad_status=False)
+        assert before.StatusCode.name == "BadWaitingForInitialData" and before.Value.Value is None
+        tell(bench)
+        found = {}
+        for sensor in SENSOR_IDS:
+            value = await (await node(client, f"temperature.{sensor}")).read_data_value(raise_on_bad_status=False)
+            found[sensor] = (value.Value.Value, value.StatusCode.name)
+        assert found == {
+            1: (21.5, "Good"),
+            2: (22.0, "UncertainLastUsableValue"),
+            3: (None, "BadOutOfRange"),
+            11: (None, "BadNoCommunication"),
+            12: (20.0, "Good"),
+        }
+        held = await (await node(client, "temperature.2")).read_data_value(raise_on_bad_status=False)
+        assert held.SourceTimestamp.timestamp() == pytest.approx(NOW.utc_s - 12.0)
+        tag = await node(client, "temperature.1")
+        facts = {(await each.read_browse_name()).Name: await each.read_value() for each in await tag.get_properties()}
+        sensor = bench.configuration.temperatures.sensors[0]
+        assert facts.pop("EngineeringUnits").DisplayName.Text == "°C"
+        assert facts == {"Component": sensor.component, "Part": sensor.part, "Label": sensor.label or ""}
+
+
+async def test_estimate_compensation_and_state_are_tags_and_a_subscriber_hears_of_changes(tmp_path, keys):
+    class Heard:
+        def __init__(self):
+            self.values = asyncio.Queue()
+
+        def datachange_notification(self, node, value, data):
+            self.values.put_nowait((node.nodeid.Identifier, value))
+
+    async with tag_server(tmp_path, keys) as bench:
+        rig = bench.rig
+        await rig.active()
+        await rig.follow(3.0, -8.0, turns=4)
+        async with bench.logged_in("otto") as client:
+            values = {}
+            for name in ("state.output", "state.phase", "compensation.z.estimated_um", "compensation.z.applied_um"):
+                values[name] = await (await node(client, name)).read_value()
+            assert values["state.output"] == "ACTIVE" == rig.state
+            assert values["compensation.z.estimated_um"] == -8.0
+            assert values["compensation.z.applied_um"] == rig.snapshots.control.applied_um[2] > 0.0
+            heard = Heard()
+            subscription = await client.create_subscription(250, heard)
+            watched = [await node(client, name) for name in ("temperature.1", "temperature.12", "state.output")]
+            await subscription.subscribe_data_change(watched)
+            first = {(await asyncio.wait_for(heard.values.get(), 20.0))[0] for _ in watched}
+            assert first == {"temperature.1", "temperature.12", "state.output"}
+            tell(bench)
+            assert [await asyncio.wait_for(heard.values.get(), 20.0) for _ in range(2)] == [
+                ("temperature.1", 21.5),
+                ("temperature.12", 20.0),
+            ]
+            tell(bench, first_degc=21.75)
+            assert await asyncio.wait_for(heard.values.get(), 20.0) == ("temperature.1", 21.75)
+            tell(bench, first_degc=21.75, utc_s=NOW.utc_s + 10.0)
+            tell(bench, first_degc=22.0)
+            news = await asyncio.wait_for(heard.values.get(), 20.0)
+            assert news == ("temperature.1", 22.0), "a new time alone is no change"
+            await subscription.delete()
+
+
+async def moved(bench: OpcUaBench, what):
+    """Move the output on until a call has been answered."""
+    asked = asyncio.ensure_future(what)
+    while not asked.done():
+        await bench.rig.turn()
+        await asyncio.sleep(0.01)
+    return asked.result()
+
+
+async def call(client: Client, name: str, values: list):
+    machine = await node(client, "machine")
+    types = [
+        ua.Variant(value, ua.VariantType.String, is_array=True) if isinstance(value, list) else ua.Variant(value)
+        for value in values
+    ]
+    return await machine.call_method(ua.NodeId(name, await index(client)), *types)
+
+
+async def test_methods_take_the_operators_right_and_name_the_person_in_the_audit(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        rig = bench.rig
+        await rig.turn()
+        rig.set_reference()
+        await rig.turn()
+        async with bench.logged_in("otto") as viewer:
+            for name, values in METHODS.items():
+                with pytest.raises(UaError, match="BadUserAccessDenied"):
+                    await call(viewer, name, values)
+            assert not any(rig.control.memory.wanted)
+            refused = await (await node(viewer, "state.last_refusal")).read_value()
+            assert refused == "acknowledge: otto is viewer; this takes the role operator"
+            may = await (await node(viewer, "enable")).read_attribute(ua.AttributeIds.UserExecutable)
+            assert may.Value.Value is False
+        async with bench.logged_in("anna") as operator:
+            decided, state, _ = await moved(bench, call(operator, "enable", [["y", "z"]]))
+            assert decided and state == "ARMED"
+            assert [axis for axis, on in zip("xyz", rig.control.memory.wanted, strict=True) if on] == ["y", "z"]
+            with pytest.raises(UaError, match="BadInvalidState"):
+                await moved(bench, call(operator, "enable", [["w"]]))
+            assert "no axis w" in await (await node(operator, "state.last_refusal")).read_value()
+            with pytest.raises(UaError, match="BadInvalidArgument"):
+                await call(operator, "disable", [[], "yes"])
+            with pytest.raises(UaError, match="BadArgumentsMissing"):
+                await call(operator, "disable", [[]])
+            assert (await moved(bench, call(operator, "disable", [[], True])))[0] is True
+            assert not any(rig.control.memory.wanted)
+        await rig.history.flushed()
+        access = bench.events()
+        assert ("logged in over OPC UA", "anna (operator, OPC UA, 127.0.0.1)") in access
+        assert ("logged out over OPC UA", "otto (viewer, OPC UA, 127.0.0.1)") in access
+        refusal = "refused: OPC UA method enable takes the role operator"
+        assert (refusal, "otto (viewer, OPC UA, 127.0.0.1)") in access
+        with HistoryReader(bench.configuration.history.path) as reader:
+            people = {each.person for each in reader.events(0.0, 1e11) if each.kind != "access"}
+        assert "anna (operator, OPC UA, 127.0.0.1)" in people
+        assert not any(person and "otto" in person for person in people)
+
+
+@pytest.mark.parametrize("name", ROLES)
+async def test_nobody_changes_the_server_whatever_their_role(tmp_path, keys, name):
+    async with tag_server(tmp_path, keys) as bench:
+        tell(bench)
+        async with bench.logged_in(name) as client:
+            for tag in ("temperature.1", "state.output", "compensation.z.applied_um", "temperature.1.Component"):
+                target = await node(client, tag)
+                old = await target.read_data_value(raise_on_bad_status=False)
+                with pytest.raises(UaStatusCodeError, match="BadNotWritable"):
+                    await target.write_value(old.Value.Value if old.Value.Value is not None else 1.0)
+                for attribute in (
+                    ua.AttributeIds.AccessLevel,
+                    ua.AttributeIds.DisplayName,
+                    ua.AttributeIds.UserAccessLevel,
+                ):
+                    with pytest.raises(UaStatusCodeError, match="BadNotWritable"):
+                        await target.write_attribute(attribute, ua.DataValue(ua.Variant(255, ua.VariantType.Byte)))
+                with pytest.raises(UaStatusCodeError, match="BadServiceUnsupported"):
+                    await client.delete_nodes([target])
+                level = await target.read_attribute(ua.AttributeIds.UserAccessLevel)
+                assert level.Value.Value == 1, "it can be read, and that is all"
+            with pytest.raises(UaStatusCodeError, match="BadServiceUnsupported"):
+                await (await node(client, "machine")).add_variable(await index(client), "mine", 1.0)
+            with pytest.raises(UaStatusCodeError, match="BadServiceUnsupported"):
+                reference = ua.DeleteReferencesItem(SourceNodeId=ua.NodeId(85), TargetNodeId=ua.NodeId(2253))
+                await client.uaclient.delete_references([reference])
+            with pytest.raises(UaStatusCodeError, match="BadServiceUnsupported"):
+                await (await node(client, "temperature.1")).read_raw_history()
+            assert (await (await node(client, "temperature.1")).read_value()) == 21.5
+
+
+async def test_who_is_not_named_not_trusted_or_not_signed_does_not_get_in(tmp_path, keys, tmp_path_factory):
+    strangers = Keys(tmp_path_factory.mktemp("strangers"))
+    async with tag_server(tmp_path, keys) as bench:
+        with pytest.raises(UaStatusCodeError, match="BadIdentityTokenRejected"):
+            await (await bench.client()).connect()
+        stranger = await bench.client("anna", keys=strangers)
+        with pytest.raises((UaError, ConnectionError, TimeoutError)):
+            await stranger.connect()
+        plain = Client(bench.url, timeout=20.0)
+        plain.set_user("anna")
+        plain.set_password("long enough a password")
+        with pytest.raises(UaError):
+            await plain.connect()
+        offered = await Client(bench.url, timeout=20.0).connect_and_get_server_endpoints()
+        assert {(each.SecurityPolicyUri.rpartition("#")[2], each.SecurityMode.name) for each in offered} == {
+            ("Basic256Sha256", "Sign"),
+            ("Basic256Sha256", "SignAndEncrypt"),
+        }
+        assert {token.TokenType.name for each in offered for token in each.UserIdentityTokens} == {"UserName"}
+        async with bench.logged_in("otto", mode=ua.MessageSecurityMode.Sign) as signed:
+            assert await (await node(signed, "state.output")).read_value() == "OFF"
+        for _ in range(5):
+            with pytest.raises(UaStatusCodeError, match="BadUserAccessDenied"):
+                await (await bench.client("anna", password="not the password")).connect()
+        with pytest.raises(UaStatusCodeError, match="BadUserAccessDenied"):
+            await (await bench.client("anna")).connect()
+        await bench.rig.history.flushed()
+        assert bench.events().count(("wrong name or password over OPC UA ('anna')", "127.0.0.1")) == 5
+        assert not any(person and "anna" in person for _, person in bench.events())
+
+
+async def test_a_session_ends_with_its_account_and_there_are_only_so_many(tmp_path, keys):
+    async with (
+        tag_server(tmp_path, keys, sessions=2) as bench,
+        bench.logged_in("otto") as one,
+        bench.logged_in("anna") as other,
+    ):
+        with pytest.raises(UaStatusCodeError, match="BadTooManySessions"):
+            await (await bench.client("eva")).connect()
+        users = bench.configuration.service.users
+        kept = [line for line in users.read_text().splitlines() if not line.startswith("anna")]
+        users.write_text("\n".join(kept) + "\n")
+        with pytest.raises(UaStatusCodeError, match="BadSessionClosed"):
+            await (await node(other, "state.output")).read_value()
+        assert await (await node(one, "state.output")).read_value() == "OFF"
+
+
+async def test_what_is_not_usual_is_answered_too(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        tell(bench)
+        tag, machine = await node(client, "temperature.1"), await node(client, "machine")
+        parts = [f"{await index(client)}:{name}" for name in ("temperatures", "temperature.1")]
+        assert (await machine.get_child(parts)).nodeid == tag.nodeid
+        assert (await client.register_nodes([tag]))[0].nodeid == tag.nodeid
+        await client.unregister_nodes([tag])
+        description = ua.BrowseDescription(
+            NodeId=machine.nodeid, BrowseDirection=ua.BrowseDirection.Forward, ReferenceTypeId=ua.NodeId(33)
+        )
+        description.ResultMask, description.IncludeSubtypes = ua.UInt32(63), True
+        parameters = ua.BrowseParameters(NodesToBrowse=[description], RequestedMaxReferencesPerNode=ua.UInt32(2))
+        (part,) = await client.uaclient.browse(parameters)
+        whole = {each.NodeId for each in part.References}
+        while part.ContinuationPoint:
+            following = ua.BrowseNextParameters(False, [part.ContinuationPoint])
+            (part,) = await client.uaclient.browse_next(following)
+            assert len(part.References) <= 2
+            whole |= {each.NodeId for each in part.References}
+        assert whole == {each.nodeid for each in await machine.get_children()}
+        subscription = await client.create_subscription(1, lambda: None)
+        assert subscription.parameters.RequestedPublishingInterval == 250, "what is granted"
+        handles = await subscription.subscribe_data_change([tag, await node(client, "state.output")])
+        await subscription.unsubscribe(handles)
+        await subscription.set_publishing_mode(False)
+        for _ in range(3):
+            await client.create_subscription(1000, lambda: None)
+        with pytest.raises(UaStatusCodeError, match="BadTooManySubscriptions"):
+            await client.create_subscription(1000, lambda: None)
+        status = await client.get_node(ua.ObjectIds.Server_ServerStatus).read_value()
+        assert status.State == ua.ServerState.Running and status.BuildInfo.ProductName == "Toolpoint"
+
+
+async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody():
+    sent, room = [], [True]
+    publisher = Publisher(lambda body, number: sent.append((number, body)), lambda: room[0])
+    made = publisher.create((250.0, 30, 10, 0, True))
+    tag = Variable((2, "x"), "x", Kind.DOUBLE)
+    made.items[1] = Item(variable=tag, handle=bytes(4), stamps=3, trigger=1, mode=2)
+
+    def ask(number):
+        publisher.wait(PublishRequest(number=number, handle=number, acknowledged=bytes(4), until_s=math.inf))
+
+    def tell_value(value):
+        tag.set(variant(Kind.DOUBLE, value), 0, 1.0)
+
+    tell_value(1.0)
+    ask(1)
+    publisher.due(made.due_s)
+    assert [number for number, _ in sent] == [1] and variant(Kind.DOUBLE, 1.0) in sent[0][1]
+    room[0] = False
+    for number in range(2, 30):
+        ask(number)
+        tell_value(float(number))
+        publisher.due(made.due_s)
+    told = [body for _, body in sent[1:]]
+    assert all(body.startswith(b"\x01\x00\x8d\x01") for body in told), "only refusals of waiting requests"
+    assert len(told) == 28 - subscriptions.MOST_PUBLISH_REQUESTS and len(publisher._requests) <= 12
+    room[0] = True
+    ask(30)
+    newest = [body for _, body in sent if variant(Kind.DOUBLE, 29.0) in body]
+    assert len(newest) == 1, "of all that was missed the newest alone"
+    assert not any(variant(Kind.DOUBLE, 28.0) in body for _, body in sent)
+    assert len(made.kept) <= subscriptions.MOST_KEPT
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=200))
+def test_a_request_of_any_bytes_is_refused_in_order(body):
+    with contextlib.suppress(ServiceError):
+        request = Request(1, Buffer(body))
+        with contextlib.suppress(ServiceError):
+            request.structure(ua.CreateSessionParameters)
+
+
+async def test_what_is_no_opc_ua_is_told_so_and_cut_off(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        port = bench.configuration.opcua_server.port
+        for sent, status in (
+            (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", "BadTcpMessageTooLarge"),
+            (b"OPNF" + (32).to_bytes(4, "little") + bytes(24), "BadConnectionRejected"),
+            (b"MSGF" + (32).to_bytes(4, "little") + bytes(24), "BadSecureChannelClosed"),
+            (b"HELF" + (32).to_bytes(4, "little") + bytes(24), "BadConnectionRejected"),
+        ):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(sent)
+            answer = await asyncio.wait_for(reader.read(), 20.0)
+            assert answer[:4] == b"ERRF" and int.from_bytes(answer[8:12], "little") == getattr(ua.StatusCodes, status)
+            writer.close()
+        async with bench.logged_in("otto") as client:
+            assert await (await node(client, "state.output")).read_value() == "OFF"

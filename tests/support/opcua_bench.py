@@ -1,0 +1,109 @@
+"""The OPC UA server of a control task in this process, with accounts, certificates and trusted clients."""
+
+import asyncio
+import contextlib
+import shutil
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from asyncua import Client
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.crypto.uacrypto import CertProperties
+from asyncua.ua import MessageSecurityMode
+from control_rig import HandClock, Rig, machine, record_for, running
+from memory_cnc import MemoryNc
+from monitor_bench import PASSWORD, accounts_file, free_port
+from scripted_machine import CLIENT_URI, Keys
+
+from config.schema import Configuration
+from config.schema.service import OpcUaServerConfig
+from daemon.history.reader import HistoryReader
+from daemon.monitor.opcua.serving import OpcUaService
+
+TAGS = "urn:toolpoint:tags"
+ROLES = {"otto": "viewer", "anna": "operator", "eva": "engineer"}
+
+
+def section(directory: Path, keys: Keys, **changes: Any) -> OpcUaServerConfig:
+    """The section of a server on a free port that trusts the client of these keys."""
+    trusted = directory / "clients"
+    trusted.mkdir(exist_ok=True)
+    shutil.copy(keys.client, trusted)
+    fields = {
+        "port": free_port(),
+        "certificate": keys.server,
+        "private_key": keys.server_key,
+        "trusted_clients": trusted,
+    }
+    return OpcUaServerConfig(**(fields | changes))
+
+
+@dataclass
+class OpcUaBench:
+    """A running server."""
+
+    configuration: Configuration
+    rig: Rig
+    keys: Keys
+
+    @property
+    def url(self) -> str:
+        assert self.configuration.opcua_server is not None
+        return f"opc.tcp://127.0.0.1:{self.configuration.opcua_server.port}/"
+
+    async def client(
+        self,
+        name: str = "",
+        password: str = PASSWORD,
+        keys: Keys | None = None,
+        mode: MessageSecurityMode = MessageSecurityMode.SignAndEncrypt,
+    ) -> Client:
+        """A client of the library, prepared but not connected; without a name it says that it is anonymous."""
+        keys = keys or self.keys
+        client = Client(self.url, timeout=20.0)
+        client.application_uri = CLIENT_URI
+        key = CertProperties(keys.client_key, extension="pem")
+        await client.set_security(
+            SecurityPolicyBasic256Sha256, str(keys.client), key, server_certificate=str(self.keys.server), mode=mode
+        )
+        if name:
+            client.set_user(name)
+            client.set_password(password)
+        return client
+
+    @contextlib.asynccontextmanager
+    async def logged_in(self, name: str, **how: Any) -> AsyncIterator[Client]:
+        async with await self.client(name, **how) as client:
+            yield client
+
+    def events(self, kind: str | None = "access") -> list[tuple[str, str | None]]:
+        """Text and person of what the audit holds."""
+        with HistoryReader(self.configuration.history.path) as reader:
+            return [(e.text, e.person) for e in reader.events(0.0, 1e11) if kind is None or e.kind == kind]
+
+
+@contextlib.asynccontextmanager
+async def tag_server(directory: Path, keys: Keys, **changes: Any) -> AsyncIterator[OpcUaBench]:
+    """Serve the tags of a rig; `changes` are those of the section."""
+    configuration = machine(directory)
+    service = configuration.service.model_copy(update={"users": accounts_file(directory, **ROLES)})
+    configuration = configuration.model_copy(
+        update={"service": service, "opcua_server": section(directory, keys, **changes)}
+    )
+    clock = HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    async with running(rig):
+        serving = asyncio.Event()
+        server = OpcUaService(configuration, rig.snapshots, rig.desk(), rig.history)
+        task = asyncio.create_task(server.serve(serving.set))
+        waiting = asyncio.create_task(serving.wait())
+        await asyncio.wait([task, waiting], return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        try:
+            yield OpcUaBench(configuration, rig, keys)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, waiting, return_exceptions=True)
