@@ -25,6 +25,13 @@ def test_the_same_seed_gives_the_same_script_and_another_gives_another() -> None
     assert campaign(3.0, 7, LINES) != campaign(3.0, 8, LINES)
 
 
+def test_a_short_campaign_brings_other_kinds_with_every_seed() -> None:
+    assert campaign(0.2, 7, LINES) == campaign(0.2, 7, LINES)
+    kinds = [{happening.kind for happening in campaign(0.2, seed, LINES)} for seed in range(40)]
+    assert set.union(*kinds) >= set(HABITS) - {Incident.WRONG_SENSOR}, "that one comes last, and lasts for an hour"
+    assert all(len(each) > 8 for each in kinds)
+
+
 def test_everything_ends_before_the_campaign_does_and_comes_in_order() -> None:
     happenings = campaign(4.0, 3, LINES)
     assert all(happening.end_s < 4.0 * DAY_S for happening in happenings)

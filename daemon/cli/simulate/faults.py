@@ -1,5 +1,6 @@
 """`toolpoint faults`: days of the simulated machine under faults, in minutes."""
 
+import random
 import sys
 from pathlib import Path
 
@@ -19,12 +20,12 @@ from daemon.cli.simulate.demo import simulation_folder
 @option(
     "--seed",
     type=click.IntRange(min=0, max=2**31 - 1),
-    default=1,
-    help="Day, faults and their times; the same seed gives the same.",
+    default=None,
+    help="Day, faults and their times; the same seed gives the same. Drawn and printed when it is not given.",
 )
 @directory_option
 @json_option
-def faults(days: float, seed: int, directory: Path | None, json_path: str | None) -> None:
+def faults(days: float, seed: int | None, directory: Path | None, json_path: str | None) -> None:
     """Run the daemon beside a simulated machine on which everything goes wrong, and check what must hold.
 
     A simulated day takes about two minutes on an idle computer of two cores, several times as long on a busy one.
@@ -36,6 +37,9 @@ def faults(days: float, seed: int, directory: Path | None, json_path: str | None
     from daemon.simulation.faults.result import failures, numbers, summary
     from daemon.simulation.faults.run import run_campaign
 
+    if seed is None:
+        seed = random.SystemRandom().randrange(2**31)
+        say(f"seed {seed}")
     with simulation_folder(directory) as folder:
         result = run_campaign(demo_machine(), folder, days=days, seed=seed, progress=say)
     write_json(json_path, numbers(result))

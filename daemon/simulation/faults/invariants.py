@@ -137,9 +137,9 @@ class WriteWatch:
             check("allow_list", allowed, "" if allowed else f"{time_s:.1f} s: #{number} was written")
             check("finite", finite, "" if finite else f"{time_s:.1f} s: #{number} = {value}")
         state = claims.state if claims is not None else ""
-        check("nothing_written_in_fault", state != "FAULT", f"{time_s:.1f} s: {group} in FAULT")
-        link = claims is not None and claims.link
-        check("nothing_written_without_link", link, f"{time_s:.1f} s: {group} without a link")
+        right, link = state != "FAULT", claims is not None and claims.link
+        check("nothing_written_in_fault", right, "" if right else f"{time_s:.1f} s: {group} in FAULT")
+        check("nothing_written_without_link", link, "" if link else f"{time_s:.1f} s: {group} without a link")
         self._order(time_s, group, taken=taken)
         for number, value in group:
             axis = self._axis_of.get(number)
@@ -217,19 +217,20 @@ class WriteWatch:
     def _order(self, time_s: float, group: Sequence[tuple[int, float]], *, taken: bool) -> None:
         numbers = [number for number, _ in group]
         if self._map.sequence_a in numbers:
-            rising = group[0][1] != self._sequence
-            self._ledger.check("block_order", len(group) == 1 and rising, f"{time_s:.1f} s: began with {group}")
+            right = len(group) == 1 and group[0][1] != self._sequence
+            self._ledger.check("block_order", right, "" if right else f"{time_s:.1f} s: began with {group}")
             self._block = list(group) if taken else None
         elif self._map.sequence_b in numbers:
             block = self._block or []
             content = {number for number, _ in block[1:]}
             whole = content == self._content
-            same = bool(block) and len(group) == 1 and group[0][1] == block[0][1]
-            self._ledger.check("block_order", whole and same, f"{time_s:.1f} s: {group} after {block}")
+            right = whole and bool(block) and len(group) == 1 and group[0][1] == block[0][1]
+            self._ledger.check("block_order", right, "" if right else f"{time_s:.1f} s: {group} after {block}")
             self._block = None
             self._sequence = group[0][1] if taken else self._sequence
         elif set(numbers) & self._content:
-            self._ledger.check("block_order", self._block is not None, f"{time_s:.1f} s: {group} without sequence_a")
+            right = self._block is not None
+            self._ledger.check("block_order", right, "" if right else f"{time_s:.1f} s: {group} without sequence_a")
             if self._block is not None:
                 self._block = [*self._block, *group] if taken else None
 

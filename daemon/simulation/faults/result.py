@@ -30,6 +30,8 @@ class Result:
     cycles: int = 0
     blocks: int = 0
     wall_s: float = 0.0
+    processor_s: float = 0.0
+    """Of the campaign's process and the daemon's, models trained for it included [s]."""
 
 
 def progress_line(result: Result, time_s: float, end_s: float, wall_s: float) -> str:
@@ -65,6 +67,7 @@ def numbers(result: Result) -> dict[str, Any]:
         "blocks": result.blocks,
         "lives": result.lives,
         "wall_s": round(result.wall_s, 1),
+        "processor_s": round(result.processor_s, 1),
     }
 
 
@@ -88,7 +91,8 @@ def summary(result: Result) -> str:
     slowest = max(((max(times), kind) for kind, times in result.recovery_s.items()), default=(0.0, "none"))
     return "\n".join(
         [
-            f"{result.days:.4g} simulated days in {result.wall_s:.0f} s, seed {result.seed}: "
+            f"{result.days:.4g} simulated days in {result.wall_s:.0f} s ({result.processor_s:.0f} s of processor time), "
+            f"seed {result.seed}: "
             f"{sum(result.incidents.values())} incidents of {len(result.incidents)} kinds, "
             f"{result.lives} lives of the daemon, {result.cycles} cycles, {result.blocks} blocks",
             f"{checked} checks of {len(result.ledger.counts)} invariants, {result.ledger.violations} violations",

@@ -189,9 +189,15 @@ HABITS: dict[Kind, _Habit] = {
 
 
 def campaign(days: float, seed: int, lines: Sequence[LineConfig]) -> tuple[Happening, ...]:
-    """Return everything that happens in a campaign, by time: each kind once in turn, and then also by chance."""
+    """Return everything that happens in a campaign, by time: each kind once in turn, and then also by chance.
+
+    One that is too short for all kinds draws their order, so that every seed brings others.
+    """
     end_s = days * DAY_S
-    scripted = list(_scripted(random.Random(f"script {seed}"), lines))
+    scripted = list(_scripted(random.Random(f"script {seed}"), lines, list(HABITS)))
+    if scripted[-1].end_s >= end_s:
+        order = random.Random(f"order {seed}")
+        scripted = list(_scripted(random.Random(f"script {seed}"), lines, order.sample(list(HABITS), len(HABITS))))
     by_chance_s = scripted[-1].end_s + SPACING_S
     random_ones = _random(random.Random(f"chance {seed}"), lines, by_chance_s, end_s)
     happenings = [*scripted, *random_ones]
@@ -249,9 +255,9 @@ def _fault(happening: Happening, kind: FaultKind, target: str | int | None) -> F
     )
 
 
-def _scripted(rng: random.Random, lines: Sequence[LineConfig]) -> Iterator[Happening]:
+def _scripted(rng: random.Random, lines: Sequence[LineConfig], kinds: Sequence[Kind]) -> Iterator[Happening]:
     at_s = FIRST_S
-    for kind in HABITS:
+    for kind in kinds:
         if kind in ON_SENSORS or kind is Incident.WRONG_SENSOR:
             continue
         happening = _drawn(rng, kind, at_s, lines)
