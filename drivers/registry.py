@@ -31,6 +31,12 @@ def _focas() -> CncFactory:
     return FocasCnc
 
 
+def _haas() -> CncFactory:
+    from drivers.haas.cnc import HaasCnc
+
+    return HaasCnc
+
+
 def _latsis() -> TemperatureFactory:
     from drivers.latsis.source import LatsisSerialSource
 
@@ -93,7 +99,7 @@ def _file() -> DisplacementFactory:
     return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
 
 
-CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas}
+CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas, "haas": _haas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
 TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {
     "latsis": _latsis,

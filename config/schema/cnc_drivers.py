@@ -203,10 +203,29 @@ class FocasConfig(CncConnection):
         return f"{self.host.lower()}:{self.port}"
 
 
+class HaasConfig(CncConnection):
+    """Machine data collection of a Haas control; the protocol encrypts nothing and knows no user."""
+
+    driver: ClassVar[str] = "haas"
+
+    host: str = Field(min_length=1, description="name or address of the control", examples=["192.168.10.20"])
+    port: int = Field(5051, ge=1, le=65535, description="TCP port of its machine data collection (setting 143)")
+    program_macro: MacroNumber = Field(4115, description="variable that holds the number of the program")
+    sequence_number_macro: MacroNumber = Field(4114, description="variable that holds the last N number")
+    work_offset_macro: MacroNumber = Field(4012, description="variable that holds the G code of the work offset")
+    tool_macro: MacroNumber = Field(3026, description="variable that holds the number of the tool in the spindle")
+    spindle_speed_macro: MacroNumber = Field(3027, description="variable that holds the spindle speed [1/min]")
+
+    @property
+    def address(self) -> str:
+        """The control's host and port."""
+        return f"{self.host.lower()}:{self.port}"
+
+
 class CncDriverConfig(SectionOfDriver):
     """The driver and its section: a union that `driver` decides, with one key per driver."""
 
-    driver: Literal["opcua", "focas"] = Field(
+    driver: Literal["opcua", "focas", "haas"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"
     )
     opcua: OpcUaConfig | None = Field(
@@ -216,6 +235,9 @@ class CncDriverConfig(SectionOfDriver):
     )
     focas: FocasConfig | None = Field(
         None, description="FOCAS2/Ethernet connection, which cannot be encrypted; required with driver focas"
+    )
+    haas: HaasConfig | None = Field(
+        None, description="machine data collection of a Haas, which cannot be encrypted; required with driver haas"
     )
     allow_insecure_writes: bool = Field(
         False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"

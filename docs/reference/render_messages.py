@@ -26,6 +26,11 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/focas/cnc.py",
         "drivers/focas/link.py",
         "drivers/focas/requests.py",
+        "drivers/haas/cnc.py",
+        "drivers/haas/link.py",
+        "drivers/haas/requests.py",
+        "drivers/linked_cnc.py",
+        "drivers/power_on.py",
     ),
     "Temperatures and lines": ("drivers/latsis", "models/quality.py", "daemon/links.py"),
     "Other temperature sources": (

@@ -9,8 +9,7 @@ must not go back; a group of writes ends with such a read. What does not fit end
 import asyncio
 import logging
 import struct
-from collections.abc import Coroutine, Sequence
-from typing import Any, NoReturn, TypeVar
+from collections.abc import Sequence
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig
@@ -19,11 +18,8 @@ from drivers.contract import (
     MODES,
     RUNS,
     SIMULATED_CNC_IDENTITY,
-    ClockWatch,
     FatalDriverError,
     LinkError,
-    Security,
-    refuse_forbidden,
 )
 from drivers.focas.codec import (
     Answer,
@@ -39,8 +35,6 @@ from drivers.focas.codec import (
 from drivers.focas.link import FocasLink
 from drivers.focas.requests import (
     ADDITIONAL_OFFSET,
-    CLOCK,
-    DATE,
     NO_FUNCTION,
     NO_OPTION,
     WORK_OFFSET,
@@ -48,14 +42,13 @@ from drivers.focas.requests import (
     SystemInfo,
     macro_asks,
     macro_values,
-    power_on_count,
-    power_on_utc_s,
     refusal,
     write_asks,
 )
+from drivers.linked_cnc import LinkedCnc
+from drivers.power_on import CLOCK, DATE, TIME, CalendarError, power_on_count, power_on_utc_s
 from models.records import CncMode, CncRun, CncSample
 
-T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 OPEN_BODY = struct.pack(">H", 2)
@@ -68,63 +61,32 @@ SIMULATED_SYSTEM = "TP-SM-TOOL-PNT0"
 """What the simulated control says of itself."""
 
 
-class FocasCnc:
+class FocasCnc(LinkedCnc):
     """Implements `drivers.contract.Cnc` over FOCAS2/Ethernet."""
 
+    wrong_answers = (FocasFormatError, CalendarError)
+
     def __init__(self, config: CncConfig, clock: Clock) -> None:
-        self._config = config
-        self._clock = clock
         self._focas = config.connection_as(FocasConfig)
-        self._name = self._focas.address
+        super().__init__(config, clock, self._focas.address)
         self._link: FocasLink | None = None
         self._state: StateRequest | None = None
-        self._watch = ClockWatch(self._name, config.stale_after_s)
-        self._used = False
         self._asked = 0
         self._clock_ms = 0.0
         self._power_on_count: int | None = None
         self._doubles = True
-        self.identity = ""
-        self.security: Security = "insecure"
 
     @property
     def cannot(self) -> dict[str, str]:
         """What this control does not give, with the reason (known after connect)."""
         return {} if self._state is None else dict(self._state.cannot)
 
-    async def connect(self) -> None:
-        """Open the session and check that the control gives its state and the macro variables of the map."""
-        if self._used:
-            raise LinkError(f"{self._name}: this connection was used up; build a new one")
-        self._used = True
-        try:
-            await self._call("connecting", self._connect())
-        except BaseException:
-            await self._drop()
-            raise
+    @property
+    def _present_link(self) -> FocasLink | None:
+        return self._link
 
-    async def read(self, macros: Sequence[int]) -> CncSample:
-        """Read the machine's state and the given macro variables in one request."""
-        self._connected()
-        sample = await self._call("reading", self._sample(macros))
-        if stands := self._watch.stands_still(sample):
-            self._lose(stands)
-        return sample
-
-    async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
-        """Read macro variables; None where a variable is vacant."""
-        self._connected()
-        return await self._call("reading macro variables", self._macros(macros))
-
-    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        """Write groups of (macro, value), each block of neighbours as one request, after the one before was accepted.
-
-        Raises NotSentError before anything is sent when the connection, a macro or a value must not be written;
-        LinkError on a lost link; FatalDriverError when the control refuses a value.
-        """
-        refuse_forbidden(groups, self._config, self.security)
-        self._connected()
-        await self._call("writing macro variables", self._write(groups))
+    def _forget_link(self) -> None:
+        self._link = None
 
     async def close(self) -> None:
         """Close the session and the socket; never raises, never waits longer than the time-out."""
@@ -135,14 +97,7 @@ class FocasCnc:
                     await link.exchange(Frame(Kind.CLOSE, Direction.REQUEST))
             except (LinkError, TimeoutError) as error:
                 log.debug("%s: the session could not be closed properly: %r", self._name, error)
-        await self._drop()
-
-    async def _drop(self) -> None:
-        link, self._link = self._link, None
-        self._used = True
-        if link is not None:
-            link.abort(f"{self._name}: closed")
-            await link.ended()
+        await super().close()
 
     async def _connect(self) -> None:
         try:
@@ -166,12 +121,12 @@ class FocasCnc:
         system = SystemInfo.parse(answer)
         self.identity = SIMULATED_CNC_IDENTITY if system.text == SIMULATED_SYSTEM else f"{system.text}@{self._name}"
         self._state = StateRequest(self._focas, system)
-        self._watch.stands_still(await self._sample(self._config.macros.block))
 
     async def _sample(self, macros: Sequence[int]) -> CncSample:
-        _, request = self._connected()
+        request = self._state
+        assert request is not None
         state_asks = request.asks()
-        system = [DATE, DATE + 1, WORK_OFFSET, self._focas.tool_macro]
+        system = [DATE, TIME, WORK_OFFSET, self._focas.tool_macro]
         asked = macro_asks([*system, *macros])
         answers = await self._read([*state_asks, *(ask for _, ask in asked)])
         now = self._clock.now()
@@ -205,11 +160,6 @@ class FocasCnc:
         asked = macro_asks(macros)
         values = macro_values(asked, await self._read([ask for _, ask in asked]))
         return {number: values[number] for number in macros}
-
-    def _present(self, number: int, value: float | None) -> float:
-        if value is None:
-            self._lose(f"{self._name}: system variable #{number} is vacant, and the machine's state needs it")
-        return value
 
     async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         refused: FatalDriverError | None = None
@@ -260,26 +210,3 @@ class FocasCnc:
         if (frame.kind, frame.direction) != (Kind.DATA, Direction.ANSWER):
             raise FocasFormatError(f"a request was answered with {frame.kind:02X}{frame.direction:02X}")
         return parse_answers(frame.body, asks, self._focas.path)
-
-    def _connected(self) -> tuple[FocasLink, StateRequest]:
-        if self._link is None or self._state is None or self._link.lost is not None:
-            lost = self._link.lost if self._link is not None else None
-            raise LinkError(f"{self._name}: not connected ({lost or 'closed or never connected'})")
-        return self._link, self._state
-
-    def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
-        if self._link is not None:
-            self._link.abort(reason)
-        raise LinkError(reason) from cause
-
-    async def _call(self, what: str, call: Coroutine[Any, Any, T]) -> T:
-        """Await a call within the time-out; what goes wrong with the connection ends it."""
-        try:
-            async with asyncio.timeout(self._config.timeout_s):
-                return await call
-        except TimeoutError as error:
-            self._lose(f"{self._name} did not answer within {self._config.timeout_s:g} s while {what}", error)
-        except FocasFormatError as error:
-            self._lose(f"{self._name} gave an answer that does not fit while {what}: {error}", error)
-        except OSError as error:
-            self._lose(f"{self._name} was lost while {what}: {error}", error)

@@ -1,6 +1,5 @@
 """What is asked of a FANUC control over FOCAS2, what its answers mean, and what its refusals mean; without I/O."""
 
-import calendar
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -21,12 +20,8 @@ from drivers.focas.codec import (
 
 MACROS_PER_BLOCK = 5
 """A control answers so many macro variables to one block that reads them."""
-CLOCK, DATE, WORK_OFFSET, ADDITIONAL_OFFSET = 3001, 3011, 4014, 4130
-"""System variables: ms since power-on; date (time follows it); modal G of the work offset; P of G54.1."""
-POWER_ON_BIN_S = 600
-"""The instant of power-on is known to this [s]: date and time have 1 s, and a clock is set now and then."""
-POWER_ON_SLACK_S = 60
-"""Within a connection it may wander so far out of its bin before it counts as another [s]."""
+WORK_OFFSET, ADDITIONAL_OFFSET = 4014, 4130
+"""System variables: modal G of the work offset; P of G54.1."""
 BUSY = -1
 NO_FUNCTION, NO_OPTION = 1, 6
 REFUSALS: Mapping[int, str] = {
@@ -206,23 +201,3 @@ class StateRequest:
 def _value(data: bytes) -> float:
     (value,) = parse_values(data, 1)
     return math.nan if value is None else value
-
-
-def power_on_utc_s(date: float, time: float, clock_ms: float) -> float:
-    """Return when the control was switched on, by its own calendar [s]; raises FocasFormatError for no date."""
-    if not (date.is_integer() and time.is_integer()):
-        raise FocasFormatError(f"#{DATE} = {date} and #{DATE + 1} = {time} are no date and time")
-    year, month, day = int(date) // 10_000, int(date) // 100 % 100, int(date) % 100
-    hour, minute, second = int(time) // 10_000, int(time) // 100 % 100, int(time) % 100
-    if not (1970 <= year <= 2200 and 1 <= month <= 12 and 1 <= day <= calendar.monthrange(year, month)[1]):
-        raise FocasFormatError(f"#{DATE} = {date:.0f} is no date")
-    if not (hour < 24 and minute < 60 and second < 61):
-        raise FocasFormatError(f"#{DATE + 1} = {time:.0f} is no time of the day")
-    return calendar.timegm((year, month, day, hour, minute, second)) - clock_ms / 1000.0
-
-
-def power_on_count(at_s: float, before: int | None) -> int:
-    """Return the number of the bin in which the control was switched on; it stays near the edges of a bin."""
-    if before is not None and -POWER_ON_SLACK_S <= at_s - before * POWER_ON_BIN_S < POWER_ON_BIN_S + POWER_ON_SLACK_S:
-        return before
-    return math.floor(at_s / POWER_ON_BIN_S)

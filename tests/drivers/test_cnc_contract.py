@@ -30,8 +30,10 @@ from drivers import registry
 from drivers.clock import SystemClock
 from drivers.contract import Cnc
 from drivers.focas.cnc import FocasCnc
+from drivers.haas.cnc import HaasCnc
 from drivers.opcua.cnc import OpcUaCnc
 from drivers.sim.wires.focas_server import SimulatedFocasServer
+from drivers.sim.wires.haas_server import SimulatedHaasServer
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 GUIDE = Path(__file__).parents[2] / "docs/how-to/write-a-driver.md"
@@ -75,7 +77,7 @@ class ExampleBench:
 class SimulatedBench(ABC):
     """A driver at one of the simulated servers."""
 
-    _server: SimulatedCncServer | SimulatedFocasServer
+    _server: SimulatedCncServer | SimulatedFocasServer | SimulatedHaasServer
 
     async def start(self) -> None:
         await self._server.start()
@@ -147,7 +149,41 @@ class FocasBench(SimulatedBench):
         self._server.responder.refused_macros[number] = PROTECTED
 
 
-BENCHES = {"opcua": OpcUaBench, "sinumerik": SinumerikBench, "focas": FocasBench}
+class HaasBench(SimulatedBench):
+    """The Haas driver at the simulated server."""
+
+    def __init__(self) -> None:
+        self._nc = ScriptedNc()
+        self._server = SimulatedHaasServer(self._nc, cnc_config(haas={"host": "127.0.0.1"}), port=0)
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        return HaasCnc(cnc_config(haas={"host": "127.0.0.1", "port": port}, **changes), SystemClock())
+
+    def written(self) -> list[int]:
+        return [number for number, _ in self._nc.macros.written]
+
+    async def lose(self) -> None:
+        await self._server.stop()
+
+    def refuse(self, number: int) -> None:
+        self._server.responder.refused_macros.add(number)
+
+
+class UnnumberedHaasBench(HaasBench):
+    """A control that does not name the macro variable in its answers, as newer ones do."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._server.responder.numbered = False
+
+
+BENCHES = {
+    "opcua": OpcUaBench,
+    "sinumerik": SinumerikBench,
+    "focas": FocasBench,
+    "haas": HaasBench,
+    "haas without numbers": UnnumberedHaasBench,
+}
 PROTECTED = 7
 
 

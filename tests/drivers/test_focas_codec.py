@@ -25,7 +25,8 @@ from drivers.focas.codec import (
     parse_values,
     runs_of,
 )
-from drivers.focas.requests import power_on_count, power_on_utc_s, write_asks
+from drivers.focas.requests import write_asks
+from drivers.power_on import CalendarError, power_on_count, power_on_utc_s
 
 OPEN = bytes.fromhex("A0A0A0A0 0001 0101 0002 0002")
 CLOSE = bytes.fromhex("A0A0A0A0 0001 0201 0000")
@@ -120,7 +121,7 @@ def test_a_group_is_written_as_doubles_or_one_by_one() -> None:
 def test_the_instant_of_power_on_is_calendar_minus_clock_and_keeps_its_number_near_an_edge() -> None:
     assert power_on_utc_s(20261122.0, 80510.0, 310_000.0) == 1795305600.0 + 8 * 3600
     for date, time, word in ((20261322.0, 0.0, "no date"), (20261122.0, 246060.0, "no time"), (0.5, 0.0, "no date")):
-        with pytest.raises(FocasFormatError, match=word):
+        with pytest.raises(CalendarError, match=word):
             power_on_utc_s(date, time, 0.0)
     assert [power_on_count(at, None) for at in (599.9, 600.0)] == [0, 1]
     assert [power_on_count(at, 1) for at in (541.0, 1259.0, 539.0, 1261.0)] == [1, 1, 0, 2]

@@ -5,9 +5,10 @@ from typing import Protocol
 from urllib.parse import urlparse
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import FocasConfig, OpcUaConfig
+from config.schema.cnc_drivers import FocasConfig, HaasConfig, OpcUaConfig
 from drivers.sim.contract import SimulatedNc
 from drivers.sim.wires.focas_server import SimulatedFocasServer
+from drivers.sim.wires.haas_server import SimulatedHaasServer
 from drivers.sim.wires.opcua_server import ServerSecurity, SimulatedCncServer
 
 
@@ -38,7 +39,7 @@ def configured_port(config: CncConfig) -> int:
     connection = config.connection
     if isinstance(connection, OpcUaConfig):
         return urlparse(connection.endpoint).port or 4840
-    assert isinstance(connection, FocasConfig)
+    assert isinstance(connection, FocasConfig | HaasConfig)
     return connection.port
 
 
@@ -48,4 +49,6 @@ def cnc_server(
     """Return the server of the configured driver, not started; `readable` are macros beside those of the map."""
     if config.driver == "focas":
         return SimulatedFocasServer(nc, config, port=port)
+    if config.driver == "haas":
+        return SimulatedHaasServer(nc, config, port=port)
     return SimulatedCncServer(nc, config, port=port, security=security, readable=readable)

@@ -2,20 +2,18 @@
 
 Every read is answered from the NC's present state, and every accepted write reaches the NC's macro variables at once.
 As a control does, it refuses what it does not have by the error of the block, a sixth session, and a variable that
-does not exist. Date and time follow from the count of power-ons, one power-on a day, so that they agree with the clock.
+does not exist.
 """
 
 import asyncio
 import math
 import struct
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig
 from drivers.focas.codec import (
-    LARGEST_MANTISSA,
     SYNC,
     Answer,
     Ask,
@@ -31,15 +29,13 @@ from drivers.focas.codec import (
     parse_asks,
     parse_values,
 )
-from drivers.focas.requests import ADDITIONAL_OFFSET, CLOCK, DATE, MACROS_PER_BLOCK, WORK_OFFSET
+from drivers.focas.requests import ADDITIONAL_OFFSET, MACROS_PER_BLOCK, WORK_OFFSET
 from drivers.sim.contract import SimulatedNc
+from drivers.sim.wires.system_variables import clock_and_calendar
 
 SYSTEM = struct.pack(">hh2s2s4s4s2s", 0, 3, b"TP", b"SM", b"TOOL", b"PNT0", b"03")
 MOST_SESSIONS = 5
 NO_FUNCTION, WRONG_LENGTH, NO_NUMBER, WRONG_VALUE, NO_OPTION, NO_PATH = 1, 2, 3, 5, 6, 11
-FIRST_POWER_ON_S = 1_600_000_000 // 86_400 * 86_400 + 300.0
-"""The simulated control's calendar at its power-on number 0: five minutes past midnight [s]."""
-DAY_S = 86_400.0
 MOST_WRITTEN = 200
 """Macro variables that one block writes at most."""
 
@@ -104,13 +100,8 @@ class FocasResponder:
 
     def _macro(self, number: int) -> float | None:
         nc = self._nc
-        if number == CLOCK:
-            return float(math.floor(nc.clock_s * 1000.0 + 1e-6) % (LARGEST_MANTISSA + 1))
-        if number in (DATE, DATE + 1):
-            now = time.gmtime(FIRST_POWER_ON_S + nc.power_on_count * DAY_S + nc.clock_s)
-            if number == DATE:
-                return float(now.tm_year * 10_000 + now.tm_mon * 100 + now.tm_mday)
-            return float(now.tm_hour * 10_000 + now.tm_min * 100 + now.tm_sec)
+        if (value := clock_and_calendar(nc, number)) is not None:
+            return value
         if number == WORK_OFFSET:
             return float(nc.work_offset)
         if number == ADDITIONAL_OFFSET:

@@ -1,0 +1,1 @@
+"""A Haas control over its machine data collection (MDC)."""

@@ -1,0 +1,100 @@
+"""What the state of a Haas control is, from the words and variables that it answers with; without I/O."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from config.schema.cnc_drivers import HaasConfig
+from drivers.contract import Capability
+from drivers.haas.codec import Answer
+from models.records import CncMode, CncRun
+
+TIED_OFFSET = 154
+"""G154 takes its offset from a word P."""
+OFFSET_P = 4116
+MODES: Mapping[str, CncMode] = {
+    "MEM": CncMode.MEMORY,
+    "MDI": CncMode.MDI,
+    "EDIT": CncMode.EDIT,
+    "LIST PROG": CncMode.EDIT,
+    "JOG": CncMode.JOG,
+    "HANDLE JOG": CncMode.HANDLE,
+}
+RUNS: Mapping[str, CncRun] = {
+    "BUSY": CncRun.START,
+    "IDLE": CncRun.RESET,
+    "FEED HOLD": CncRun.HOLD,
+    "SINGLE BLOCK": CncRun.HOLD,
+    "ALARM ON": CncRun.STOP,
+}
+"""State in the answer to ?Q500 -> run state; anything else is unknown, which counts as cutting."""
+NO_MOTOR_TEMPERATURE = "a Haas control does not tell the spindle motor's temperature by machine data collection"
+_PROGRAM = re.compile(r"O(\d{1,5})")
+
+
+def mode_of(answer: Answer) -> CncMode:
+    """Return the operating mode that ?Q104 tells."""
+    return MODES.get(answer.fields[1].strip("()"), CncMode.UNKNOWN)
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramState:
+    """What ?Q500 tells."""
+
+    run: CncRun
+    alarm: bool
+    program: int | None
+    """The O number; None while the control says its state alone."""
+
+    @classmethod
+    def of(cls, answer: Answer) -> "ProgramState":
+        """Return what the fields say."""
+        words = [field for field in answer.fields[1:] if field != "STATUS"]
+        named = _PROGRAM.fullmatch(words[0])
+        state = words[0] if answer.fields[0] == "STATUS" else "".join(words[1:2])
+        return cls(RUNS.get(state, CncRun.UNKNOWN), state == "ALARM ON", int(named[1]) if named else None)
+
+
+class StateVariables:
+    """The system variables of the state; what the control leaves vacant at first is left out, and said."""
+
+    def __init__(self, config: HaasConfig) -> None:
+        self.sequence_number, self.program = config.sequence_number_macro, config.program_macro
+        self.tool, self.speed, self.offset = config.tool_macro, config.spindle_speed_macro, config.work_offset_macro
+        self.cannot: dict[str, str] = {Capability.MOTOR_TEMPERATURE: NO_MOTOR_TEMPERATURE}
+        """Capabilities that this control does not have, with the reason."""
+        self._optional = {
+            Capability.SEQUENCE_NUMBER: self.sequence_number,
+            Capability.PROGRAM: self.program,
+            Capability.SPINDLE_SPEED: self.speed,
+        }
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The variables to read."""
+        optional = [number for name, number in self._optional.items() if name not in self.cannot]
+        return (self.offset, OFFSET_P, self.tool, *optional)
+
+    @property
+    def marks(self) -> tuple[int, ...]:
+        """Those that tell where the program is."""
+        return tuple(number for number in self.numbers if number != self.speed)
+
+    def judge(self, values: Mapping[int, float | None]) -> None:
+        """Leave out, from the first values, what is vacant."""
+        for name, number in self._optional.items():
+            if values[number] is None:
+                self.cannot[name] = f"system variable #{number} is vacant"
+
+    def speed_rpm(self, values: Mapping[int, float | None]) -> float:
+        """Return the spindle speed [1/min], NaN where it is not told."""
+        value = values.get(self.speed)
+        return math.nan if value is None else value
+
+    def work_offset(self, values: Mapping[int, float | None]) -> int:
+        """Return 54 to 59, 110 to 129, or 154000 + P; 0 where the control does not say."""
+        code, tied = values[self.offset], values[OFFSET_P]
+        if code is None:
+            return 0
+        return TIED_OFFSET * 1000 + round(tied or 0.0) if round(code) == TIED_OFFSET else round(code)

@@ -1,0 +1,157 @@
+"""What drivers with a protocol of their own to a CNC share: one link, its time-outs, and how an error ends it."""
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import Any, ClassVar, NoReturn, Protocol, TypeVar
+
+from config.schema.cnc import CncConfig
+from drivers.clock import Clock
+from drivers.contract import ClockWatch, LinkError, Security, refuse_forbidden
+from models.records import CncSample
+
+T = TypeVar("T")
+
+
+class Link(Protocol):
+    """A connection that is lost for good once it has been aborted."""
+
+    lost: str | None
+    """Why the link is lost; None while it stands."""
+
+    def abort(self, reason: str) -> None:
+        """End the connection at once; who waits gets a LinkError with the first reason."""
+        ...
+
+    async def ended(self) -> None:
+        """Wait until it is closed; call after `abort`."""
+        ...
+
+
+AnyLink = TypeVar("AnyLink", bound=Link)
+
+
+class LinkedCnc(ABC):
+    """`drivers.contract.Cnc` over a link; the protocol's own part says how to connect, read and write."""
+
+    wrong_answers: ClassVar[tuple[type[Exception], ...]]
+    """Errors that mean an answer was not the one to what was asked."""
+
+    def __init__(self, config: CncConfig, clock: Clock, name: str, security: Security = "insecure") -> None:
+        self._config = config
+        self._clock = clock
+        self._name = name
+        self._watch = ClockWatch(name, config.stale_after_s)
+        self._used = False
+        self.identity = ""
+        self.security: Security = security
+
+    @property
+    @abstractmethod
+    def cannot(self) -> Mapping[str, str]:
+        """What this control does not give, with the reason (known after connect)."""
+
+    @property
+    @abstractmethod
+    def _present_link(self) -> Link | None:
+        """The link; None before and after."""
+
+    @abstractmethod
+    async def _connect(self) -> None:
+        """Build the link, and check that the control gives its state and the macro variables of the map."""
+
+    @abstractmethod
+    async def _sample(self, macros: Sequence[int]) -> CncSample: ...
+
+    @abstractmethod
+    async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]: ...
+
+    @abstractmethod
+    async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None: ...
+
+    @abstractmethod
+    def _forget_link(self) -> None:
+        """Let go of the link."""
+
+    async def connect(self) -> None:
+        """Connect, and check that the control gives its state and the macro variables of the map."""
+        if self._used:
+            raise LinkError(f"{self._name}: this connection was used up; build a new one")
+        self._used = True
+        try:
+            await self._call("connecting", self._begin())
+        except BaseException:
+            await self._drop()
+            raise
+
+    async def read(self, macros: Sequence[int]) -> CncSample:
+        """Read the machine's state and the given macro variables."""
+        self._need_link()
+        sample = await self._call("reading", self._sample(macros))
+        if stands := self._watch.stands_still(sample):
+            self._lose(stands)
+        return sample
+
+    async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
+        """Read macro variables; None where a variable is vacant."""
+        self._need_link()
+        return await self._call("reading macro variables", self._macros(macros))
+
+    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        """Write groups of (macro, value), each after the one before was accepted.
+
+        Raises NotSentError before anything is sent when the connection, a macro or a value must not be written;
+        LinkError on a lost link; FatalDriverError when the control refuses a value.
+        """
+        refuse_forbidden(groups, self._config, self.security)
+        self._need_link()
+        await self._call("writing macro variables", self._write(groups))
+
+    async def close(self) -> None:
+        """Close the link; never raises, never waits longer than the time-out."""
+        await self._drop()
+
+    async def _begin(self) -> None:
+        await self._connect()
+        self._watch.stands_still(await self._sample(self._config.macros.block))
+
+    async def _drop(self) -> None:
+        link = self._present_link
+        self._forget_link()
+        self._used = True
+        if link is not None:
+            link.abort(f"{self._name}: closed")
+            await link.ended()
+
+    def _present(self, number: int, value: float | None) -> float:
+        """Return the value of a system variable that the state needs; raises LinkError where it is vacant."""
+        if value is None:
+            self._lose(f"{self._name}: system variable #{number} is vacant, and the machine's state needs it")
+        return value
+
+    def _standing(self, link: AnyLink | None) -> AnyLink:
+        """Return the link, which stands; raises LinkError."""
+        if link is None or link.lost is not None:
+            lost = link.lost if link is not None else None
+            raise LinkError(f"{self._name}: not connected ({lost or 'closed or never connected'})")
+        return link
+
+    def _need_link(self) -> None:
+        self._standing(self._present_link)
+
+    def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
+        if (link := self._present_link) is not None:
+            link.abort(reason)
+        raise LinkError(reason) from cause
+
+    async def _call(self, what: str, call: Coroutine[Any, Any, T]) -> T:
+        """Await a call within the time-out; what goes wrong with the connection ends it."""
+        try:
+            async with asyncio.timeout(self._config.timeout_s):
+                return await call
+        except TimeoutError as error:
+            self._lose(f"{self._name} did not answer within {self._config.timeout_s:g} s while {what}", error)
+        except self.wrong_answers as error:
+            self._lose(f"{self._name} gave an answer that does not fit while {what}: {error}", error)
+        except OSError as error:
+            self._lose(f"{self._name} was lost while {what}: {error}", error)

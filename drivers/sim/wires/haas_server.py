@@ -1,0 +1,176 @@
+"""The machine data collection of a simulated Haas control.
+
+As a control does, it takes two connections and sends every answer to both, answers `UNKNOWN` to what it does not know,
+and acknowledges a written value with nothing but `!`.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import HaasConfig
+from drivers.haas.cnc import SIMULATED_SERIAL_NUMBER
+from drivers.haas.codec import DECIMALS, HaasFormatError, LineBuffer, Query, Write, encode_fields, parse_request
+from drivers.haas.requests import OFFSET_P
+from drivers.sim.contract import SimulatedNc
+from drivers.sim.wires.system_variables import clock_and_calendar
+
+MOST_CONNECTIONS = 2
+MODE_WORDS = {0: "MDI", 1: "MEM", 3: "EDIT", 4: "HANDLE JOG", 5: "JOG"}
+RUN_WORDS = {0: "IDLE", 1: "IDLE", 2: "FEED HOLD"}
+BUSY = 3
+UNKNOWN = encode_fields("UNKNOWN")
+ACKNOWLEDGED = encode_fields("!")
+
+
+class HaasResponder:
+    """Answers one line after the other for one NC; no I/O, so that it can be tried with any bytes."""
+
+    def __init__(self, nc: SimulatedNc, config: HaasConfig) -> None:
+        self._nc = nc
+        self.numbered = True
+        """Whether answers name their macro variable; newer controls leave it out."""
+        self.refused_macros: set[int] = set()
+        """Macro variables that do not take what is written."""
+        self._state: Mapping[int, Callable[[], float]] = {
+            config.program_macro: lambda: nc.program,
+            config.sequence_number_macro: lambda: nc.sequence_number,
+            config.work_offset_macro: lambda: nc.work_offset,
+            config.tool_macro: lambda: nc.tool_number,
+            config.spindle_speed_macro: lambda: nc.spindle_speed_rpm,
+            OFFSET_P: lambda: 0.0,
+        }
+        self._words: Mapping[int, Callable[[], tuple[str, ...]]] = {
+            Query.SERIAL_NUMBER: lambda: ("SERIAL NUMBER", SIMULATED_SERIAL_NUMBER),
+            Query.SOFTWARE: lambda: ("SOFTWARE", "VER 100.00"),
+            Query.MODEL: lambda: ("MODEL", "SIMULATED"),
+            Query.MODE: lambda: ("MODE", MODE_WORDS.get(nc.mode, "REMOTE")),
+            Query.PROGRAM: self._program,
+        }
+
+    def answer(self, line: str) -> bytes:
+        """Return what goes to everybody who is connected."""
+        request = parse_request(line)
+        if isinstance(request, Write):
+            return self._write(request)
+        if request is None:
+            return UNKNOWN
+        query, number = request
+        if query == Query.MACRO and number is not None:
+            return self._macro(number)
+        return encode_fields(*self._words[query]()) if query in self._words and number is None else UNKNOWN
+
+    def _program(self) -> tuple[str, ...]:
+        nc = self._nc
+        if nc.run == BUSY and not nc.alarm:
+            return ("STATUS", "BUSY")
+        return (
+            "PROGRAM",
+            f"O{nc.program:05d}",
+            "ALARM ON" if nc.alarm else RUN_WORDS.get(nc.run, "IDLE"),
+            "PARTS",
+            "0",
+        )
+
+    def _macro(self, number: int) -> bytes:
+        value = clock_and_calendar(self._nc, number)
+        if value is None and number in self._state:
+            value = self._state[number]()
+        elif value is None:
+            try:
+                value = self._nc.macros.get(number)
+            except KeyError:
+                return UNKNOWN
+        text = "" if value is None else f"{value:.{DECIMALS}f}"
+        return encode_fields("MACRO", *([str(number)] if self.numbered else []), text)
+
+    def _write(self, write: Write) -> bytes:
+        if not (100 <= write.number <= 199 or 500 <= write.number <= 699 or 800 <= write.number <= 999):
+            return UNKNOWN
+        if write.number not in self.refused_macros:
+            try:
+                self._nc.macros.set(write.number, write.value)
+            except (KeyError, ValueError):
+                return UNKNOWN
+        return ACKNOWLEDGED
+
+
+class SimulatedHaasServer:
+    """Machine data collection on 127.0.0.1 for one simulated NC."""
+
+    def __init__(self, nc: SimulatedNc, config: CncConfig, *, port: int | None = None) -> None:
+        """Prepare the server; `port` None takes the configured one, 0 any free one."""
+        haas = config.connection_as(HaasConfig)
+        self._port = haas.port if port is None else port
+        self.nc = nc
+        self.responder = HaasResponder(nc, haas)
+        self.connections: set[_Connection] = set()
+        """Who is connected now."""
+        self._server: asyncio.Server | None = None
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on (known after start)."""
+        return self._port
+
+    @property
+    def endpoint(self) -> str:
+        """Host and port for clients (known after start)."""
+        return f"127.0.0.1:{self._port}"
+
+    async def start(self) -> None:
+        """Listen."""
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Connection(self), "127.0.0.1", self._port)
+        self._port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        """Close all connections and stop listening. May be called more than once."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+            for connection in list(self.connections):
+                connection.abort()
+            await server.wait_closed()
+
+    def send(self, data: bytes) -> None:
+        """Send to everybody who is connected."""
+        for connection in list(self.connections):
+            connection.send(data)
+
+
+class _Connection(asyncio.Protocol):
+    """One connection of a client."""
+
+    def __init__(self, server: SimulatedHaasServer) -> None:
+        self._server = server
+        self._buffer = LineBuffer()
+        self._transport: Any = None
+        self._power_on_count = server.nc.power_on_count
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+        if len(self._server.connections) >= MOST_CONNECTIONS:
+            self.abort()
+        else:
+            self._server.connections.add(self)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._server.connections.discard(self)
+
+    def abort(self) -> None:
+        self._transport.abort()
+
+    def send(self, data: bytes) -> None:
+        self._transport.write(data)
+
+    def data_received(self, data: bytes) -> None:
+        if self._power_on_count != self._server.nc.power_on_count:
+            self.abort()  # a control that was switched off knows no connection of before
+            return
+        try:
+            for line in self._buffer.feed(data):
+                self._server.send(self._server.responder.answer(line))
+        except HaasFormatError:
+            self.abort()

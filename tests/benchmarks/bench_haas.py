@@ -1,0 +1,187 @@
+"""A Haas control's machine data collection on this computer: how long a block takes, and what fuzzed lines do.
+
+    python tests/benchmarks/bench_haas.py [--writes 1000] [--frames 10000000] [--seed 1]
+
+The fuzz has no sockets: answers of the simulated control reach the driver's own link and parsers late, twice, mixed
+with those of another client, cut or with flipped bits, and requests reach the control the same way. It counts values
+that were taken for a macro variable that does not hold them.
+"""
+
+import argparse
+import asyncio
+import random
+import sys
+import time
+from collections import Counter, deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parent.parent / "support")]
+
+from bench_focas import _resident_kb  # noqa: E402
+from scripted_machine import GROUPS, ScriptedNc, cnc_config  # noqa: E402
+
+from drivers.clock import SystemClock  # noqa: E402
+from drivers.contract import DriverError  # noqa: E402
+from drivers.haas.cnc import HaasCnc  # noqa: E402
+from drivers.haas.codec import HaasFormatError, LineBuffer  # noqa: E402
+from drivers.haas.link import HaasLink  # noqa: E402
+from drivers.sim.wires.haas_server import HaasResponder, SimulatedHaasServer  # noqa: E402
+
+NUMBERS = (500, 501, 502, 503, 505)
+KINDS = ("right", "late", "twice", "foreign", "cut", "bits", "tail")
+UNTIL_BAD = 20
+"""A link lives for so many exchanges at most before it is disturbed, so that every query is met."""
+HEAD = 12
+"""Bits are flipped in the label and the number: a value carries no checksum but TCP's."""
+
+
+class LoopTransport(asyncio.Transport):
+    """Stands where the socket is: what the link sends is answered at once, disturbed as the seed says."""
+
+    def __init__(self, fuzz: "Fuzz", link: HaasLink) -> None:
+        super().__init__()
+        self._fuzz, self._link, self._ended = fuzz, link, False
+
+    def write(self, data: Any) -> None:
+        for answer in self._fuzz.answers(bytes(data)):
+            if answer is None:
+                self.abort()
+            elif not self._ended:
+                self._link.data_received(answer)
+
+    def abort(self) -> None:
+        if not self._ended:
+            self._ended = True
+            self._link.connection_lost(None)
+
+
+class Fuzz:
+    """A control behind a disturbed wire; each macro variable holds its number and the count of the exchange."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self.nc = ScriptedNc()
+        self.responder = HaasResponder(self.nc, cnc_config(haas={"host": "x"}).haas)  # type: ignore[arg-type]
+        self._past: deque[bytes] = deque(maxlen=40)
+        self.frames = Counter[str]()
+        self.disturb = False
+        self.wrong = 0
+        self.taken = 0
+
+    def answers(self, request: bytes) -> list[bytes | None]:
+        """Return what comes back for a line; None: the connection ends there."""
+        (line,) = LineBuffer().feed(request)
+        answer = self.responder.answer(line)
+        kind = self._random.choice(KINDS) if self.disturb else "right"
+        late = self._random.choice(self._past) if self._past else answer
+        self._past.append(answer)
+        self.frames[kind] += 1
+        if kind == "late":
+            return [late, answer]
+        if kind == "twice":
+            return [answer, answer]
+        if kind == "foreign":
+            foreign = self.responder.answer(f"?Q600 {self._random.choice((*NUMBERS, 3001, 3027, 999))}")
+            return [foreign, answer] if self._random.random() < 0.5 else [answer, foreign]
+        if kind == "cut":
+            return [answer[: self._random.randrange(len(answer) - 1)], None]
+        if kind == "bits":
+            spoiled = bytearray(answer)
+            spoiled[self._random.randrange(HEAD)] ^= 1 << self._random.randrange(8)
+            return [bytes(spoiled), None]
+        return [answer, self._random.randbytes(self._random.randrange(1, 40))] if kind == "tail" else [answer]
+
+    async def one_link(self, count: int) -> None:
+        """Drive a link until it is lost."""
+        self.responder.numbered = bool(count % 3)
+        cnc = HaasCnc(cnc_config(haas={"host": "x"}, timeout_s=0.05), SystemClock())
+        link = HaasLink("x")
+        link.connection_made(LoopTransport(self, link))
+        self._past.clear()  # TCP carries nothing from one connection into the next
+        cnc._link = link
+        bad = self._random.randrange(UNTIL_BAD)
+        for k in range(UNTIL_BAD + 1):
+            self.disturb = k >= bad
+            stamp = float(count % 100_000 * 100 + k)
+            for number in NUMBERS:
+                self.nc.macros.values[number] = stamp + number / 1000.0
+            try:
+                found = await cnc.read_macros(NUMBERS)
+            except DriverError:
+                break
+            self.taken += len(found)
+            self.wrong += sum(found[number] != stamp + number / 1000.0 for number in NUMBERS)
+        await cnc.close()
+
+    def spoil_requests(self, count: int) -> None:
+        """Give the control requests that no client would send."""
+        for _ in range(count):
+            data = bytearray(self._random.randbytes(self._random.randrange(30)))
+            if self._random.random() < 0.7:
+                number = self._random.choice((0, 99, 500, 999, 3001, 3011, 99999, 10**9))
+                value = self._random.choice(("", " 1.5", " nan", " 1e300", " -", " " + "9" * 40))
+                data = bytearray(f"{self._random.choice(('?Q600 ', '?E', '?E ', '?Q'))}{number}{value}".encode())
+                data[self._random.randrange(len(data))] ^= self._random.choice((0, 0, 0, 1, 32))
+            self.frames["request"] += 1
+            try:
+                for line in LineBuffer().feed(bytes(data) + b"\r\n"):
+                    self.responder.answer(line)
+            except HaasFormatError:
+                continue
+
+
+async def fuzz(frames: int, seed: int) -> Fuzz:
+    """Exchange so many lines; returns what was counted."""
+    state = Fuzz(seed)
+    count = 0
+    while sum(state.frames.values()) < frames:
+        count += 1
+        await state.one_link(count)
+        state.spoil_requests(10)
+        state.nc.macros.written.clear()
+    return state
+
+
+async def bench_block(writes: int) -> None:
+    """Print how long a block takes that is written and read back."""
+    server = SimulatedHaasServer(ScriptedNc(), cnc_config(haas={"host": "127.0.0.1"}), port=0)
+    await server.start()
+    config = cnc_config(haas={"host": "127.0.0.1", "port": server.port})
+    cnc = HaasCnc(config, SystemClock())
+    await cnc.connect()
+    durations_ms = np.empty(writes)
+    for index in range(writes):
+        started_s = time.perf_counter()
+        await cnc.write_macros(GROUPS)
+        await cnc.read_macros(config.macros.block)
+        durations_ms[index] = (time.perf_counter() - started_s) * 1e3
+    quantiles = np.quantile(durations_ms, [0.5, 0.99])
+    print("block written and read back  p50 {:.2f}  p99 {:.2f}  max {:.2f} ms".format(*quantiles, durations_ms.max()))
+    await cnc.close()
+    await server.stop()
+
+
+def main() -> None:
+    """Run both."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--writes", type=int, default=1000)
+    parser.add_argument("--frames", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    if options.writes:
+        asyncio.run(bench_block(options.writes))
+    asyncio.run(fuzz(2000, options.seed))
+    before_kb = _resident_kb()
+    started_s = time.process_time()
+    state = asyncio.run(fuzz(options.frames, options.seed + 1))
+    grown_kb = _resident_kb() - before_kb
+    used_s = time.process_time() - started_s
+    print(f"{sum(state.frames.values())} lines ({dict(state.frames)}) in {used_s:.0f} s of a core")
+    print(f"{state.taken} values taken, {state.wrong} for the wrong macro variable; memory grew by {grown_kb:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
