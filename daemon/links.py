@@ -2,12 +2,14 @@
 
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 import structlog
 
 from config.schema import Configuration
-from config.schema.source_drivers import SourceConfig
+from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import TemperatureInput
 from daemon.cnc.session import CncLink
 from daemon.rate_limit import RateLimit
@@ -16,6 +18,8 @@ from daemon.snapshots import DisplacementSnapshot, LinkSnapshot
 from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
 from drivers.clock import Clock
 from drivers.contract import LinkError
+from drivers.registry import DisplacementInput
+from models.quality import Reason
 from models.records import DisplacementSample, TemperatureCycle
 
 log = structlog.get_logger(__name__)
@@ -40,7 +44,8 @@ class Links:
         self._lines = {
             each.name: LinkHealth(f"{each.driver} {each.name}") for each in configuration.temperatures.inputs
         }
-        self._displacements = LinkHealth("displacement files")
+        displacements = configuration.displacements
+        self._displacements = [] if displacements is None else [(each, _health(each)) for each in displacements.inputs]
         self.planner_health = LinkHealth("speed planner")
         self._own = {
             "service.socket": LinkHealth("local socket"),
@@ -49,8 +54,7 @@ class Links:
         }
         self.shown = [*self._lines.values(), cnc.health]
         """Those to the machine, and to the process that plans for it."""
-        if configuration.displacements is not None:
-            self.shown.append(self._displacements)
+        self.shown += [health for _, health in self._displacements]
         if configuration.spindle_speed is not None:
             self.shown.append(self.planner_health)
         for health in self.shown:
@@ -74,19 +78,19 @@ class Links:
         return self._keep(self.planner_health, attempt)
 
     def displacements(self, after_utc_s: Callable[[], float | None], log_: "DisplacementLog") -> Iterator[Any]:
-        """Yield the work that follows the logger's files, where there are any; rows up to `after_utc_s` are skipped."""
-        if self._configuration.displacements is None:
-            return
+        """Yield the work that follows each source of displacements; of files, rows up to `after_utc_s` are skipped."""
 
-        async def attempt() -> None:
-            source = self._parts.open_displacement_source(self._configuration, self._clock, after_utc_s())
+        async def attempt(each: DisplacementInput, came_up: Callable[[], None]) -> None:
+            source = self._parts.open_displacement_source(self._configuration, each, self._clock, after_utc_s())
             try:
-                async for sample in source.samples(log_.problem, self._displacements.came_up):
+                async for sample in source.samples(log_.problem, came_up):
                     log_.row(sample)
             finally:
                 await source.close()
 
-        yield self._keep(self._displacements, attempt)
+        for each, health in self._displacements:
+            facts = _exposed(each)
+            yield self._keep(health, partial(attempt, each, partial(health.came_up, **facts)))
 
     def own(self, key: str, place: object, serve: Serve) -> Coroutine[Any, Any, None]:
         """Return the work that serves people or programs at a configured place."""
@@ -104,8 +108,7 @@ class Links:
         self, each: TemperatureInput, take: Callable[[TemperatureCycle], Awaitable[None]]
     ) -> Coroutine[Any, Any, None]:
         health = self._lines[each.name]
-        exposed = each.connection.exposed if isinstance(each, SourceConfig) else ""
-        facts = {"security": exposed} if exposed else {}
+        facts = _exposed(each)
 
         async def attempt() -> None:
             source = self._parts.open_temperature_source(self._configuration, each, self._clock)
@@ -124,8 +127,18 @@ class Links:
         return run_with_reconnect(health, attempt, backoff, utc_s=lambda: self._clock.now().utc_s)
 
 
+def _health(each: DisplacementInput) -> LinkHealth:
+    return LinkHealth(f"{each.driver} {each.name}" if isinstance(each, SourceEntry) else each.name)
+
+
+def _exposed(each: TemperatureInput | DisplacementInput) -> dict[str, str]:
+    """Return what is said of a link that others can read or change."""
+    exposed = each.connection.exposed if isinstance(each, SourceEntry) else ""
+    return {"security": exposed} if exposed else {}
+
+
 class DisplacementLog:
-    """Passes rows of the A/D logger on, and reports to log, audit and status what could not be read."""
+    """Passes rows of displacements on, and reports to log, audit and status what could not be read."""
 
     def __init__(
         self,
@@ -145,7 +158,16 @@ class DisplacementLog:
     def row(self, sample: DisplacementSample) -> None:
         """Take a row that was read."""
         self._take(sample)
-        self._change(replace(self._snapshot, latest=sample, rows_read=self._snapshot.rows_read + 1))
+        before = self._snapshot.latest
+        if before is not None and (other := sample.reason == Reason.ELSEWHERE).any():
+            latest = replace(
+                sample,
+                um=np.where(other, before.um, sample.um),
+                reason=np.where(other, before.reason, sample.reason).astype(np.uint8),
+            )
+        else:
+            latest = sample
+        self._change(replace(self._snapshot, latest=latest, rows_read=self._snapshot.rows_read + 1))
 
     def problem(self, problem: str) -> None:
         """Take what could not be read."""

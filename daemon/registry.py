@@ -14,7 +14,7 @@ from daemon.model_release.loading import LoadedModel
 from daemon.model_release.side_load import load_beside
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
-from drivers.registry import open_cnc, open_displacement_source, open_temperature_source
+from drivers.registry import DisplacementInput, open_cnc, open_displacement_source, open_temperature_source
 from models.thermal.family import ThermalModel
 
 SPEED_PLANNER = (sys.executable, "-P", "-m", "daemon.speed_planner")
@@ -28,7 +28,7 @@ class Parts:
     open_temperature_source: Callable[[Configuration, TemperatureInput, Clock], TemperatureSource] = (
         open_temperature_source
     )
-    open_displacement_source: Callable[[Configuration, Clock, float | None], DisplacementSource] = (
+    open_displacement_source: Callable[[Configuration, DisplacementInput, Clock, float | None], DisplacementSource] = (
         open_displacement_source
     )
     open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc

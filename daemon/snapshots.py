@@ -173,9 +173,10 @@ class LinkSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisplacementSnapshot:
-    """The A/D logger's files."""
+    """The A/D logger's files and the other sources of displacements."""
 
     latest: DisplacementSample | None = None
+    """The newest row; what another source measures is what that source measured last."""
     rows_read: int = 0
     problems: int = 0
     """Rows, fields and files that could not be read."""

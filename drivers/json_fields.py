@@ -10,18 +10,18 @@ from models.quality import Reason
 QUOTED = 40
 
 
-def readings_in(content: Any, fields: Mapping[int, str]) -> dict[int, float | NoReading]:
-    """Return the numbers of a JSON value by sensor ID; a field that is absent or null is left out.
+def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:
+    """Return the numbers of a JSON value by the input's key; a field that is absent or null is left out.
 
     `a.b` is b within a; the empty field is the value itself.
     """
-    found: dict[int, float | NoReading] = {}
-    for sensor_id, field in fields.items():
+    found: dict[int | str, float | NoReading] = {}
+    for key, field in fields.items():
         value = content
         for step in field.split(".") if field else ():
             value = value.get(step) if isinstance(value, dict) else None
         if value is not None:
-            found[sensor_id] = number_of(value)
+            found[key] = number_of(value)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Temperature sensors that the kernel of this computer reads: 1-Wire, hwmon, IIO."""
+"""Sensors and analog inputs that the kernel of this computer reads: 1-Wire, hwmon, IIO."""
 
 import asyncio
 import contextlib
@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import KernelConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.source_sections import KernelFiles, is_one_wire
 from drivers.clock import Clock
 from drivers.contract import LinkError
 from drivers.polling import PolledSource
@@ -26,9 +26,9 @@ BULK = "therm_bulk_read"
 class KernelSource(PolledSource):
     """Reads each sensor's file in a thread of its own, because a 1-Wire sensor converts for most of a second."""
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
-        assert isinstance(source.connection, KernelConfig)
+        assert isinstance(source.connection, KernelFiles)
         self._config = source.connection
         self._busy: set[Path] = set()
 
@@ -37,14 +37,15 @@ class KernelSource(PolledSource):
 
     async def read(self) -> Readings:
         """Return the number of each sensor; raises LinkError when none of the files can be read."""
-        one_wire = next((sensor.path for sensor in self._config.sensors if sensor.is_one_wire), None)
+        paths = [each.path for each in self._config.every_input]
+        one_wire = next((path for path in paths if is_one_wire(path)), None)
         if one_wire is not None:  # on a second bus each sensor converts when it is read
             await self._in_thread(one_wire, convert_all)
-        found = await asyncio.gather(*(self._in_thread(sensor.path, number_in) for sensor in self._config.sensors))
+        found = await asyncio.gather(*(self._in_thread(path, number_in) for path in paths))
         if all(isinstance(each, NoReading) and each.reason == Reason.NOT_RECEIVED for each in found):
             assert isinstance(found[0], NoReading)
             raise LinkError(f"source {self.name}: no sensor can be read; the first one {found[0].why}")
-        return {sensor.id: each for sensor, each in zip(self._config.sensors, found, strict=True)}
+        return {each.key: number for each, number in zip(self._config.every_input, found, strict=True)}
 
     async def release(self) -> None:
         """Nothing is held open; a thread that waits for the kernel ends with it."""

@@ -1,16 +1,17 @@
-"""Temperatures that devices publish over MQTT: a number, or a JSON object with it, per message."""
+"""Numbers that devices publish over MQTT: a number, or a JSON object with it, per message."""
 
 import contextlib
 import json
 import logging
 import math
 import ssl
+from collections.abc import Mapping
 from typing import Any
 
 import aiomqtt
 
-from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import MqttConfig, MqttSensorConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.source_sections import MqttBroker, MqttTopic
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of, readings_in
@@ -31,14 +32,14 @@ class MqttSource(PushedSource):
     A retained message is the last word of nobody knows when, and does not count.
     """
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
-        assert isinstance(source.connection, MqttConfig)
+        assert isinstance(source.connection, MqttBroker)
         self._config = source.connection
         self._where = f"source {source.name}: broker {self._config.host}:{self._config.port}"
-        self._topics: dict[str, list[MqttSensorConfig]] = {}
-        for sensor in self._config.sensors:
-            self._topics.setdefault(sensor.topic, []).append(sensor)
+        self._topics: dict[str, list[MqttTopic]] = {}
+        for each in self._config.every_input:
+            self._topics.setdefault(each.topic, []).append(each)
         self._retained = 0
 
     async def follow(self) -> None:
@@ -51,7 +52,7 @@ class MqttSource(PushedSource):
             password=self._password(),
             tls_context=self._tls(),
             timeout=config.timeout_s,
-            max_queued_incoming_messages=MOST_WAITING * len(config.sensors),
+            max_queued_incoming_messages=MOST_WAITING * len(config.every_input),
         )
         try:
             async with connection as client:
@@ -94,10 +95,9 @@ class MqttSource(PushedSource):
         if message.retain:
             self._retained += 1
             return
-        sensors = self._topics.get(str(message.topic), [])
-        readings = numbers_in(message.payload, {sensor.id: sensor.field for sensor in sensors})
-        for sensor_id, reading in readings.items():
-            self.put(sensor_id, reading)
+        here = self._topics.get(str(message.topic), [])
+        for key, reading in numbers_in(message.payload, {each.key: each.field for each in here}).items():
+            self.put(key, reading)
 
     def silent(self) -> str:
         """Return what to check when no message comes."""
@@ -108,8 +108,8 @@ class MqttSource(PushedSource):
         )
 
 
-def numbers_in(payload: Any, fields: dict[int, str]) -> dict[int, float | NoReading]:
-    """Return the numbers of a message's payload by sensor ID."""
+def numbers_in(payload: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:
+    """Return the numbers of a message's payload by the input's key."""
     content = payload.encode() if isinstance(payload, str) else payload
     if not isinstance(content, bytes | bytearray) or len(content) > LARGEST_BYTES:
         return dict.fromkeys(fields, _unreadable(content))

@@ -2,31 +2,31 @@
 
 import asyncio
 import contextlib
-from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator
+from abc import abstractmethod
+from collections.abc import AsyncGenerator
 
-from config.schema.source_drivers import SourceConfig
+from config.schema.source_drivers import SourceEntry
 from drivers.clock import Clock
-from drivers.readings import CycleMaker, Readings
-from models.records import TemperatureCycle, Trace
+from drivers.readings import Readings, Row, RowMaker, RowSource
+from models.records import Trace
 
 
-class PolledSource(ABC):
-    """Asks at fixed times (`drivers.contract.TemperatureSource`), to be used once.
+class PolledSource(RowSource):
+    """Asks at fixed times, to be used once.
 
-    A cycle begins when it is asked for, because no value in it may be older; a cycle whose time has passed is left out.
+    A row begins when it is asked for, because no value in it may be older; a row whose time has passed is left out.
     """
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         self.name = source.name
         self._period_s = source.cycle_period_s
         self._clock = clock
-        self._maker = CycleMaker(source)
+        self._maker = RowMaker(source)
         self._started = False
         self._closed = asyncio.Event()
 
-    async def cycles(self) -> AsyncIterator[TemperatureCycle]:
-        """Open the source and yield each cycle as it completes; raises LinkError when the source is lost."""
+    async def rows(self) -> AsyncGenerator[Row]:
+        """Open the source and yield each row as it completes; raises LinkError when the source is lost."""
         if self._started or self._closed.is_set():
             raise RuntimeError(f"source {self.name}: it is used once; build a new one to open it again")
         self._started = True
@@ -39,7 +39,7 @@ class PolledSource(ABC):
                 last = self._clock.now()
                 if self._closed.is_set():
                     return
-                yield self._maker.cycle(readings, Trace(first_byte=first, last_byte=last), self.problems())
+                yield self._maker.row(readings, Trace(first_byte=first, last_byte=last), self.problems())
                 behind = (self._clock.now().monotonic_s - due_s) // self._period_s
                 due_s += self._period_s * (max(behind, 0.0) + 1.0)
                 await self._wait_until(due_s)
@@ -60,7 +60,7 @@ class PolledSource(ABC):
         await self.release()
 
     def problems(self) -> tuple[str, ...]:
-        """Return what is to be said with the cycle beside its sensors' faults."""
+        """Return what is to be said with the row beside its sensors' faults."""
         return ()
 
     @abstractmethod

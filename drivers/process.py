@@ -1,4 +1,4 @@
-"""Temperatures from the lines of a program that the daemon starts: one JSON object a line."""
+"""What a program that the daemon starts writes: one JSON object with numbers a line."""
 
 import asyncio
 import contextlib
@@ -7,8 +7,8 @@ import os
 import signal
 from collections import deque
 
-from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import FieldSensorConfig, ProcessConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.source_sections import Program
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import readings_in
@@ -27,9 +27,9 @@ END_PATIENCE_S = 2.0
 class ProcessSource(PushedSource):
     """Starts the program, in a process group of its own, and ends it with the source."""
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
-        assert isinstance(source.connection, ProcessConfig)
+        assert isinstance(source.connection, Program)
         self._config = source.connection
         self._said: deque[str] = deque(maxlen=LAST_WORDS)
 
@@ -92,7 +92,7 @@ class ProcessSource(PushedSource):
             text = line[:QUOTED].decode("utf-8", errors="replace").strip()
             self.report(f"source {self.name}: line {number} is no JSON and is skipped: {text!r}")
             return
-        fields = {sensor.id: sensor.field for sensor in self._config.sensors if isinstance(sensor, FieldSensorConfig)}
+        fields = {each.key: each.field for each in self._config.every_input}
         if readings := readings_in(content, fields):
             self.put_row(readings, self._clock.now())
         else:

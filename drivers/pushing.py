@@ -3,15 +3,15 @@
 import asyncio
 import contextlib
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 
-from config.schema.source_drivers import SourceConfig
+from config.schema.source_drivers import SourceEntry
 from drivers.clock import Clock
 from drivers.contract import LinkError
-from drivers.readings import CycleMaker, NoReading, Readings
-from models.records import Instant, TemperatureCycle, Trace
+from drivers.readings import NoReading, Readings, Row, RowMaker, RowSource
+from models.records import Instant, Trace
 
 MOST_WAITING = 64
 """Rows that may wait for the consumer; of more the oldest are dropped, and told."""
@@ -23,18 +23,18 @@ MIN_SILENT_REAL_S = 2.0
 """But never sooner than this, even on a fast simulated clock."""
 
 
-class PushedSource(ABC):
-    """Follows in a task of its own (`drivers.contract.TemperatureSource`), to be used once."""
+class PushedSource(RowSource):
+    """Follows in a task of its own, to be used once."""
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         self.name = source.name
         self._source = source
         self._clock = clock
-        self._maker = CycleMaker(source)
+        self._maker = RowMaker(source)
         self._rows: deque[tuple[Readings, Instant]] = deque(maxlen=MOST_WAITING)
         self._row_s = -math.inf
         self._dropped = 0
-        self._single: dict[int, float | NoReading] = {}
+        self._single: dict[int | str, float | NoReading] = {}
         self._single_since: Instant | None = None
         self._problems: deque[str] = deque(maxlen=MOST_WAITING)
         self._heard_s = 0.0
@@ -58,11 +58,11 @@ class PushedSource(ABC):
         self._dropped += len(self._rows) == MOST_WAITING
         self._rows.append((readings, measured))
 
-    def put(self, sensor_id: int, reading: float | NoReading) -> None:
+    def put(self, key: int | str, reading: float | NoReading) -> None:
         """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor."""
         if self._single_since is None:
             self._single_since = self._clock.now()
-        self._single[sensor_id] = reading
+        self._single[key] = reading
         self.heard()
 
     def heard(self) -> None:
@@ -71,7 +71,7 @@ class PushedSource(ABC):
         self._wake.set()
 
     def report(self, problem: str) -> None:
-        """Take what could not be read; it is said with the next cycle."""
+        """Take what could not be read; it is said with the next row."""
         self._problems.append(problem)
 
     @abstractmethod
@@ -84,8 +84,8 @@ class PushedSource(ABC):
 
     # --- what the daemon calls ----------------------------------------------------------
 
-    async def cycles(self) -> AsyncIterator[TemperatureCycle]:
-        """Open the source and yield each cycle as it completes; raises LinkError when the source is lost."""
+    async def rows(self) -> AsyncGenerator[Row]:
+        """Open the source and yield each row as it completes; raises LinkError when the source is lost."""
         if self._started or self._closed:
             raise RuntimeError(f"source {self.name}: it is used once; build a new one to open it again")
         self._started = True
@@ -94,8 +94,8 @@ class PushedSource(ABC):
         self._task.add_done_callback(lambda _: self._wake.set())
         try:
             while not self._closed:
-                for cycle in self._due():
-                    yield cycle
+                for row in self._due():
+                    yield row
                 if self._closed:
                     return
                 if self._task.done():
@@ -105,27 +105,27 @@ class PushedSource(ABC):
         finally:
             await self.close()
 
-    def _due(self) -> list[TemperatureCycle]:
-        cycles = []
+    def _due(self) -> list[Row]:
+        rows = []
         while self._rows:
             readings, measured = self._rows.popleft()
-            cycles.append(self._cycle(readings, measured))
+            rows.append(self._row(readings, measured))
         since = self._single_since
         if since is not None and (
-            len(self._single) == len(self._source.sensors) or self._left_real_s(since.real_s, 1.0) <= 0
+            len(self._single) == len(self._source.inputs) or self._left_real_s(since.real_s, 1.0) <= 0
         ):
             single, self._single, self._single_since = self._single, {}, None
-            cycles.append(self._cycle(single, since))
-        return cycles
+            rows.append(self._row(single, since))
+        return rows
 
-    def _cycle(self, readings: Readings, measured: Instant) -> TemperatureCycle:
+    def _row(self, readings: Readings, measured: Instant) -> Row:
         problems, lost = tuple(self._problems), self._dropped
         self._problems.clear()
         self._dropped = 0
         if lost:
             words = f"source {self.name}: {lost} rows dropped, more came than can be taken: check what sends them"
             problems = (words, *problems)
-        return self._maker.cycle(readings, Trace(first_byte=measured, last_byte=self._clock.now()), problems)
+        return self._maker.row(readings, Trace(first_byte=measured, last_byte=self._clock.now()), problems)
 
     def _left_real_s(self, since_real_s: float, periods: float) -> float:
         period_s = periods * self._source.cycle_period_s / self._clock.speed

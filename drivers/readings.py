@@ -1,21 +1,20 @@
-"""Numbers that a source read -> a cycle of temperatures: unit, scale, range, and the sign of an open sensor. No I/O."""
+"""Numbers that a source read -> rows of values: unit, scale, range, and the sign of an open sensor. No I/O."""
 
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import aclosing
 from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema.source_drivers import SourceConfig
-from config.schema.sources import SourceSensorConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.sources import Measured
 from models.quality import Quality, Reason
-from models.records import TemperatureCycle, Trace
+from models.records import CodeArray, FloatArray, TemperatureCycle, Trace
 
 NAMED_FAULTS = 8
-"""A cycle names so many sensors that have no temperature before it counts the rest."""
-ABSOLUTE_ZERO_DEGC = -273.15
-HOTTEST_DEGC = 2000.0
-"""No sensor of a machine tool is hotter; cleansing has limits of its own."""
+"""A row names so many inputs that have no value before it counts the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,71 +26,101 @@ class NoReading:
     """What was found and what to do."""
 
 
-Readings = Mapping[int, float | NoReading]
-"""By sensor ID; a sensor that is not named has not been received."""
+Readings = Mapping[int | str, float | NoReading]
+"""By the input's key; one that is not named has not been received."""
 NOT_RECEIVED = NoReading(reason=Reason.NOT_RECEIVED, why="nothing was received in this cycle")
 
 
-class CycleMaker:
-    """Makes the cycles of one source."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One reading of all that a source measures, in the order of its section."""
 
-    def __init__(self, source: SourceConfig) -> None:
+    number: int
+    values: FloatArray
+    """[degC] of sensors, [um] of channels; NaN with a reason."""
+    reason: CodeArray
+    faults: tuple[str, ...]
+    trace: Trace
+
+
+class RowSource(ABC):
+    """What every source does (`drivers.contract.TemperatureSource`), to be used once."""
+
+    name: str
+
+    @abstractmethod
+    def rows(self) -> AsyncGenerator[Row]:
+        """Open the source and yield each row as it completes; raises LinkError when the source is lost."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Release everything. May be called in any state, more than once; never raises."""
+
+    async def cycles(self) -> AsyncGenerator[TemperatureCycle]:
+        """Open the source and yield each row as a cycle of temperatures; raises LinkError when the source is lost."""
+        async with aclosing(self.rows()) as rows:
+            async for row in rows:
+                yield cycle_of(row, self.name)
+
+
+def cycle_of(row: Row, line: str) -> TemperatureCycle:
+    """Return a row of temperatures as the cycle of a line."""
+    return TemperatureCycle(
+        line=line,
+        number=row.number,
+        degc=row.values,
+        quality=np.where(row.reason == Reason.NONE, Quality.GOOD, Quality.MISSING).astype(np.uint8),
+        reason=row.reason,
+        complete=bool((row.reason != Reason.NOT_RECEIVED).all()),
+        faults=row.faults,
+        trace=row.trace,
+    )
+
+
+class RowMaker:
+    """Makes the rows of one source."""
+
+    def __init__(self, source: SourceEntry) -> None:
         self._source = source
-        self._sensors = source.sensors
+        self._inputs = source.inputs
         self._number = 0
 
-    def cycle(self, readings: Readings, trace: Trace, problems: tuple[str, ...] = ()) -> TemperatureCycle:
-        """Return the next cycle; what is no plausible temperature is NaN, with the reason. `problems` come first."""
+    def row(self, readings: Readings, trace: Trace, problems: tuple[str, ...] = ()) -> Row:
+        """Return the next row; what is no plausible value is NaN, with the reason. `problems` come first."""
         self._number += 1
-        degc = np.full(len(self._sensors), np.nan)
-        reason = np.zeros(len(self._sensors), dtype=np.uint8)
+        values = np.full(len(self._inputs), np.nan)
+        reason = np.zeros(len(self._inputs), dtype=np.uint8)
         faults: list[str] = []
-        for place, sensor in enumerate(self._sensors):
-            found = judged(sensor, readings.get(sensor.id, NOT_RECEIVED))
+        for place, each in enumerate(self._inputs):
+            found = judged(each, readings.get(each.key, NOT_RECEIVED))
             if isinstance(found, NoReading):
                 reason[place] = found.reason
-                faults.append(f"source {self._source.name}: sensor {in_words(sensor)}: {found.why}")
+                faults.append(f"source {self._source.name}: {each.in_words}: {found.why}")
             else:
-                degc[place] = found
+                values[place] = found
         more = len(faults) - NAMED_FAULTS
         if more > 0:
-            faults[NAMED_FAULTS:] = [f"source {self._source.name}: {more} more sensors have no temperature"]
-        return TemperatureCycle(
-            line=self._source.name,
-            number=self._number,
-            degc=degc,
-            quality=np.where(reason == Reason.NONE, Quality.GOOD, Quality.MISSING).astype(np.uint8),
-            reason=reason,
-            complete=bool((reason != Reason.NOT_RECEIVED).all()),
-            faults=(*problems, *faults),
-            trace=trace,
-        )
+            faults[NAMED_FAULTS:] = [f"source {self._source.name}: {more} more have no value"]
+        return Row(number=self._number, values=values, reason=reason, faults=(*problems, *faults), trace=trace)
 
 
-def judged(sensor: SourceSensorConfig, reading: float | NoReading) -> float | NoReading:
-    """Return the temperature of a number as read [degC], or why it is none."""
+def judged(measured: Measured, reading: float | NoReading) -> float | NoReading:
+    """Return the value of a number as read, in its unit, or why it is none."""
     if isinstance(reading, NoReading):
         return reading
     if not math.isfinite(reading):
         return NoReading(
             reason=Reason.UNREADABLE, why=f"sends {reading}, which is no number: check the sensor and `type`"
         )
-    if sensor.is_open(reading):
+    if measured.is_open(reading):
         why = f"reads {reading:g}, which stands for an open or absent sensor (`open`): check the sensor and its wires"
         return NoReading(reason=Reason.DEVICE_ERROR, why=why)
-    degc = sensor.degc(reading)
-    lowest = ABSOLUTE_ZERO_DEGC if sensor.min_degc is None else sensor.min_degc
-    highest = HOTTEST_DEGC if sensor.max_degc is None else sensor.max_degc
-    if not lowest <= degc <= highest:
+    value, unit = measured.value(reading), measured.unit_words
+    lowest, highest = measured.span
+    if not (math.isfinite(value) and lowest <= value <= highest):
         why = (
-            f"reads {reading:g}, that is {degc:g} degC, outside {lowest:g} to {highest:g} degC: "
+            f"reads {reading:g}, that is {value:g} {unit}, outside {lowest:g} to {highest:g} {unit}: "
             "check the sensor, and what says how its number is read (scale, offset, unit, type)"
         )
         return NoReading(reason=Reason.OUT_OF_RANGE, why=why)
-    return degc
-
-
-def in_words(sensor: SourceSensorConfig) -> str:
-    """Return a sensor with where it sits."""
-    place = sensor.component if sensor.part == "-" else f"{sensor.component}, {sensor.part}"
-    return f"{sensor.id} ({place})"
+    return value

@@ -5,18 +5,25 @@ To add one: its section in the schema, and one line in a table here.
 """
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
-from config.schema.displacements import DisplacementsConfig
-from config.schema.source_drivers import SourceConfig
+from config.schema.displacement_sources import DisplacementSourceConfig
+from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
+from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, SensorConfig, TemperatureInput
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 
+if TYPE_CHECKING:
+    from drivers.readings import RowSource
+
 CncFactory = Callable[[CncConfig, Clock], Cnc]
-TemperatureFactory = Callable[[TemperatureInput, list[SensorConfig], Clock], TemperatureSource]
-DisplacementFactory = Callable[[DisplacementsConfig, Clock, float | None], DisplacementSource]
+LineFactory = Callable[[LineConfig, list[SensorConfig], Clock], TemperatureSource]
+SourceFactory = Callable[[SourceEntry, Clock], "RowSource"]
+FileFactory = Callable[[DisplacementsConfig, Clock, float | None], DisplacementSource]
+DisplacementInput = DisplacementFileConfig | DisplacementSourceConfig
 
 
 def _opcua() -> CncFactory:
@@ -37,63 +44,49 @@ def _haas() -> CncFactory:
     return HaasCnc
 
 
-def _latsis() -> TemperatureFactory:
+def _latsis() -> LineFactory:
     from drivers.latsis.source import LatsisSerialSource
 
-    def opened(line: TemperatureInput, sensors: list[SensorConfig], clock: Clock) -> TemperatureSource:
-        assert isinstance(line, LineConfig)
-        return LatsisSerialSource(line, sensors, clock)
-
-    return opened
+    return LatsisSerialSource
 
 
-def _of_source(factory: Callable[[SourceConfig, Clock], TemperatureSource]) -> TemperatureFactory:
-    """Return a factory of a source, which brings its own sensors."""
-
-    def opened(source: TemperatureInput, _: list[SensorConfig], clock: Clock) -> TemperatureSource:
-        assert isinstance(source, SourceConfig)
-        return factory(source, clock)
-
-    return opened
-
-
-def _modbus() -> TemperatureFactory:
+def _modbus() -> SourceFactory:
     from drivers.modbus.source import ModbusSource
 
-    return _of_source(ModbusSource)
+    return ModbusSource
 
 
-def _csv() -> TemperatureFactory:
-    from drivers.displacement.temperatures import LoggerTemperatureSource
+def _csv() -> SourceFactory:
+    from drivers.displacement.logger import LoggerSource
 
-    return _of_source(LoggerTemperatureSource)
+    return LoggerSource
 
 
-def _kernel() -> TemperatureFactory:
+def _kernel() -> SourceFactory:
     from drivers.kernel import KernelSource
 
-    return _of_source(KernelSource)
+    return KernelSource
 
 
-def _process() -> TemperatureFactory:
+def _process() -> SourceFactory:
     from drivers.process import ProcessSource
 
-    return _of_source(ProcessSource)
+    return ProcessSource
 
 
-def _mqtt() -> TemperatureFactory:
+def _mqtt() -> SourceFactory:
     from drivers.mqtt import MqttSource
 
-    return _of_source(MqttSource)
+    return MqttSource
 
 
-def _opcua_tags() -> TemperatureFactory:
-    from drivers.opcua.temperatures import OpcUaTemperatureSource
+def _opcua_tags() -> SourceFactory:
+    from drivers.opcua.tags import OpcUaTagSource
 
-    return _of_source(OpcUaTemperatureSource)
+    return OpcUaTagSource
 
 
-def _file() -> DisplacementFactory:
+def _file() -> FileFactory:
     from drivers.displacement.source import DisplacementCsvSource
 
     return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
@@ -101,8 +94,9 @@ def _file() -> DisplacementFactory:
 
 CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas, "haas": _haas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
-TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {
-    "latsis": _latsis,
+LINES: Mapping[str, Callable[[], LineFactory]] = {"latsis": _latsis}
+"""Driver of a line -> the same."""
+SOURCES: Mapping[str, Callable[[], SourceFactory]] = {
     "modbus": _modbus,
     "csv": _csv,
     "kernel": _kernel,
@@ -110,9 +104,9 @@ TEMPERATURE_SOURCES: Mapping[str, Callable[[], TemperatureFactory]] = {
     "mqtt": _mqtt,
     "opcua": _opcua_tags,
 }
-"""Driver of a line or of a source -> the same."""
-DISPLACEMENT_SOURCES: Mapping[str, Callable[[], DisplacementFactory]] = {"file": _file}
-"""Kind of a displacement source -> the same."""
+"""Driver of a source of temperatures or displacements -> the same."""
+FILES: Mapping[str, Callable[[], FileFactory]] = {"file": _file}
+"""Kind of the A/D logger's files -> the same."""
 
 
 def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
@@ -122,21 +116,39 @@ def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
 
 def open_temperature_source(configuration: Configuration, each: TemperatureInput, clock: Clock) -> TemperatureSource:
     """Return a new, unopened source for one line or one entry of the sources."""
-    return TEMPERATURE_SOURCES[each.driver]()(each, configuration.temperatures.sensors, clock)
+    if isinstance(each, LineConfig):
+        return LINES[each.driver]()(each, configuration.temperatures.sensors, clock)
+    return SOURCES[each.driver]()(each, clock)
 
 
 def open_displacement_source(
-    configuration: Configuration, clock: Clock, after_utc_s: float | None
+    configuration: Configuration, each: DisplacementInput, clock: Clock, after_utc_s: float | None
 ) -> DisplacementSource:
-    """Return a new, unopened source for the displacements; samples up to `after_utc_s` are skipped."""
-    assert configuration.displacements is not None
-    return DISPLACEMENT_SOURCES[configuration.displacements.driver]()(configuration.displacements, clock, after_utc_s)
+    """Return a new, unopened source for the A/D logger's files or for one entry of the sources.
+
+    Of files, rows up to `after_utc_s` are skipped. Every row holds all channels of the configuration.
+    """
+    displacements = configuration.displacements
+    assert displacements is not None
+    if isinstance(each, DisplacementFileConfig):
+        opened = FILES[each.driver]()(displacements, clock, after_utc_s)
+        if not displacements.sources:
+            return opened
+        names = {channel.name for channel in displacements.channels}
+    else:
+        from drivers.displacement.of_sources import SourceDisplacements
+
+        opened = SourceDisplacements(SOURCES[each.driver]()(each, clock))
+        names = {channel.name for channel in each.channels}
+    from drivers.displacement.of_sources import AmongOthers
+
+    every = displacements.every_channel
+    return AmongOthers(opened, [place for place, channel in enumerate(every) if channel.name in names], len(every))
 
 
 def import_drivers(configuration: Configuration) -> None:
     """Import what this configuration needs now, because an import in a running event loop would hold it up."""
     CNC_DRIVERS[configuration.cnc.driver]()
-    for each in configuration.temperatures.inputs:
-        TEMPERATURE_SOURCES[each.driver]()
-    if configuration.displacements is not None:
-        DISPLACEMENT_SOURCES[configuration.displacements.driver]()
+    displacements = () if configuration.displacements is None else configuration.displacements.inputs
+    for driver in (each.driver for each in (*configuration.temperatures.inputs, *displacements)):
+        (LINES.get(driver) or FILES.get(driver) or SOURCES[driver])()

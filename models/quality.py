@@ -40,6 +40,8 @@ class Reason(IntEnum):
     """The field could not be read as a number."""
     UNCONFIRMED = 11
     """A first value, a value after a gap or a change above the noise that further readings have not confirmed yet."""
+    ELSEWHERE = 12
+    """A displacement channel of another source, which brings rows of its own."""
 
 
 def describe(reason: Reason | int) -> str:
@@ -60,4 +62,5 @@ _WORDS = {
     Reason.OVERFLOW: "logger overflow",
     Reason.UNREADABLE: "unreadable field",
     Reason.UNCONFIRMED: "not yet confirmed by further readings",
+    Reason.ELSEWHERE: "measured by another source",
 }

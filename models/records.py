@@ -88,16 +88,20 @@ class MachineTemperatures:
         _lock(self.measured_degc, self.degc, self.quality, self.reason, self.age_s)
 
 
+OF_SOURCE = "source "
+"""How `DisplacementSample.source` begins for what stands in no file."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisplacementSample:
-    """One row of the A/D logger's file, in the order of the configured channels."""
+    """One row of the A/D logger's file or of another source, in the order of the configured channels."""
 
     utc_s: float
     um: FloatArray
     """Displacement per channel [um], NaN where the field was empty, overflowed or unreadable."""
     reason: CodeArray
     source: str
-    """File and line it came from."""
+    """File and line it came from, or `OF_SOURCE` and the source's name."""
 
     def __post_init__(self) -> None:
         _lock(self.um, self.reason)

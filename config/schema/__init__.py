@@ -52,6 +52,7 @@ class Configuration(Section):
         if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
             at = ("cnc", "temperature_macro", "sensor")
             problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors, temperatures.sources)"))
+        problems += self._displacement_wires()
         problems += self._numbers_of_the_guard()
         valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
         if valid_s >= (believed_s := self.cnc.guard.max_validity_s):
@@ -68,6 +69,28 @@ class Configuration(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def _displacement_wires(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield which channels belong to no axis, and which sources of displacements take a port that is taken."""
+        if (displacements := self.displacements) is None:
+            return
+        axes = sorted(self.compensation.axes)
+        for at, channel in displacements.placed_channels:
+            if channel.axis is not None and channel.axis not in axes:
+                yield ("displacements", *at, "axis"), f"there is no axis {channel.axis}; there are {', '.join(axes)}"
+        ports = {line.port: line.name for line in self.temperatures.lines}
+        names = {each.name for each in self.temperatures.inputs}
+        for source in self.temperatures.sources or ():
+            if source.connection.exclusive is not None:
+                ports[source.connection.exclusive[1]] = source.name
+        for index, entry in enumerate(displacements.sources or ()):
+            if entry.name in names:
+                yield ("displacements", "sources", index, "name"), f"temperatures come from {entry.name} already"
+            if (exclusive := entry.connection.exclusive) is None:
+                continue
+            key, port = exclusive
+            if (other := ports.setdefault(port, entry.name)) != entry.name:
+                yield ("displacements", "sources", index, entry.driver, key), f"{other} uses {port} already"
 
     def _speed_macros(self) -> list[tuple[KeyPath, str]]:
         """Return what is wrong with the macros of the spindle speed beside those of the compensation."""

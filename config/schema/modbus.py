@@ -1,4 +1,4 @@
-"""Temperature sensors behind Modbus: registers of boxes, and by which requests they are read.
+"""Sensors behind Modbus: registers of boxes, and by which requests they are read.
 
 On a serial line an answer carries no number: it shows its unit, its function and how many registers it holds, not
 which. There the requests are laid out so that no two of one unit and table ask for the same count: an answer that is
@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from config.schema.base import KeyPath, KeyProblems, Seconds
-from config.schema.sources import SourceConnection, SourceSensorConfig
+from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
 LAST_ADDRESS = 65535
 MOST_REGISTERS = 125
@@ -24,8 +24,8 @@ Span = tuple[int, int]
 """First register and the one after the last."""
 
 
-class ModbusSensorConfig(SourceSensorConfig):
-    """One sensor in one or two registers of a box."""
+class ModbusRegister(Measured):
+    """One or two registers of a box, and the number that they hold."""
 
     address: int = Field(
         ge=0,
@@ -49,10 +49,15 @@ class ModbusSensorConfig(SourceSensorConfig):
 
     def is_open(self, number: float) -> bool:
         """Return whether a number as read says that there is no sensor; 64537 and -999 are one 16-bit register."""
+        signs: Sequence[float] = getattr(self, "open")  # noqa: B009 - the field is that of the subclass
         if self.type == "float32":
-            return any(abs(number - sign) <= 1e-6 * max(1.0, abs(sign)) for sign in self.open)
+            return any(abs(number - sign) <= 1e-6 * max(1.0, abs(sign)) for sign in signs)
         modulus = 1 << BITS[self.type]
-        return any((number - sign) % modulus == 0 for sign in self.open)
+        return any((number - sign) % modulus == 0 for sign in signs)
+
+
+class ModbusSensorConfig(ModbusRegister, SourceSensorConfig):
+    """One sensor in one or two registers of a box."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +68,8 @@ class ModbusRequest:
     table: Table
     start: int
     count: int
-    sensors: tuple[int, ...]
-    """Places in the section's list of the sensors whose registers it holds whole."""
+    inputs: tuple[int, ...]
+    """Places in the section's list of the inputs whose registers it holds whole."""
 
     def __str__(self) -> str:
         """Return what is read, for a sentence."""
@@ -73,7 +78,7 @@ class ModbusRequest:
         return f"unit {self.unit_id}, {self.table} {registers}"
 
 
-class ModbusConfig(SourceConnection):
+class ModbusWire(SourceConnection):
     """Boxes that answer Modbus, over TCP or on a serial line."""
 
     driver: ClassVar[str] = "modbus"
@@ -104,16 +109,6 @@ class ModbusConfig(SourceConnection):
     most_registers: int = Field(
         MOST_REGISTERS, ge=2, le=MOST_REGISTERS, description="the box answers at most so many registers at once"
     )
-    sensors: list[ModbusSensorConfig] = Field(
-        min_length=1,
-        description="the sensors and their registers",
-        examples=[
-            [
-                {"id": 401, "component": "Spindle unit", "label": "Housing", "scale": 0.1, "open": [-999]},
-                {"id": 402, "component": "Column", "address": 1, "scale": 0.1, "open": [-999]},
-            ]
-        ],
-    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -131,14 +126,15 @@ class ModbusConfig(SourceConnection):
 
     def _registers_read_twice(self) -> Iterator[tuple[KeyPath, str]]:
         taken: dict[tuple[int, str, int], int] = {}
-        for index, sensor in enumerate(self.sensors):
-            if sensor.address + sensor.width > LAST_ADDRESS + 1:
-                yield ("sensors", index, "address"), f"{sensor.type} takes two registers; the last register is 65535"
-            for address in range(sensor.address, sensor.address + sensor.width):
-                key = (self.unit_of(sensor), sensor.table, address)
-                if (other := taken.setdefault(key, sensor.id)) != sensor.id:
-                    sentence = f"{sensor.table} register {address} of unit {key[0]} belongs to sensor {other} already"
-                    yield ("sensors", index, "address"), sentence
+        for index, each in enumerate(self.registers):
+            if each.address + each.width > LAST_ADDRESS + 1:
+                yield (self.listed, index, "address"), f"{each.type} takes two registers; the last register is 65535"
+            for address in range(each.address, each.address + each.width):
+                key = (self.unit_of(each), each.table, address)
+                if (other := taken.setdefault(key, index)) != index:
+                    owner = f"{self.listed[:-1]} {self.registers[other].key}"
+                    sentence = f"{each.table} register {address} of unit {key[0]} belongs to {owner} already"
+                    yield (self.listed, index, "address"), sentence
 
     def _alike(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which requests have answers that a serial line cannot tell apart."""
@@ -152,7 +148,7 @@ class ModbusConfig(SourceConnection):
                     f"{request} and {other} have answers of one length, which Modbus RTU cannot tell apart: "
                     f"set `gap` to {self.gap + 1} or more, so that one of them reads a register more"
                 )
-                yield ("sensors", request.sensors[0], "address"), sentence
+                yield (self.listed, request.inputs[0], "address"), sentence
 
     @property
     def is_rtu(self) -> bool:
@@ -160,9 +156,9 @@ class ModbusConfig(SourceConnection):
         return self.serial_port is not None or self.framing == "rtu"
 
     @property
-    def every_sensor(self) -> Sequence[ModbusSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
+    def registers(self) -> Sequence[ModbusRegister]:
+        """Its inputs, in the order of the section."""
+        return self.every_input
 
     @property
     def exclusive(self) -> tuple[str, str] | None:
@@ -181,30 +177,46 @@ class ModbusConfig(SourceConnection):
         """Where the boxes are, for a sentence."""
         return f"port {self.serial_port}" if self.serial_port is not None else f"{self.host}:{self.port}"
 
-    def unit_of(self, sensor: ModbusSensorConfig) -> int:
+    def unit_of(self, sensor: ModbusRegister) -> int:
         """Return the unit of a sensor's box."""
         return self.unit_id if sensor.unit_id is None else sensor.unit_id
 
     @cached_property
     def requests(self) -> tuple[ModbusRequest, ...]:
-        """The reads that bring all sensors."""
+        """The reads that bring all inputs."""
         found: list[ModbusRequest] = []
-        for unit_id, table in dict.fromkeys((self.unit_of(sensor), sensor.table) for sensor in self.sensors):
-            places = [place for place, s in enumerate(self.sensors) if (self.unit_of(s), s.table) == (unit_id, table)]
-            spans = sorted((self.sensors[p].address, self.sensors[p].address + self.sensors[p].width) for p in places)
+        all_of = self.registers
+        for unit_id, table in dict.fromkeys((self.unit_of(each), each.table) for each in all_of):
+            places = [
+                place for place, each in enumerate(all_of) if (self.unit_of(each), each.table) == (unit_id, table)
+            ]
+            spans = sorted((all_of[p].address, all_of[p].address + all_of[p].width) for p in places)
             groups = grouped(spans, self.gap, self.most_registers)
             for first, after in (
                 told_apart(groups, self.gap, self.most_registers) if self.is_rtu else map(_whole, groups)
             ):
                 inside = tuple(
-                    p
-                    for p in places
-                    if first <= self.sensors[p].address and self.sensors[p].address + self.sensors[p].width <= after
+                    p for p in places if first <= all_of[p].address and all_of[p].address + all_of[p].width <= after
                 )
                 found.append(
-                    ModbusRequest(unit_id=unit_id, table=table, start=first, count=after - first, sensors=inside)
+                    ModbusRequest(unit_id=unit_id, table=table, start=first, count=after - first, inputs=inside)
                 )
         return tuple(found)
+
+
+class ModbusConfig(ModbusWire):
+    """Boxes whose registers hold temperatures."""
+
+    sensors: list[ModbusSensorConfig] = Field(
+        min_length=1,
+        description="the sensors and their registers",
+        examples=[
+            [
+                {"id": 401, "component": "Spindle unit", "label": "Housing", "scale": 0.1, "open": [-999]},
+                {"id": 402, "component": "Column", "address": 1, "scale": 0.1, "open": [-999]},
+            ]
+        ],
+    )
 
 
 def grouped(spans: Sequence[Span], gap: int, most: int) -> list[list[Span]]:

@@ -1,5 +1,6 @@
 """An entry of `temperatures.sources`: its name, its period, its driver and the section that this driver reads."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
@@ -8,17 +9,34 @@ from config.schema.base import Name, Seconds
 from config.schema.driver_section import SectionOfDriver
 from config.schema.modbus import ModbusConfig
 from config.schema.source_sections import CsvConfig, KernelConfig, MqttConfig, OpcUaTagsConfig, ProcessConfig
-from config.schema.sources import SourceConnection, SourceSensorConfig
+from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
 
-class SourceConfig(SectionOfDriver):
-    """One source of temperatures beside the LATSIS lines."""
+class SourceEntry(SectionOfDriver):
+    """What every source has: of temperatures, or of displacements."""
 
     name: Name = Field(description="name of the source in logs, history and commands", examples=["pt100"])
     driver: Literal["modbus", "csv", "kernel", "process", "mqtt", "opcua"] = Field(
         description="how it is read; the section of that name says where", examples=["modbus"]
     )
-    cycle_period_s: Seconds = Field(10.0, description="time from one cycle of its sensors to the next")
+    cycle_period_s: Seconds = Field(10.0, description="time from one reading of all that it measures to the next")
+
+    @property
+    def connection(self) -> SourceConnection:
+        """The section of the driver."""
+        section = getattr(self, self.driver)
+        assert isinstance(section, SourceConnection)
+        return section
+
+    @property
+    def inputs(self) -> Sequence[Measured]:
+        """What it measures, in the order of the section."""
+        return self.connection.every_input
+
+
+class SourceConfig(SourceEntry):
+    """One source of temperatures beside the LATSIS lines."""
+
     modbus: ModbusConfig | None = Field(
         None, description="boxes that answer Modbus TCP or RTU", examples=[{"host": "192.168.10.30"}]
     )
@@ -29,18 +47,11 @@ class SourceConfig(SectionOfDriver):
     opcua: OpcUaTagsConfig | None = Field(None, description="tags of an OPC UA server")
 
     @property
-    def connection(self) -> SourceConnection:
-        """The section of the driver."""
-        section = getattr(self, self.driver)
-        assert isinstance(section, SourceConnection)
-        return section
-
-    @property
     def sensors(self) -> tuple[SourceSensorConfig, ...]:
         """The sensors, in the order of the section."""
-        return tuple(self.connection.every_sensor)
+        return tuple(self.connection.every_input)
 
     @property
     def sensor_ids(self) -> tuple[int, ...]:
         """Sensor IDs in the order of its cycles."""
-        return tuple(sensor.id for sensor in self.connection.every_sensor)
+        return tuple(sensor.id for sensor in self.sensors)

@@ -1,6 +1,8 @@
-"""Sections of the temperature sources: logger files, the kernel's sensors, lines of a program, MQTT, OPC UA tags."""
+"""Sections of the temperature sources: logger files, the kernel's sensors, lines of a program, MQTT, OPC UA tags.
 
-from collections.abc import Sequence
+Each wire stands apart from its list of sensors, because displacements come over the same wires.
+"""
+
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -9,16 +11,20 @@ from pydantic import Field, model_validator
 from config.schema.base import ENDPOINT_PATTERN, TOPIC_PATTERN, KeyPath, KeyProblems, Seconds
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.logger_file import LoggerFileConfig
-from config.schema.sources import SourceConnection, SourceSensorConfig
+from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
 
-class CsvSensorConfig(SourceSensorConfig):
-    """One sensor in one column of a logger's files."""
+class CsvColumn(Measured):
+    """One column of a logger's files."""
 
     column: str | int = Field(description="header text of its column, or the column's number from 1", examples=[2])
 
 
-class CsvConfig(SourceConnection):
+class CsvSensorConfig(CsvColumn, SourceSensorConfig):
+    """One sensor in one column of a logger's files."""
+
+
+class CsvFiles(SourceConnection):
     """The CSV files that a logger writes, followed as they grow."""
 
     driver: ClassVar[str] = "csv"
@@ -26,64 +32,66 @@ class CsvConfig(SourceConnection):
     file: LoggerFileConfig = Field(
         description="the files; with an empty `time_columns` a row counts from when it is read"
     )
+
+    @model_validator(mode="after")
+    def _columns(self) -> Self:
+        found = self.file.column_problems([each.column for each in self.every_input])
+        if found:
+            raise KeyProblems([((self.listed, index, "column"), sentence) for index, sentence in found])
+        return self
+
+
+class CsvConfig(CsvFiles):
+    """The files of a logger of temperatures."""
+
     sensors: list[CsvSensorConfig] = Field(
         min_length=1,
         description="the sensors and their columns",
         examples=[[{"id": 411, "component": "Spindle unit"}]],
     )
 
-    @model_validator(mode="after")
-    def _columns(self) -> Self:
-        found = self.file.column_problems([sensor.column for sensor in self.sensors])
-        if found:
-            raise KeyProblems([(("sensors", index, "column"), sentence) for index, sentence in found])
-        return self
-
-    @property
-    def every_sensor(self) -> Sequence[CsvSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
-
 
 POWER_UP_MILLIDEGC = 85000
 """What a DS18B20 holds after power-up, before its first conversion: no temperature."""
 
 
-class KernelSensorConfig(SourceSensorConfig):
-    """One sensor in one file of the kernel."""
+def is_one_wire(path: Path) -> bool:
+    """Return whether a file of the kernel is of a sensor on a 1-Wire bus, by its folder's name."""
+    return path.parent.name[:3] in {"10-", "22-", "28-", "3b-", "42-"}
+
+
+class KernelFile(Measured):
+    """One file of the kernel that holds one number."""
 
     path: Path = Field(
-        description="file that holds its number in thousandths of a degree, of 1-Wire as in the example, of hwmon such "
-        "as /sys/class/hwmon/hwmon1/temp1_input, of IIO such as /sys/bus/iio/devices/iio:device0/in_temp_input",
+        description="file that holds its number, of 1-Wire as in the example, of hwmon such as "
+        "/sys/class/hwmon/hwmon1/temp1_input, of IIO such as /sys/bus/iio/devices/iio:device0/in_temp_input",
         examples=["/sys/bus/w1/devices/28-0316a2796fff/temperature"],
     )
-    scale: float = Field(0.001, description="the number read is multiplied by this; the kernel counts thousandths")
 
-    @property
-    def is_one_wire(self) -> bool:
-        """Whether it hangs on a 1-Wire bus, by its folder's name."""
-        return self.path.parent.name[:3] in {"10-", "22-", "28-", "3b-", "42-"}
+
+class KernelSensorConfig(KernelFile, SourceSensorConfig):
+    """One sensor in one file of the kernel."""
+
+    scale: float = Field(0.001, description="the number read is multiplied by this; the kernel counts thousandths")
 
     def is_open(self, number: float) -> bool:
         """Return whether a number as read is no temperature; 85.000 degC is how a 1-Wire sensor powers up."""
-        return (self.is_one_wire and number == POWER_UP_MILLIDEGC) or super().is_open(number)
+        return (is_one_wire(self.path) and number == POWER_UP_MILLIDEGC) or super().is_open(number)
 
 
-class KernelConfig(SourceConnection):
+class KernelFiles(SourceConnection):
     """Sensors that the kernel of this computer reads: 1-Wire, hwmon, IIO."""
 
     driver: ClassVar[str] = "kernel"
 
     timeout_s: Seconds = Field(5.0, description="a sensor that takes longer is not waited for")
-    sensors: list[KernelSensorConfig] = Field(
-        min_length=1, description="the sensors and their files", examples=[[{"id": 421, "component": "Column"}]]
-    )
 
     @model_validator(mode="after")
     def _once(self) -> Self:
-        paths = [sensor.path for sensor in self.sensors]
+        paths = [each.path for each in self.every_input]
         problems: list[tuple[KeyPath, str]] = [
-            (("sensors", index, "path"), f"two sensors read {path}")
+            ((self.listed, index, "path"), f"two {self.listed} read {path}")
             for index, path in enumerate(paths)
             if path in paths[:index]
         ]
@@ -91,22 +99,29 @@ class KernelConfig(SourceConnection):
             raise KeyProblems(problems)
         return self
 
-    @property
-    def every_sensor(self) -> Sequence[KernelSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
+
+class KernelConfig(KernelFiles):
+    """Temperature sensors of the kernel."""
+
+    sensors: list[KernelSensorConfig] = Field(
+        min_length=1, description="the sensors and their files", examples=[[{"id": 421, "component": "Column"}]]
+    )
 
 
-class FieldSensorConfig(SourceSensorConfig):
-    """One sensor in one field of what a program writes."""
+class ProgramField(Measured):
+    """One field of what a program writes."""
 
     field: str = Field(
         min_length=1, description="key of its number in the JSON object; `a.b` is b within a", examples=["t1"]
     )
 
 
-class ProcessConfig(SourceConnection):
-    """A program that the daemon starts, and that writes a JSON object with its sensors' numbers on each line."""
+class FieldSensorConfig(ProgramField, SourceSensorConfig):
+    """One sensor in one field of what a program writes."""
+
+
+class Program(SourceConnection):
+    """A program that the daemon starts, and that writes a JSON object with its numbers on each line."""
 
     driver: ClassVar[str] = "process"
 
@@ -116,18 +131,18 @@ class ProcessConfig(SourceConnection):
         examples=[["/usr/local/bin/read-my-logger", "--json"]],
     )
     max_line_bytes: int = Field(65536, ge=256, description="a longer line is skipped and reported")
+
+
+class ProcessConfig(Program):
+    """A program that writes temperatures."""
+
     sensors: list[FieldSensorConfig] = Field(
         min_length=1, description="the sensors and their fields", examples=[[{"id": 431, "component": "Bed"}]]
     )
 
-    @property
-    def every_sensor(self) -> Sequence[FieldSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
 
-
-class MqttSensorConfig(SourceSensorConfig):
-    """One sensor in the messages of one topic."""
+class MqttTopic(Measured):
+    """One number in the messages of one topic."""
 
     topic: str = Field(
         pattern=TOPIC_PATTERN, description="topic of its messages, without wildcards", examples=["machine/column/t1"]
@@ -137,7 +152,11 @@ class MqttSensorConfig(SourceSensorConfig):
     )
 
 
-class MqttConfig(SourceConnection):
+class MqttSensorConfig(MqttTopic, SourceSensorConfig):
+    """One sensor in the messages of one topic."""
+
+
+class MqttBroker(SourceConnection):
     """A broker to which devices publish."""
 
     driver: ClassVar[str] = "mqtt"
@@ -157,9 +176,6 @@ class MqttConfig(SourceConnection):
         examples=["/etc/toolpoint/pki/broker-ca.pem"],
     )
     timeout_s: Seconds = Field(5.0, description="connecting and subscribing may take so long")
-    sensors: list[MqttSensorConfig] = Field(
-        min_length=1, description="the sensors and their topics", examples=[[{"id": 441, "component": "Column"}]]
-    )
 
     @model_validator(mode="after")
     def _password_with_user(self) -> Self:
@@ -168,11 +184,6 @@ class MqttConfig(SourceConnection):
         if self.ca_certificate is not None and not self.tls:
             raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
         return self
-
-    @property
-    def every_sensor(self) -> Sequence[MqttSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
 
     @property
     def exposed(self) -> str:
@@ -185,8 +196,16 @@ class MqttConfig(SourceConnection):
         return {} if self.password_file is None else {"password_file": self.password_file}
 
 
-class OpcUaTagSensorConfig(SourceSensorConfig):
-    """One sensor in one tag."""
+class MqttConfig(MqttBroker):
+    """A broker to which devices publish temperatures."""
+
+    sensors: list[MqttSensorConfig] = Field(
+        min_length=1, description="the sensors and their topics", examples=[[{"id": 441, "component": "Column"}]]
+    )
+
+
+class OpcUaTag(Measured):
+    """One tag."""
 
     node: str = Field(
         min_length=1,
@@ -195,8 +214,12 @@ class OpcUaTagSensorConfig(SourceSensorConfig):
     )
 
 
-class OpcUaTagsConfig(SourceConnection):
-    """A server whose tags hold temperatures: a control, a gateway, a logger."""
+class OpcUaTagSensorConfig(OpcUaTag, SourceSensorConfig):
+    """One sensor in one tag."""
+
+
+class OpcUaServer(SourceConnection):
+    """A server whose tags hold what is measured: a control, a gateway, a logger."""
 
     driver: ClassVar[str] = "opcua"
 
@@ -210,14 +233,6 @@ class OpcUaTagsConfig(SourceConnection):
         None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is encrypted"
     )
     timeout_s: Seconds = Field(5.0, description="an answer that takes longer is not waited for")
-    sensors: list[OpcUaTagSensorConfig] = Field(
-        min_length=1, description="the sensors and their tags", examples=[[{"id": 451, "component": "Column"}]]
-    )
-
-    @property
-    def every_sensor(self) -> Sequence[OpcUaTagSensorConfig]:
-        """The sensors, in the order of the section."""
-        return self.sensors
 
     @property
     def exposed(self) -> str:
@@ -230,3 +245,11 @@ class OpcUaTagsConfig(SourceConnection):
         if self.security is None:
             return {}
         return {f"security.{key}": getattr(self.security, key) for key in ("password_file", "private_key")}
+
+
+class OpcUaTagsConfig(OpcUaServer):
+    """A server whose tags hold temperatures."""
+
+    sensors: list[OpcUaTagSensorConfig] = Field(
+        min_length=1, description="the sensors and their tags", examples=[[{"id": 451, "component": "Column"}]]
+    )

@@ -1,13 +1,14 @@
-"""Temperature sources other than LATSIS lines: what every one of them has, whatever it is read with.
+"""Sources of temperatures and displacements: what every one of them has, whatever it is read with.
 
-To add a kind: its section (a `SourceConnection`) with its sensors, its name in `SourceConfig.driver` with the field of
-that name beside it, and one line in `drivers/registry.py`.
+To add a kind: its wire (a `SourceConnection`) with what one input needs, its sections with sensors and with channels,
+its name in the `driver` of `SourceConfig` and `DisplacementSourceConfig` with the field of that name beside it, and one
+line in `drivers/registry.py`.
 """
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -16,9 +17,46 @@ from config.schema.base import KeyPath, KeyProblems, Name, Section
 DEGF_PER_K = 1.8
 DEGF_AT_0_DEGC = 32.0
 KELVIN_AT_0_DEGC = 273.15
+ABSOLUTE_ZERO_DEGC = -273.15
+HOTTEST_DEGC = 2000.0
+"""No sensor of a machine tool is hotter; cleansing has limits of its own."""
 
 
-class SourceSensorConfig(Section):
+class Measured(Section):
+    """What one input of a source measures: a sensor of temperatures, or a channel of displacements."""
+
+    unit_words: ClassVar[str]
+    """Unit of the value."""
+
+    @property
+    def key(self) -> int | str:
+        """What tells it from the other inputs of its source."""
+        raise NotImplementedError
+
+    @property
+    def in_words(self) -> str:
+        """What it is, for a sentence."""
+        raise NotImplementedError
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest possible value."""
+        raise NotImplementedError
+
+    def is_open(self, number: float) -> bool:
+        """Return whether a number as read says that nothing is measured."""
+        raise NotImplementedError
+
+    def value(self, number: float) -> float:
+        """Return the value of a number as read."""
+        raise NotImplementedError
+
+    def number(self, value: float) -> float:
+        """Return what is read at a value; NaN at one that is none."""
+        raise NotImplementedError
+
+
+class SourceSensorConfig(Measured):
     """One temperature sensor of a source: where it sits, and how its number becomes a temperature."""
 
     id: int = Field(ge=1, description="sensor ID of the machine's documentation", examples=[401])
@@ -44,6 +82,8 @@ class SourceSensorConfig(Section):
         examples=[90.0],
     )
 
+    unit_words: ClassVar[str] = "degC"
+
     @model_validator(mode="after")
     def _readable(self) -> Self:
         problems: list[tuple[KeyPath, str]] = []
@@ -55,22 +95,39 @@ class SourceSensorConfig(Section):
             raise KeyProblems(problems)
         return self
 
+    @property
+    def key(self) -> int:
+        """Its ID."""
+        return self.id
+
+    @property
+    def in_words(self) -> str:
+        """Its ID with where it sits."""
+        place = self.component if self.part == "-" else f"{self.component}, {self.part}"
+        return f"sensor {self.id} ({place})"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest possible temperature [degC]."""
+        lowest = ABSOLUTE_ZERO_DEGC if self.min_degc is None else self.min_degc
+        return lowest, HOTTEST_DEGC if self.max_degc is None else self.max_degc
+
     def is_open(self, number: float) -> bool:
         """Return whether a number as read says that there is no sensor."""
         return number in self.open
 
-    def degc(self, number: float) -> float:
+    def value(self, number: float) -> float:
         """Return the temperature of a number as read [degC]."""
         value = number * self.scale + self.offset
         if self.unit == "K":
             return value - KELVIN_AT_0_DEGC
         return (value - DEGF_AT_0_DEGC) / DEGF_PER_K if self.unit == "degF" else value
 
-    def number(self, degc: float) -> float:
+    def number(self, value: float) -> float:
         """Return what is read at a temperature [degC]; NaN at one that is none."""
-        value = degc if self.unit == "degC" else degc + KELVIN_AT_0_DEGC
-        value = degc * DEGF_PER_K + DEGF_AT_0_DEGC if self.unit == "degF" else value
-        return (value - self.offset) / self.scale if math.isfinite(value) else math.nan
+        shown = value if self.unit == "degC" else value + KELVIN_AT_0_DEGC
+        shown = value * DEGF_PER_K + DEGF_AT_0_DEGC if self.unit == "degF" else shown
+        return (shown - self.offset) / self.scale if math.isfinite(shown) else math.nan
 
 
 class SourceConnection(Section):
@@ -78,11 +135,14 @@ class SourceConnection(Section):
 
     driver: ClassVar[str]
     """Name of the driver, which is also the key of the section."""
+    listed: ClassVar[str] = "sensors"
+    """Key of the list of its inputs."""
 
     @property
-    def every_sensor(self) -> Sequence[SourceSensorConfig]:
-        """The sensors, in the order of the section."""
-        raise NotImplementedError
+    def every_input(self) -> Sequence[Any]:
+        """Its sensors or channels, in the order of the section."""
+        inputs: Sequence[Any] = getattr(self, self.listed)
+        return inputs
 
     @property
     def exclusive(self) -> tuple[str, str] | None:

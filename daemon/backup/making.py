@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from config.files import sha256_of_stream
 from config.schema import Configuration
+from config.schema.source_drivers import SourceEntry
 from config.signing import SIGNATURE_SUFFIX, SigningError, SigningKey, TrustedKeys, signature_beside
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
@@ -133,9 +134,15 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
     record = released(model_file)[0] if model_file is not None else None
     cnc = configuration.cnc
     secrets = [f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items()]
-    for index, each in enumerate(configuration.temperatures.sources or ()):
-        at = f"temperatures.sources[{index}].{each.driver}"
-        secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
+    displacements = configuration.displacements
+    beside: dict[str, Sequence[SourceEntry]] = {
+        "temperatures": configuration.temperatures.sources or (),
+        "displacements": (displacements.sources if displacements is not None else None) or (),
+    }
+    for key_of, sources_of in beside.items():
+        for index, each in enumerate(sources_of):
+            at = f"{key_of}.sources[{index}].{each.driver}"
+            secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,

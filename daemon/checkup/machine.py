@@ -8,7 +8,7 @@ import numpy as np
 
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
-from config.schema.source_drivers import SourceConfig
+from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, TemperatureInput
 from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
@@ -54,8 +54,9 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
     for each in configuration.temperatures.inputs:
         what = "line" if isinstance(each, LineConfig) else "source"
         yield await _attempt(f"{what} {each.name}", lambda each=each: _input(configuration, each, clock))  # type: ignore[misc]
-    if configuration.displacements is not None:
-        yield await _attempt("displacement files", lambda: _displacements(configuration, clock))
+    for entry in () if configuration.displacements is None else configuration.displacements.inputs:
+        what = f"source {entry.name}" if isinstance(entry, SourceEntry) else entry.name
+        yield await _attempt(what, lambda entry=entry: _displacements(configuration, entry, clock))  # type: ignore[misc]
     yield await _attempt("cnc", lambda: _cnc(configuration, clock))
 
 
@@ -122,7 +123,7 @@ async def _input(configuration: Configuration, line: TemperatureInput, clock: Cl
                 good = int(np.isfinite(cycle.degc).sum())
                 if not cycle.complete or not good:
                     raise DriverError(f"{good} of {len(cycle.degc)} sensors answered: {'; '.join(cycle.faults[:3])}")
-                exposed = line.connection.exposed if isinstance(line, SourceConfig) else ""
+                exposed = line.connection.exposed if isinstance(line, SourceEntry) else ""
                 found = f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
                 return f"{found}; {exposed}" if exposed else found
     finally:
@@ -130,17 +131,18 @@ async def _input(configuration: Configuration, line: TemperatureInput, clock: Cl
     raise DriverError("it ended")
 
 
-async def _displacements(configuration: Configuration, clock: Clock) -> str:
-    assert configuration.displacements is not None
-    source = registry.open_displacement_source(configuration, clock, None)
-    period_s = configuration.displacements.file.poll_period_s
+async def _displacements(configuration: Configuration, each: registry.DisplacementInput, clock: Clock) -> str:
+    source = registry.open_displacement_source(configuration, each, clock, None)
+    period_s = each.cycle_period_s if isinstance(each, SourceEntry) else each.poll_period_s
+    exposed = each.connection.exposed if isinstance(each, SourceEntry) else ""
     try:
         async with asyncio.timeout(3 * period_s / clock.speed + 1.0):
             async for sample in source.samples():
-                return f"{sample.source}: {np.array2string(sample.um, precision=1)} um"
+                found = f"{sample.source}: {np.array2string(sample.um, precision=1)} um"
+                return f"{found}; {exposed}" if exposed else found
     finally:
         await source.close()
-    raise DriverError("the file ended")
+    raise DriverError("it ended")
 
 
 async def _cnc(configuration: Configuration, clock: Clock) -> str:

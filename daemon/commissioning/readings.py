@@ -55,9 +55,11 @@ class DisplacementLog:
                 "--channel needs displacement channels, and the configuration has no `displacements` section"
             )
         self._clock = clock
-        self._names = tuple(channel.name for channel in displacements.channels)
-        self._settle_s = SETTLED_LOOKS * displacements.file.poll_period_s
-        self._source = registry.open_displacement_source(configuration, clock, None)
+        self._configuration = configuration
+        self._displacements = displacements
+        self._names = tuple(channel.name for channel in displacements.every_channel)
+        self._settle_s = SETTLED_LOOKS * displacements.longest_period_s
+        self._wanted: set[str] = set()
         self._rows: deque[tuple[float, Mapping[str, float]]] = deque(maxlen=KEPT_ROWS)
 
     def check(self, channel: str) -> None:
@@ -66,23 +68,34 @@ class DisplacementLog:
             raise CommissioningRefusedError(
                 f"there is no displacement channel {channel}; the configuration has {', '.join(self._names)}"
             )
+        self._wanted.add(channel)
 
     async def follow(self) -> None:
-        """Take rows until cancelled; raises LinkError when the logger's file cannot be read."""
+        """Take rows of the channels that were checked until cancelled; raises LinkError when one cannot be read."""
+        tasks = [asyncio.ensure_future(self._follow(each)) for each in self._displacements.with_channels(self._wanted)]
         try:
-            async for sample in self._source.samples():
+            await asyncio.gather(*tasks)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _follow(self, each: registry.DisplacementInput) -> None:
+        source = registry.open_displacement_source(self._configuration, each, self._clock, None)
+        try:
+            async for sample in source.samples():
                 row = dict(zip(self._names, sample.um.tolist(), strict=True))
                 self._rows.append((self._clock.now().monotonic_s, row))
         finally:
-            await self._source.close()
+            await source.close()
 
     async def mean(self, channels: Sequence[str], samples: int, patience_s: float) -> dict[str, Reading]:
         """Return means over rows that were measured after this call [um]."""
         begin_s = self._clock.now().monotonic_s
         while True:
             rows = [row for arrived_s, row in self._rows if arrived_s > begin_s + self._settle_s]
-            # The first row may have been measured before the question and written late.
-            found = {name: [row[name] for row in rows[1:] if np.isfinite(row[name])] for name in channels}
+            # The first value may have been measured before the question and written late.
+            found = {name: [row[name] for row in rows if np.isfinite(row[name])][1:] for name in channels}
             if all(len(values) >= samples for values in found.values()):
                 return {name: _mean(values[:samples], name) for name, values in found.items()}
             if self._clock.now().monotonic_s - begin_s > patience_s:

@@ -21,41 +21,44 @@ class SkillWatch:
 
     def __init__(self, sources: Sequence[AxisSource], configuration: Configuration) -> None:
         displacements = configuration.displacements
-        channels = [channel.name for channel in displacements.channels] if displacements is not None else []
+        channels = [] if displacements is None else [(each.axis, each.name) for each in displacements.every_channel]
         self._sources = tuple(sources)
         self._axes = tuple(source.axis for source in sources)
-        self._column = {s.axis: channels.index(s.channel) for s in sources if s.channel and s.channel in channels}
+        places = {name: place for place, (axis, name) in enumerate(channels) if axis is None}
+        places |= {axis: place for place, (axis, _) in enumerate(channels) if axis is not None}
+        of_axis = {s.axis: places.get(s.axis, places.get(s.channel)) for s in sources if s.channel}
+        self._column = {axis: place for axis, place in of_axis.items() if place is not None}
         self._least_error_um = configuration.compensation.output.harm_above_um
         self._counted: tuple[str | None, str | None] = (None, None)
         self._records: dict[str, SkillRecord] = {}
         self._inhibit: Inhibit | None = None
         self._judged = True
         """Whether that is the verdict on the latest measurement."""
-        self._zero: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._zero: dict[str, tuple[float, float, float]] = {}
+        """By axis: measured, estimated and applied where it counts from [um]."""
 
     def count_from(self, reference_id: str | None, model_id: str | None) -> None:
         """Begin anew with every reference and every model."""
         if (reference_id, model_id) != self._counted:
             self._counted = (reference_id, model_id)
-            self._records, self._zero, self._inhibit, self._judged = {}, None, None, True
+            self._records, self._zero, self._inhibit, self._judged = {}, {}, None, True
 
     def displacement(
         self, sample: DisplacementSample, estimate: ThermalErrorEstimate | None, applied_um: FloatArray
     ) -> None:
-        """Take one row of the logger; the first one since the reference is where it counts from."""
+        """Take one row; a channel's first value since the reference is where it counts from."""
         if estimate is None or estimate.reference_id is None or not self._column:
             return
         self.count_from(estimate.reference_id, estimate.model_id)
         estimated_um = nose_errors_um(self._sources, estimate)
-        if self._zero is None:
-            if np.all(np.isfinite(applied_um)):
-                self._zero = (sample.um, estimated_um, applied_um)
-            return
-        um, estimated, applied = self._zero
         for axis, column in self._column.items():
             i = self._axes.index(axis)
-            measured = (sample.um[column] - um[column]) - (applied_um[i] - applied[i])
-            self._take(axis, measured, estimated_um[i] - estimated[i])
+            now = (float(sample.um[column]), float(estimated_um[i]), float(applied_um[i]))
+            if not np.isfinite(now).all():
+                continue
+            um, estimated, applied = self._zero.setdefault(axis, now)
+            if now is not self._zero[axis]:
+                self._take(axis, (now[0] - um) - (now[2] - applied), now[1] - estimated)
 
     def probe(self, sample: ProbeSample, memory: OutputMemory) -> None:
         """Take a probe value: without what is applied beyond the reference's baseline it is the error."""

@@ -42,7 +42,7 @@ class MachineLayout:
             sensor_ids=configuration.temperatures.sensor_ids,
             lines={each.name: each.sensor_ids for each in configuration.temperatures.inputs},
             axes=tuple(configuration.compensation.axes),
-            displacement_channels=tuple(c.name for c in displacements.channels) if displacements else (),
+            displacement_channels=tuple(c.name for c in displacements.every_channel) if displacements else (),
             sample_macros=frozenset(
                 [*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version]
             ),

@@ -37,7 +37,7 @@ from daemon.history.series import (
     WriteRecord,
 )
 from models.errors import RefusedInputError
-from models.records import ProbeSample, Reference
+from models.records import OF_SOURCE, ProbeSample, Reference
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -70,6 +70,9 @@ def naming_damage(path: Path) -> Iterator[None]:
             f"{path}: the store is damaged ({error}); move it aside and restore a back-up "
             "(`toolpoint restore`), or let the daemon begin a new one"
         ) from error
+
+
+NEWEST_OF_FILES = "max(utc_ms) FROM displacements WHERE source NOT LIKE ?"
 
 
 def _named_damage(read: Callable[Concatenate["HistoryReader", P], T]) -> Callable[Concatenate["HistoryReader", P], T]:
@@ -308,10 +311,12 @@ class HistoryReader:
         """Return the number of the last committed cycle of each line."""
         return dict(self._connection.execute("SELECT line, number FROM acknowledged").fetchall())
 
+    @_named_damage
     def last_displacement_utc_s(self) -> float | None:
-        """Return the time of the newest displacement; None without any."""
-        extent = self.extent(DISPLACEMENTS.name)
-        return None if extent is None else extent[1]
+        """Return the time of the newest displacement that stood in a file; of packed ones, of any; None without any."""
+        query = f"SELECT coalesce((SELECT {NEWEST_OF_FILES}), (SELECT max(end_ms) FROM chunks WHERE kind = ?))"
+        (newest_ms,) = self._connection.execute(query, (f"{OF_SOURCE}%", DISPLACEMENTS.name)).fetchone()
+        return None if newest_ms is None else float(newest_ms) / 1e3
 
     @_named_damage
     def extent(self, kind: str) -> tuple[float, float] | None:

@@ -25,6 +25,7 @@ from daemon.history.store_lock import WriterLock
 from drivers.clock import Clock
 from models.json_values import printable
 from models.records import (
+    OF_SOURCE,
     CncSample,
     CompensationCommand,
     DisplacementSample,
@@ -163,13 +164,14 @@ class HistoryWriter:
         self._sample("CNC samples", rows.INSERT_CNC, partial(rows.cnc_row, self._machine, sample))
 
     def displacement(self, sample: DisplacementSample) -> None:
-        """Record a row of the logger's file."""
+        """Record a row of the logger's file or of another source."""
         if sample.um.size != len(self._machine.displacement_channels):
             raise ValueError(
                 f"{sample.source}: {sample.um.size} displacements, the configuration has the channels "
                 f"{list(self._machine.displacement_channels)}"
             )
-        self._last_displacement_utc_s = sample.utc_s
+        if not sample.source.startswith(OF_SOURCE):
+            self._last_displacement_utc_s = sample.utc_s
         build = partial(rows.displacement_row, self._machine, sample)
         self._sample("displacements", rows.INSERT_DISPLACEMENT, build)
 
@@ -272,7 +274,7 @@ class HistoryWriter:
         return self._look_up(lambda reader: reader.unsettled_writes()) or []
 
     def last_displacement_utc_s(self) -> float | None:
-        """Return the time of the newest displacement, so that a file is not read twice."""
+        """Return the time of the newest displacement of a file, so that it is not read twice."""
         if self._last_displacement_utc_s is None:
             self._last_displacement_utc_s = self._look_up(lambda reader: reader.last_displacement_utc_s())
         return self._last_displacement_utc_s

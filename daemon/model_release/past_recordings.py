@@ -50,7 +50,7 @@ class Minutes:
 def used_channels(configuration: Configuration) -> dict[str, str]:
     """Return the measured displacement channels that axes follow: axis by channel."""
     displacements = configuration.displacements
-    measured = {channel.name for channel in displacements.channels} if displacements is not None else set()
+    measured = {channel.name for channel in displacements.every_channel} if displacements is not None else set()
     return {
         axis.estimate: name
         for name, axis in configuration.compensation.axes.items()
@@ -149,7 +149,7 @@ def _piece(
     temperatures = reader.temperatures(configuration.temperatures.sensor_ids, start_s - LEAD_S, stop_s)
     degc = _means(temperatures.time_s, temperatures.cleansed(), first, count)
     named = zip(displacements.time_s.tolist(), displacements.source, strict=True)
-    files = {int(time_s // MINUTE_S): source.rpartition(":")[0] for time_s, source in named}
+    files = {int(time_s // MINUTE_S): file for time_s, source in named if (file := source.rpartition(":")[0])}
     minute = first + np.arange(count)
     return Minutes(
         minute=minute.astype(np.float64),

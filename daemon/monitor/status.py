@@ -149,7 +149,7 @@ class StatusBoard:
         sample, displacements = self._snapshots.displacements.latest, self._configuration.displacements
         if sample is None or displacements is None:
             return None
-        names = [channel.name for channel in displacements.channels]
+        names = [channel.name for channel in displacements.every_channel]
         return {"utc_s": sample.utc_s, "um": dict(zip(names, sample.um, strict=True))}
 
     def _displacement_rows(self) -> dict[str, Any] | None:

@@ -42,7 +42,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/kernel.py",
         "drivers/process.py",
         "drivers/mqtt.py",
-        "drivers/opcua/temperatures.py",
+        "drivers/opcua/tags.py",
     ),
     "Displacements": ("drivers/displacement",),
     "The estimate and its model": (

@@ -40,6 +40,14 @@ class LoggedNumbers:
 Logged = DisplacementsConfig | LoggedNumbers
 
 
+def logged_numbers(config: Logged) -> LoggedNumbers:
+    """Return the columns of the A/D logger's files, or what was given."""
+    if isinstance(config, LoggedNumbers):
+        return config
+    assert config.file is not None
+    return LoggedNumbers(file=config.file, channels=config.channels, owner="displacement file")
+
+
 def start_of(file: LoggerFileConfig) -> str | None:
     """Return the time of the first row, where rows carry none and follow each other at an interval."""
     return file.start if isinstance(file, DisplacementFileConfig) else None
@@ -63,6 +71,7 @@ class RowReader:
     """
 
     def __init__(self, config: Logged, file: str, report: Callable[[str], None]) -> None:
+        config = logged_numbers(config)
         self._file_config = config.file
         self._channels = config.channels
         self._file = file

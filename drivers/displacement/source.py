@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.contract import LinkError
-from drivers.displacement.rows import Logged, LoggedNumbers, RowReader, UnreadableFileError, start_of
+from drivers.displacement.rows import Logged, RowReader, UnreadableFileError, logged_numbers, start_of
 from drivers.displacement.tail import FileFollower, Look
 from models.records import DisplacementSample
 
@@ -65,8 +65,8 @@ class DisplacementCsvSource:
         self.problems = 0
         """Rows, fields and files that could not be read."""
         self.last_problem: str | None = None
-        self._config = config
-        self._owner = config.owner if isinstance(config, LoggedNumbers) else "displacement file"
+        self._config = config = logged_numbers(config)
+        self._owner = config.owner
         self.caught_up = False
         """What was in the files before has been read: what comes now has been written since."""
         self._clock = clock

@@ -17,7 +17,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerType
 from pymodbus.pdu import ModbusPDU
 
-from config.schema.modbus import ModbusConfig, ModbusRequest
+from config.schema.modbus import ModbusRequest, ModbusWire
 from drivers.contract import LinkError
 
 FUNCTIONS = {"holding": 3, "input": 4}
@@ -52,7 +52,7 @@ class ModbusClient:
 
     last_number: ClassVar[int] = random.randrange(60000)
 
-    def __init__(self, config: ModbusConfig, owner: str) -> None:
+    def __init__(self, config: ModbusWire, owner: str) -> None:
         self._config = config
         self._where = f"{owner}: {config.place}"
         self._sent_number = 0

@@ -3,12 +3,12 @@
 import struct
 from collections.abc import Sequence
 
-from config.schema.modbus import ModbusSensorConfig
+from config.schema.modbus import ModbusRegister
 
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 
 
-def number_of(registers: Sequence[int], sensor: ModbusSensorConfig) -> float:
+def number_of(registers: Sequence[int], sensor: ModbusRegister) -> float:
     """Return the number that a sensor's registers hold; they come in the order of their addresses.
 
     Raises ValueError where there are not as many as its type takes, or one is no 16-bit value.

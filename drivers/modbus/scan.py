@@ -60,7 +60,7 @@ class ModbusScan:
         """Return the registers of a table; None when the unit does not answer at all."""
         words: dict[int, int] = {}
         for start, count in [(0, registers), *((address, 1) for address in range(registers))]:
-            request = ModbusRequest(unit_id=unit_id, table=table, start=start, count=count, sensors=())
+            request = ModbusRequest(unit_id=unit_id, table=table, start=start, count=count, inputs=())
             client = self._client or await self._open()
             try:
                 words |= dict(enumerate(await client.read(request), start=start))

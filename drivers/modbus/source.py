@@ -1,7 +1,7 @@
-"""Temperature sensors in the registers of Modbus boxes, over TCP or on a serial line."""
+"""Sensors in the registers of Modbus boxes, over TCP or on a serial line."""
 
-from config.schema.modbus import ModbusConfig, ModbusRequest
-from config.schema.source_drivers import SourceConfig
+from config.schema.modbus import ModbusRequest, ModbusWire
+from config.schema.source_drivers import SourceEntry
 from drivers.clock import Clock
 from drivers.contract import LinkError
 from drivers.modbus.client import ModbusClient, RefusedRead
@@ -18,9 +18,9 @@ class ModbusSource(PolledSource):
     When none answers in a whole cycle, the link is lost.
     """
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
-        assert isinstance(source.connection, ModbusConfig)
+        assert isinstance(source.connection, ModbusWire)
         self._config = source.connection
         self._owner = f"source {source.name}"
         self._client: ModbusClient | None = None
@@ -36,7 +36,7 @@ class ModbusSource(PolledSource):
 
     async def read(self) -> Readings:
         """Return the number of each sensor; raises LinkError when no box answered."""
-        readings: dict[int, float | NoReading] = {}
+        readings: dict[int | str, float | NoReading] = {}
         answered, lost = False, ""
         for request in self._config.requests:
             if self._closed.is_set():
@@ -57,14 +57,14 @@ class ModbusSource(PolledSource):
             raise LinkError(lost)
         return readings
 
-    def _miss(self, readings: dict[int, float | NoReading], request: ModbusRequest, why: NoReading) -> None:
-        readings.update(dict.fromkeys((self._config.sensors[place].id for place in request.sensors), why))
+    def _miss(self, readings: dict[int | str, float | NoReading], request: ModbusRequest, why: NoReading) -> None:
+        readings.update(dict.fromkeys((self._config.registers[place].key for place in request.inputs), why))
 
-    def _take(self, readings: dict[int, float | NoReading], request: ModbusRequest, registers: list[int]) -> None:
-        for place in request.sensors:
-            sensor = self._config.sensors[place]
-            at = sensor.address - request.start
-            readings[sensor.id] = number_of(registers[at : at + sensor.width], sensor)
+    def _take(self, readings: dict[int | str, float | NoReading], request: ModbusRequest, registers: list[int]) -> None:
+        for place in request.inputs:
+            each = self._config.registers[place]
+            at = each.address - request.start
+            readings[each.key] = number_of(registers[at : at + each.width], each)
 
     async def release(self) -> None:
         """Close the connection."""

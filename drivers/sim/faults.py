@@ -156,6 +156,7 @@ def check_targets(faults: Sequence[Fault], configuration: Configuration) -> None
     """Raise FaultScriptError for a line, sensor or position that the machine does not have."""
     lines = {line.name: len(line.sensor_ids) for line in configuration.temperatures.lines}
     sensors = set(configuration.temperatures.sensor_ids)
+    displacements = configuration.displacements
     for fault in faults:
         place = f"fault {fault.kind} at {fault.at_s:g} s"
         if isinstance(fault.target, str):
@@ -165,7 +166,7 @@ def check_targets(faults: Sequence[Fault], configuration: Configuration) -> None
                 raise FaultScriptError(f"{place}: line {fault.target} has {lines[fault.target]} chain positions only")
         elif fault.target is not None and fault.target not in sensors:
             raise FaultScriptError(f"{place}: there is no sensor {fault.target}")
-        if fault.kind.startswith("csv_") and configuration.displacements is None:
+        if fault.kind.startswith("csv_") and (displacements is None or displacements.file is None):
             raise FaultScriptError(f"{place}: the configuration has no displacement file")
 
 

@@ -219,6 +219,59 @@ def test_a_serial_port_has_one_reader() -> None:
         parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
 
 
+GAUGES: dict[str, Any] = {
+    "name": "gauges",
+    "driver": "modbus",
+    "modbus": {"host": "x", "channels": [{"name": "Z1", "address": 0, "unit": "mm", "scale": 0.0001}]},
+}
+
+
+@pytest.mark.parametrize(
+    ("value", "key", "sentence"),
+    [
+        ({}, ".file", "there is nothing to read"),
+        ({"channels": [CHANNEL]}, ".file", "file and channels go together"),
+        ({"file": FILE, "sources": [GAUGES]}, ".channels", "file and channels go together"),
+        (
+            {"file": FILE, "channels": [CHANNEL], "sources": [GAUGES]},
+            ".sources[0].modbus.channels[0].name",
+            "two channels have the same name 'Z1'",
+        ),
+        ({"sources": [{**GAUGES, "name": "spindle"}]}, ".sources[0].name", "temperatures come from spindle already"),
+        (
+            {"sources": [{**GAUGES, "modbus": {"host": "x", "channels": [{"name": "A", "axis": "q", "address": 0}]}}]},
+            ".sources[0].modbus.channels[0].axis",
+            "there is no axis q; there are z",
+        ),
+        (
+            {"sources": [{**GAUGES, "modbus": {"host": "x", "channels": [{"name": "A", "scale": 0.0, "address": 0}]}}]},
+            ".sources[0].modbus.channels[0].scale",
+            "must not be 0",
+        ),
+    ],
+)
+def test_displacement_sources_that_cannot_work(value: dict[str, Any], key: str, sentence: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(changed("displacements", value), Configuration, "f.yaml")
+    named = [problem for problem in refused.value.problems if problem.key == f"displacements{key}"]
+    assert named and sentence in named[0].sentence, refused.value.problems
+
+
+def test_channels_of_a_source_stand_behind_those_of_the_file_and_their_port_is_theirs() -> None:
+    other = {**GAUGES["modbus"]["channels"][0], "name": "Z9"}
+    gauges = {**GAUGES, "modbus": {"host": "x", "channels": [other]}}
+    text = changed("displacements", {"file": FILE, "channels": [CHANNEL], "sources": [gauges]})
+    found = parse_yaml_model(text, Configuration, "f.yaml").displacements
+    assert found is not None
+    assert [channel.name for channel in found.every_channel] == ["Z1", "Z9"]
+    assert found.every_channel[1].value(-15.0) == pytest.approx(-1.5)  # type: ignore[union-attr]
+    box = {**BOX, "modbus": {"serial_port": "/dev/ttyUSB9", "sensors": BOX_SENSORS}}
+    content = yaml.safe_load(changed("temperatures.sources", [box]))
+    content["displacements"] = {"sources": [{**gauges, "modbus": {"serial_port": "/dev/ttyUSB9", "channels": [other]}}]}
+    with pytest.raises(ConfigurationError, match="box uses /dev/ttyUSB9 already"):
+        parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
+
+
 TOOL = {"length_mm": 100.0, "temperatures": {"Nose": 1.0}}
 
 

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import history_records as make
@@ -199,6 +200,17 @@ def test_newest_displacement_is_known_after_a_restart(store: Path) -> None:
     assert first.writer.last_displacement_utc_s() is None
     first.writer.start()
     first.writer.displacement(make.displacement(EPOCH_S + 60, [1.0, 2.0, np.nan]))
+    assert first.writer.last_displacement_utc_s() == EPOCH_S + 60
+    first.writer.close()
+    assert Watched(store).writer.last_displacement_utc_s() == EPOCH_S + 60
+
+
+def test_rows_of_a_source_do_not_hide_rows_of_the_file_that_were_not_read(store: Path) -> None:
+    first = Watched(store)
+    first.writer.start()
+    first.writer.displacement(make.displacement(EPOCH_S + 60, [1.0, 2.0, np.nan]))
+    of_source = replace(make.displacement(EPOCH_S + 90, [np.nan, np.nan, 3.0]), source="source gauge")
+    first.writer.displacement(of_source)
     assert first.writer.last_displacement_utc_s() == EPOCH_S + 60
     first.writer.close()
     assert Watched(store).writer.last_displacement_utc_s() == EPOCH_S + 60

@@ -13,7 +13,7 @@ from config.schema import Configuration
 from daemon.estimation.cleansing import Cleansing
 from daemon.history.layout import MachineLayout
 from drivers.clock import SystemClock
-from drivers.readings import CycleMaker
+from drivers.readings import RowMaker, cycle_of
 from models.quality import Quality, Reason
 from models.records import Instant, MachineTemperatures, Trace
 
@@ -33,13 +33,15 @@ class Fed:
     def __init__(self) -> None:
         configuration = machine()
         (source,) = configuration.temperatures.sources or ()
-        self._maker = CycleMaker(source)
+        self._maker = RowMaker(source)
         self._cleansing = Cleansing(configuration, SystemClock())
 
     def __call__(self, at_s: float, *numbers: float) -> MachineTemperatures:
         now = Instant(monotonic_s=at_s, utc_s=at_s, real_s=at_s)
         readings = dict(zip((9, 10), numbers, strict=True))
-        return self._cleansing.on_cycle(self._maker.cycle(readings, Trace(first_byte=now, last_byte=now)))
+        return self._cleansing.on_cycle(
+            cycle_of(self._maker.row(readings, Trace(first_byte=now, last_byte=now)), "box")
+        )
 
 
 def of_box(found: MachineTemperatures) -> Sequence[float]:

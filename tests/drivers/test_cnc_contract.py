@@ -22,7 +22,7 @@ from scripted_machine import ScriptedNc, ScriptedSinumerik, cnc_config
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import CncConnection
-from config.schema.displacements import DisplacementsConfig
+from config.schema.displacements import DisplacementFileConfig
 from config.schema.driver_section import drivers_of
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
@@ -238,9 +238,9 @@ def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:
     assert set(registry.CNC_DRIVERS) == set(drivers_of(CncConfig))
     for driver, load in registry.CNC_DRIVERS.items():
         assert callable(load()), driver
-    assert set(registry.TEMPERATURE_SOURCES) == {LineConfig.driver, *drivers_of(SourceConfig)}
-    assert set(registry.DISPLACEMENT_SOURCES) == {DisplacementsConfig.driver}
-    for load_source in (*registry.TEMPERATURE_SOURCES.values(), *registry.DISPLACEMENT_SOURCES.values()):
+    assert set(registry.LINES) == {LineConfig.driver} and set(registry.SOURCES) == {*drivers_of(SourceConfig)}
+    assert set(registry.FILES) == {DisplacementFileConfig.driver}
+    for load_source in (*registry.LINES.values(), *registry.SOURCES.values(), *registry.FILES.values()):
         assert callable(load_source())
 
 

@@ -29,11 +29,11 @@ from daemon.simulation.processes import free_port
 from drivers import displacement, kernel, process, pushing
 from drivers.clock import SystemClock
 from drivers.contract import FatalDriverError, LinkError
-from drivers.displacement.temperatures import LoggerTemperatureSource
+from drivers.displacement.logger import LoggerSource
 from drivers.json_fields import readings_in
 from drivers.kernel import KernelSource
 from drivers.mqtt import LARGEST_BYTES, MqttSource, numbers_in
-from drivers.opcua.temperatures import reading_of
+from drivers.opcua.tags import reading_of
 from drivers.process import ProcessSource
 from drivers.readings import NoReading, judged
 from models.quality import Quality, Reason
@@ -85,7 +85,7 @@ def test_units() -> None:
         ({"scale": 0.1, "offset": -5.0}, 250.0, 20.0),
     ):
         sensor = SourceSensorConfig.model_validate({**SENSOR, **about})
-        assert sensor.degc(number) == pytest.approx(degc)
+        assert sensor.value(number) == pytest.approx(degc)
         assert sensor.number(degc) == pytest.approx(number)
 
 
@@ -111,9 +111,9 @@ def test_fields_of_json() -> None:
 # --- a logger's files -----------------------------------------------------------------
 
 
-def logger(path: Path, period_s: float = PERIOD_S, **file: Any) -> LoggerTemperatureSource:
+def logger(path: Path, period_s: float = PERIOD_S, **file: Any) -> LoggerSource:
     section = {"file": {"path": str(path), "header": "t", "time_format": "%s", "poll_period_s": 0.01, **file}}
-    return LoggerTemperatureSource(source("csv", section, {**SENSOR, "column": "T7"}, period_s=period_s), SystemClock())
+    return LoggerSource(source("csv", section, {**SENSOR, "column": "T7"}, period_s=period_s), SystemClock())
 
 
 def row(path: Path, text: str) -> None:
@@ -190,7 +190,7 @@ async def test_a_logger_that_stops_is_a_lost_link_with_what_to_check(
     section = {"file": {"path": str(tmp_path / "x.csv"), "header": "t", "poll_period_s": 0.01}}
     config = source("csv", section, {**SENSOR, "column": "T7"}, period_s=0.01)
     with pytest.raises(LinkError, match=r"source s: file .*x\.csv has brought no new row.*check that the logger runs"):
-        await following(LoggerTemperatureSource(config, SystemClock()).cycles())
+        await following(LoggerSource(config, SystemClock()).cycles())
     assert displacement.__doc__
 
 

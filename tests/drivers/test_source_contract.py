@@ -1,4 +1,4 @@
-"""Every source of temperatures passes the same checks, each at a device on its own wire."""
+"""Every source of temperatures or displacements passes the same checks, each at a device on its own wire."""
 
 import asyncio
 import contextlib
@@ -16,21 +16,32 @@ import aiomqtt
 import pytest
 import pytest_asyncio
 from asyncua import Server, ua
-from source_contract import CHECKS, NAME, PATIENCE_S, SENSORS, Check, SourceBench
+from source_contract import (
+    CHECKS,
+    DISPLACEMENTS,
+    NAME,
+    PATIENCE_S,
+    TEMPERATURES,
+    WIRE_CHECKS,
+    Check,
+    Measuring,
+    SourceBench,
+)
 
+from config.schema.displacement_sources import DisplacementSourceConfig, ModbusChannelConfig
 from config.schema.driver_section import drivers_of
-from config.schema.modbus import ModbusSensorConfig
-from config.schema.source_drivers import SourceConfig
+from config.schema.modbus import ModbusRegister, ModbusSensorConfig
+from config.schema.source_drivers import SourceConfig, SourceEntry
 from daemon.simulation.processes import free_port
 from drivers import pushing
 from drivers.clock import SystemClock
-from drivers.contract import TemperatureSource
-from drivers.displacement.temperatures import LoggerTemperatureSource
+from drivers.displacement.logger import LoggerSource
 from drivers.kernel import KernelSource
 from drivers.modbus.source import ModbusSource
 from drivers.mqtt import MqttSource
-from drivers.opcua.temperatures import OpcUaTemperatureSource
+from drivers.opcua.tags import OpcUaTagSource
 from drivers.process import ProcessSource
+from drivers.readings import RowSource
 from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, registers_of
 from drivers.sim.wires.tcp_relay import TcpRelay
 
@@ -40,15 +51,15 @@ PERIOD_S = 0.02
 class ModbusBench:
     """A box with one sensor per request, so that one of them can be missing."""
 
-    def __init__(self, folder: Path, *, serial: bool) -> None:
+    def __init__(self, folder: Path, measuring: Measuring, *, serial: bool) -> None:
+        self.measuring = measuring
         self._serial = serial
         self._link = folder / "box.tty"
-        sensors: list[dict[str, Any]] = []
-        for place, (sensor_id, about) in enumerate(SENSORS.items()):
-            sensors.append({"id": sensor_id, **about, "address": 10 * place, "type": "float32"})
-        sensors[1] |= {"type": "int16", "scale": 0.25, "open": [-999.0], "unit_id": 2}
-        sensors[2] |= {"type": "int32", "scale": 0.5, "word_order": "little", "open": [-999.0], "table": "input"}
-        self._sensors = [ModbusSensorConfig.model_validate(each) for each in sensors]
+        inputs = [measuring.described(place, address=10 * place, type="float32") for place in range(3)]
+        inputs[1] |= {"type": "int16", "scale": 0.25, "unit_id": 2}
+        inputs[2] |= {"type": "int32", "scale": 0.5, "word_order": "little", "table": "input"}
+        kind = ModbusSensorConfig if measuring is TEMPERATURES else ModbusChannelConfig
+        self._inputs: list[ModbusRegister] = [kind.model_validate(each) for each in inputs]
         self._words: dict[tuple[int, str, int], int] = {}
         self._box: ModbusTcpBox | ModbusPtyBox | None = None
         self._port = 0
@@ -57,20 +68,20 @@ class ModbusBench:
         words = [self._words.get((unit, table, start + i)) for i in range(count)]
         return [word for word in words if word is not None] if None not in words else None
 
-    async def show(self, numbers: dict[int, float]) -> None:
+    async def show(self, *numbers: float | None) -> None:
         self._words = {}
-        for sensor in self._sensors:
-            if (number := numbers.get(sensor.id)) is None:
+        for each, number in zip(self._inputs, numbers, strict=True):
+            if number is None:
                 continue
-            raw = number if sensor.is_open(number) else sensor.number(number)
-            for offset, word in enumerate(registers_of(raw, sensor)):
-                self._words[sensor.unit_id or 1, sensor.table, sensor.address + offset] = word
+            raw = number if each.is_open(number) else each.number(number)
+            for offset, word in enumerate(registers_of(raw, each)):
+                self._words[each.unit_id or 1, each.table, each.address + offset] = word
 
-    def open(self) -> TemperatureSource:
+    def open(self) -> RowSource:
         way = {"serial_port": str(self._link)} if self._serial else {"host": "127.0.0.1", "port": self._port}
-        modbus = {"timeout_s": 0.3, "sensors": [each.model_dump() for each in self._sensors], **way}
-        content = {"name": NAME, "driver": "modbus", "cycle_period_s": PERIOD_S, "modbus": modbus}
-        return ModbusSource(SourceConfig.model_validate(content), SystemClock())
+        section = {"timeout_s": 0.3, self.measuring.listed: [each.model_dump() for each in self._inputs], **way}
+        content = {"name": NAME, "driver": "modbus", "cycle_period_s": PERIOD_S, "modbus": section}
+        return ModbusSource(self.measuring.config.model_validate(content), SystemClock())
 
     async def bring_back(self) -> None:
         if self._serial:
@@ -92,11 +103,12 @@ class ModbusBench:
 class Writing:
     """What the benches share whose device writes again and again: the numbers, and the task that writes them."""
 
-    def __init__(self) -> None:
-        self._numbers: dict[int, float] = {}
+    def __init__(self, measuring: Measuring) -> None:
+        self.measuring = measuring
+        self._numbers: tuple[float | None, ...] = (None, None, None)
         self._task: asyncio.Task[None] | None = None
 
-    async def show(self, numbers: dict[int, float]) -> None:
+    async def show(self, *numbers: float | None) -> None:
         self._numbers = numbers
 
     def write(self) -> None:
@@ -117,18 +129,21 @@ class Writing:
             await asyncio.wait({task})
 
 
-def configured(driver: str, section: dict[str, Any], sensors: list[dict[str, Any]], **about: Any) -> SourceConfig:
-    content = {"name": NAME, "driver": driver, "cycle_period_s": PERIOD_S, driver: {**section, "sensors": sensors}}
-    return SourceConfig.model_validate_json(json.dumps(content | about))
+def configured(
+    measuring: Measuring, driver: str, section: dict[str, Any], inputs: list[dict[str, Any]], **about: Any
+) -> SourceEntry:
+    section = {**section, measuring.listed: inputs}
+    content = {"name": NAME, "driver": driver, "cycle_period_s": PERIOD_S, driver: section}
+    return measuring.config.model_validate_json(json.dumps(content | about))
 
 
 class CsvBench(Writing):
     """A logger that appends a row with a time stamp, in Japanese text with a decimal comma."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
+    def __init__(self, folder: Path, measuring: Measuring) -> None:
+        super().__init__(measuring)
         self._path = folder / "\u6e29\u5ea6.csv"
-        sensors = [{"id": i, **about, "column": f"T{i} \u2103"} for i, about in SENSORS.items()]
+        inputs = [measuring.described(i, column=f"T{i} \u2103") for i in range(3)]
         file = {
             "path": str(self._path),
             "encoding": "cp932",
@@ -137,18 +152,18 @@ class CsvBench(Writing):
             "header": "\u6642\u523b",
         }
         file |= {"time_format": "%s", "poll_period_s": PERIOD_S / 2}
-        self._config = configured("csv", {"file": file}, sensors)
+        self._config = configured(measuring, "csv", {"file": file}, inputs)
 
     def write(self) -> None:
         new = not self._path.exists()
-        cells = [str(self._numbers[i]).replace(".", ",") if i in self._numbers else "" for i in SENSORS]
+        cells = ["" if number is None else str(number).replace(".", ",") for number in self._numbers]
         with self._path.open("a", encoding="cp932") as file:
             if new:
-                file.write("maker;someone\n" + ";".join(["\u6642\u523b", *(f"T{i} \u2103" for i in SENSORS)]) + "\n")
+                file.write("maker;someone\n" + ";".join(["\u6642\u523b", *(f"T{i} \u2103" for i in range(3))]) + "\n")
             file.write(";".join([f"{time.time():.3f}".replace(".", ","), *cells]) + "\n")
 
-    def open(self) -> TemperatureSource:
-        return LoggerTemperatureSource(self._config, SystemClock())
+    def open(self) -> RowSource:
+        return LoggerSource(self._config, SystemClock())
 
     async def lose(self) -> None:
         await super().lose()
@@ -158,32 +173,31 @@ class CsvBench(Writing):
 class KernelBench:
     """Files as those of the kernel."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, measuring: Measuring) -> None:
+        self.measuring = measuring
         self._folder = folder
-        self._paths = {i: folder / f"hwmon{i}" / "temp1_input" for i in SENSORS}
-        sensors = [{"id": i, **about, "path": str(self._paths[i])} for i, about in SENSORS.items()]
-        for sensor in sensors:
-            sensor["open"] = [-999000]
-        self._config = configured("kernel", {}, sensors)
+        self._paths = [folder / f"hwmon{i}" / "temp1_input" for i in range(3)]
+        inputs = [measuring.described(i, path=str(self._paths[i]), open=[-999000], scale=0.001) for i in range(3)]
+        self._config = configured(measuring, "kernel", {}, inputs)
 
-    async def show(self, numbers: dict[int, float]) -> None:
-        for sensor_id, path in self._paths.items():
+    async def show(self, *numbers: float | None) -> None:
+        for path, number in zip(self._paths, numbers, strict=True):
             path.parent.mkdir(exist_ok=True)
-            if sensor_id in numbers:
+            if number is not None:
                 fresh = path.with_suffix(".new")
-                fresh.write_text(f"{numbers[sensor_id] * 1000:.0f}\n")
+                fresh.write_text(f"{number * 1000:.0f}\n")
                 fresh.replace(path)
             else:
                 path.unlink(missing_ok=True)
 
-    def open(self) -> TemperatureSource:
+    def open(self) -> RowSource:
         return KernelSource(self._config, SystemClock())
 
     async def bring_back(self) -> None:
         pass
 
     async def lose(self) -> None:
-        for path in self._paths.values():
+        for path in self._paths:
             path.unlink(missing_ok=True)
 
 
@@ -199,18 +213,20 @@ while path.exists():
 print("the device went away", file=sys.stderr)
 """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, measuring: Measuring) -> None:
+        self.measuring = measuring
         self._path = folder / "numbers"
-        sensors = [{"id": i, **about, "field": f"device.t{i}"} for i, about in SENSORS.items()]
+        inputs = [measuring.described(i, field=f"device.t{i}") for i in range(3)]
         command = [sys.executable, "-I", "-S", "-c", self.PROGRAM, str(self._path), str(PERIOD_S)]
-        self._config = configured("process", {"command": command}, sensors)
+        self._config = configured(measuring, "process", {"command": command}, inputs)
 
-    async def show(self, numbers: dict[int, float]) -> None:
+    async def show(self, *numbers: float | None) -> None:
         fresh = self._path.with_suffix(".new")
-        fresh.write_text(json.dumps({"device": {f"t{i}": number for i, number in numbers.items()}}))
+        given = {f"t{i}": number for i, number in enumerate(numbers) if number is not None}
+        fresh.write_text(json.dumps({"device": given}))
         fresh.replace(self._path)
 
-    def open(self) -> TemperatureSource:
+    def open(self) -> RowSource:
         return ProcessSource(self._config, SystemClock())
 
     async def bring_back(self) -> None:
@@ -223,30 +239,30 @@ print("the device went away", file=sys.stderr)
 class MqttBench(Writing):
     """Debian's broker, and a device that publishes each sensor to a topic of its own."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
+    def __init__(self, folder: Path, measuring: Measuring) -> None:
+        super().__init__(measuring)
         self._broker = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
         if self._broker is None:
             pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
         self._port = free_port()
         self._file = folder / "mosquitto.conf"
         self._file.write_text(f"listener {self._port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
-        sensors = [{"id": i, **about, "topic": f"machine/{i}", "field": "v"} for i, about in SENSORS.items()]
-        del sensors[0]["field"]
+        inputs = [measuring.described(i, topic=f"machine/{i}", field="v" if i else "") for i in range(3)]
         section = {"host": "127.0.0.1", "port": self._port, "timeout_s": 2.0}
-        self._config = configured("mqtt", section, sensors, cycle_period_s=0.1)
+        self._config = configured(measuring, "mqtt", section, inputs, cycle_period_s=0.1)
         self._process: subprocess.Popen[bytes] | None = None
 
-    def open(self) -> TemperatureSource:
+    def open(self) -> RowSource:
         return MqttSource(self._config, SystemClock())
 
     async def _write_on(self) -> None:
         with contextlib.suppress(aiomqtt.MqttError):
             async with aiomqtt.Client("127.0.0.1", self._port) as client:
                 while True:
-                    for sensor_id, number in self._numbers.items():
-                        payload = str(number) if sensor_id == 401 else json.dumps({"v": number, "unit": "C"})
-                        await client.publish(f"machine/{sensor_id}", payload)
+                    for place, number in enumerate(self._numbers):
+                        if number is not None:
+                            payload = json.dumps({"v": number, "unit": "C"}) if place else str(number)
+                            await client.publish(f"machine/{place}", payload)
                     await asyncio.sleep(PERIOD_S)
 
     async def bring_back(self) -> None:
@@ -280,20 +296,20 @@ class OpcUaBench:
 
     URI = "urn:gateway"
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, measuring: Measuring) -> None:
+        self.measuring = measuring
         self._port, self._server, self._relay = free_port(), None, None
-        sensors = [{"id": i, **about, "node": f"s=T{i}"} for i, about in SENSORS.items()]
+        inputs = [measuring.described(i, node=f"s=T{i}") for i in range(3)]
         section = {"endpoint": f"opc.tcp://127.0.0.1:{self._port}/g", "namespace_uri": self.URI, "timeout_s": 5.0}
-        self._config = configured("opcua", section, sensors)
+        self._config = configured(measuring, "opcua", section, inputs)
 
-    def open(self) -> TemperatureSource:
-        return OpcUaTemperatureSource(self._config, SystemClock())
+    def open(self) -> RowSource:
+        return OpcUaTagSource(self._config, SystemClock())
 
-    async def show(self, numbers: dict[int, float]) -> None:
-        for sensor_id, node in self._nodes.items():
-            good = sensor_id in numbers
-            status = ua.StatusCode(ua.UInt32(0 if good else ua.StatusCodes.BadSensorFailure))
-            value = ua.Variant(numbers.get(sensor_id, 20.0), ua.VariantType.Double)
+    async def show(self, *numbers: float | None) -> None:
+        for node, number in zip(self._nodes, numbers, strict=True):
+            status = ua.StatusCode(ua.UInt32(ua.StatusCodes.BadSensorFailure if number is None else 0))
+            value = ua.Variant(20.0 if number is None else number, ua.VariantType.Double)
             await self._server.write_attribute_value(node.nodeid, ua.DataValue(value, status))
 
     async def bring_back(self) -> None:
@@ -305,7 +321,7 @@ class OpcUaBench:
             self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
             index = await self._server.register_namespace(self.URI)
             objects = self._server.nodes.objects
-            self._nodes = {i: await objects.add_variable(ua.NodeId(f"T{i}", index), f"T{i}", 20.0) for i in SENSORS}
+            self._nodes = [await objects.add_variable(ua.NodeId(f"T{i}", index), f"T{i}", 20.0) for i in range(3)]
             await self._server.start()
             self._relay = TcpRelay(port=self._port, target_port=inner)
         await self._relay.start()
@@ -317,9 +333,9 @@ class OpcUaBench:
         await self._server.stop()
 
 
-BENCHES: dict[str, Callable[[Path], SourceBench]] = {
-    "modbus-tcp": lambda folder: ModbusBench(folder, serial=False),
-    "modbus-rtu": lambda folder: ModbusBench(folder, serial=True),
+BENCHES: dict[str, Callable[[Path, Measuring], SourceBench]] = {
+    "modbus-tcp": lambda folder, measuring: ModbusBench(folder, measuring, serial=False),
+    "modbus-rtu": lambda folder, measuring: ModbusBench(folder, measuring, serial=True),
     "csv": CsvBench,
     "kernel": KernelBench,
     "process": ProcessBench,
@@ -328,13 +344,18 @@ BENCHES: dict[str, Callable[[Path], SourceBench]] = {
 }
 
 
+@pytest.fixture
+def measuring() -> Measuring:
+    return TEMPERATURES
+
+
 @pytest_asyncio.fixture(params=list(BENCHES))
 async def bench(
-    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    request: pytest.FixtureRequest, measuring: Measuring, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncIterator[SourceBench]:
     # Silence alone tells that a logger is gone; the others say so, and a computer that is busy is silent too.
     monkeypatch.setattr(pushing, "MIN_SILENT_REAL_S", 4.0 if request.param == "csv" else PATIENCE_S)
-    made = BENCHES[request.param](tmp_path)
+    made = BENCHES[request.param](tmp_path, measuring)
     await made.bring_back()
     yield made
     await made.lose()
@@ -343,10 +364,18 @@ async def bench(
 
 
 @pytest.mark.wires
+@pytest.mark.parametrize("measuring", [TEMPERATURES, DISPLACEMENTS], ids=["temperatures", "displacements"])
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 async def test_every_source_does_what_the_daemon_relies_on(bench: SourceBench, check: Check) -> None:
     await check(bench)
 
 
+@pytest.mark.wires
+@pytest.mark.parametrize("check", WIRE_CHECKS, ids=lambda check: check.__name__)
+async def test_every_wire_is_opened_lost_and_closed_alike(bench: SourceBench, check: Check) -> None:
+    await check(bench)
+
+
 def test_every_driver_of_the_schema_is_on_a_bench() -> None:
     assert set(drivers_of(SourceConfig)) == {name.partition("-")[0] for name in BENCHES}
+    assert set(drivers_of(DisplacementSourceConfig)) == set(drivers_of(SourceConfig))

@@ -1,37 +1,85 @@
-"""What every source of temperatures must do, whatever reads it; `SourceBench` gives the checks one to try it on."""
+"""What every source must do, whatever reads it and whatever it measures; `SourceBench` gives the checks one to try."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pytest
 
-from drivers.contract import LinkError, TemperatureSource
+from config.schema.displacement_sources import DisplacementSourceConfig
+from config.schema.source_drivers import SourceConfig, SourceEntry
+from drivers.contract import LinkError
+from drivers.displacement.of_sources import SourceDisplacements
+from drivers.readings import Row, RowSource
 from models.quality import Quality, Reason
-from models.records import TemperatureCycle
 
 PATIENCE_S = 30.0
 NAME = "box"
-SENSORS: dict[int, dict[str, Any]] = {
-    401: {"component": "Spindle unit", "part": "Housing", "label": "Nose", "open": [-999.0]},
-    402: {"component": "Column", "min_degc": -10.0, "max_degc": 60.0, "open": [-999.0]},
-    403: {"component": "Ambient", "label": "Room", "open": [-999.0]},
-}
-"""By ID; what one source's sensors have in every configuration."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measuring:
+    """What the device of a bench measures: three inputs, the same on every wire."""
+
+    inputs: dict[int | str, dict[str, Any]]
+    """By key; what one source's inputs have in every configuration."""
+    config: type[SourceEntry]
+    listed: str
+    words: tuple[str, str]
+    """How faults name the first two."""
+    unit: str
+
+    @property
+    def keys(self) -> list[int | str]:
+        """Keys of the inputs in their order."""
+        return list(self.inputs)
+
+    def described(self, place: int, **about: Any) -> dict[str, Any]:
+        """Return an input's description with where its number is found."""
+        key = self.keys[place]
+        return {("id" if isinstance(key, int) else "name"): key, **self.inputs[key], **about}
+
+
+TEMPERATURES = Measuring(
+    inputs={
+        401: {"component": "Spindle unit", "part": "Housing", "label": "Nose", "open": [-999.0]},
+        402: {"component": "Column", "min_degc": -10.0, "max_degc": 60.0, "open": [-999.0]},
+        403: {"component": "Ambient", "label": "Room", "open": [-999.0]},
+    },
+    config=SourceConfig,
+    listed="sensors",
+    words=("sensor 401 (Spindle unit, Housing)", "sensor 402 (Column)"),
+    unit="degC",
+)
+DISPLACEMENTS = Measuring(
+    inputs={
+        "Z1": {"axis": "z", "open": [-999.0]},
+        "Y1": {"min_um": -10.0, "max_um": 60.0, "open": [-999.0]},
+        "Weg X [um]": {"open": [-999.0]},
+    },
+    config=DisplacementSourceConfig,
+    listed="channels",
+    words=("channel Z1", "channel Y1"),
+    unit="um",
+)
 
 
 class SourceBench(Protocol):
-    """A device with three sensors, and the source that reads it."""
+    """A device with three inputs, and the source that reads it."""
 
-    def open(self) -> TemperatureSource:
+    measuring: Measuring
+
+    def open(self) -> RowSource:
         """Return a new source."""
         ...
 
-    async def show(self, numbers: dict[int, float]) -> None:
-        """Let the device give these numbers from now on; a sensor that is not named gives none."""
+    async def show(self, *numbers: float | None) -> None:
+        """Let the device give these numbers from now on; an input with None gives none."""
         ...
 
     async def lose(self) -> None:
@@ -46,85 +94,104 @@ class SourceBench(Protocol):
 Check = Callable[[SourceBench], Awaitable[None]]
 
 
-async def until(
-    cycles: AsyncIterator[TemperatureCycle], wanted: Callable[[TemperatureCycle], bool]
-) -> TemperatureCycle:
-    """Return the first cycle that is as wanted."""
+async def until(rows: AsyncIterator[Row], wanted: Callable[[Row], bool]) -> Row:
+    """Return the first row that is as wanted."""
     async with asyncio.timeout(PATIENCE_S):
-        async for cycle in cycles:
-            if wanted(cycle):
-                return cycle
+        async for row in rows:
+            if wanted(row):
+                return row
     raise AssertionError("the source ended")
 
 
-async def a_cycle_holds_every_sensor_in_the_order_of_the_configuration(bench: SourceBench) -> None:
-    await bench.show({401: 21.5, 402: -3.25, 403: 40.0})
+async def a_row_holds_every_input_in_the_order_of_the_configuration(bench: SourceBench) -> None:
+    await bench.show(21.5, -3.25, 40.0)
     source = bench.open()
     assert source.name == NAME
-    async with aclosing(source.cycles()) as cycles:
-        cycle = await until(cycles, lambda cycle: bool(np.isfinite(cycle.degc).all()))
-    assert cycle.line == NAME
-    assert list(cycle.degc) == pytest.approx([21.5, -3.25, 40.0])
+    async with aclosing(source.rows()) as rows:
+        row = await until(rows, lambda row: bool(np.isfinite(row.values).all()))
+    assert list(row.values) == pytest.approx([21.5, -3.25, 40.0])
+    assert list(row.reason) == [Reason.NONE] * 3 and row.number >= 1
+    assert row.trace.first_byte.real_s <= row.trace.last_byte.real_s
+
+
+async def rows_come_to_the_daemon_as_what_they_measure(bench: SourceBench) -> None:
+    await bench.show(21.5, -3.25, 40.0)
+    if bench.measuring is DISPLACEMENTS:
+        reached: list[int] = []
+        samples = SourceDisplacements(bench.open()).samples(lambda _: None, lambda: reached.append(1))
+        async with asyncio.timeout(PATIENCE_S), aclosing(samples):
+            async for sample in samples:
+                if np.isfinite(sample.um).all():
+                    break
+        assert list(sample.um) == pytest.approx([21.5, -3.25, 40.0]) and list(sample.reason) == [Reason.NONE] * 3
+        assert sample.source == f"source {NAME}" and reached
+        assert abs(sample.utc_s - time.time()) < PATIENCE_S
+        return
+    cycles = bench.open().cycles()
+    async with asyncio.timeout(PATIENCE_S), aclosing(cycles):
+        async for cycle in cycles:
+            if cycle.complete and np.isfinite(cycle.degc).all():
+                break
+    assert cycle.line == NAME and list(cycle.degc) == pytest.approx([21.5, -3.25, 40.0])
     assert list(cycle.quality) == [Quality.GOOD] * 3 and list(cycle.reason) == [Reason.NONE] * 3
-    assert cycle.complete and cycle.number >= 1
-    assert cycle.trace.first_byte.real_s <= cycle.trace.last_byte.real_s
 
 
-async def a_new_number_is_a_new_temperature(bench: SourceBench) -> None:
-    await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
-    async with aclosing(bench.open().cycles()) as cycles:
-        first = await until(cycles, lambda cycle: cycle.degc[0] == 20.0)
-        await bench.show({401: 20.5, 402: 20.5, 403: 20.5})
-        second = await until(cycles, lambda cycle: bool((cycle.degc == 20.5).all()))
+async def a_new_number_is_a_new_value(bench: SourceBench) -> None:
+    await bench.show(20.0, 20.0, 20.0)
+    async with aclosing(bench.open().rows()) as rows:
+        first = await until(rows, lambda row: row.values[0] == 20.0)
+        await bench.show(20.5, 20.5, 20.5)
+        second = await until(rows, lambda row: bool((row.values == 20.5).all()))
     assert second.number > first.number
     assert second.trace.first_byte.monotonic_s >= first.trace.first_byte.monotonic_s
 
 
-async def what_is_no_temperature_never_passes(bench: SourceBench) -> None:
-    await bench.show({401: -999.0, 402: 60.5, 403: 20.0})
-    async with aclosing(bench.open().cycles()) as cycles:
-        cycle = await until(cycles, lambda cycle: cycle.degc[2] == 20.0)
-    assert np.isnan(cycle.degc[:2]).all()
-    assert list(cycle.quality) == [Quality.MISSING, Quality.MISSING, Quality.GOOD]
-    assert list(cycle.reason) == [Reason.DEVICE_ERROR, Reason.OUT_OF_RANGE, Reason.NONE]
-    named = [fault for fault in cycle.faults if f"source {NAME}" in fault]
-    assert any("401 (Spindle unit, Housing)" in fault and "open" in fault for fault in named), cycle.faults
-    assert any("402 (Column)" in fault and "outside -10 to 60 degC" in fault for fault in named), cycle.faults
+async def what_is_no_value_never_passes(bench: SourceBench) -> None:
+    await bench.show(-999.0, 60.5, 20.0)
+    async with aclosing(bench.open().rows()) as rows:
+        row = await until(rows, lambda row: row.values[2] == 20.0)
+    assert np.isnan(row.values[:2]).all()
+    assert list(row.reason) == [Reason.DEVICE_ERROR, Reason.OUT_OF_RANGE, Reason.NONE]
+    named = [fault for fault in row.faults if f"source {NAME}" in fault]
+    first, second = bench.measuring.words
+    assert any(first in fault and "open" in fault for fault in named), row.faults
+    span = f"outside -10 to 60 {bench.measuring.unit}"
+    assert any(second in fault and span in fault for fault in named), row.faults
 
 
-async def a_sensor_without_a_number_is_not_received_and_named(bench: SourceBench) -> None:
-    await bench.show({401: 20.0, 403: 20.0})
-    async with aclosing(bench.open().cycles()) as cycles:
-        cycle = await until(cycles, lambda cycle: bool(np.isfinite(cycle.degc[[0, 2]]).all()))
-        assert np.isnan(cycle.degc[1]) and cycle.quality[1] == Quality.MISSING
-        assert cycle.reason[1] != Reason.NONE
-        assert any(f"source {NAME}" in fault and "402 (Column)" in fault for fault in cycle.faults), cycle.faults
+async def an_input_without_a_number_is_not_received_and_named(bench: SourceBench) -> None:
+    await bench.show(20.0, None, 20.0)
+    async with aclosing(bench.open().rows()) as rows:
+        row = await until(rows, lambda row: bool(np.isfinite(row.values[[0, 2]]).all()))
+        assert np.isnan(row.values[1])
+        assert row.reason[1] != Reason.NONE
+        assert any(f"source {NAME}" in fault and bench.measuring.words[1] in fault for fault in row.faults), row.faults
 
 
 async def a_lost_device_is_a_link_error_that_names_the_source_and_a_new_one_comes_back(bench: SourceBench) -> None:
-    await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
+    await bench.show(20.0, 20.0, 20.0)
     for _ in range(2):
         source = bench.open()
-        async with aclosing(source.cycles()) as cycles:
-            await until(cycles, lambda cycle: cycle.degc[0] == 20.0)
+        async with aclosing(source.rows()) as rows:
+            await until(rows, lambda row: row.values[0] == 20.0)
             await bench.lose()
             with pytest.raises(LinkError, match=f"source {NAME}"):
-                await until(cycles, lambda cycle: False)
+                await until(rows, lambda row: False)
         with pytest.raises(LinkError, match=f"source {NAME}"):
-            await until(bench.open().cycles(), lambda cycle: False)
+            await until(bench.open().rows(), lambda row: False)
         await bench.bring_back()
-        await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
+        await bench.show(20.0, 20.0, 20.0)
 
 
-async def closing_ends_the_cycles_at_any_time_and_more_than_once(bench: SourceBench) -> None:
-    await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
+async def closing_ends_the_rows_at_any_time_and_more_than_once(bench: SourceBench) -> None:
+    await bench.show(20.0, 20.0, 20.0)
     never = bench.open()
     await never.close()
     await never.close()
     source = bench.open()
 
     async def follow() -> None:
-        async for _ in source.cycles():
+        async for _ in source.rows():
             pass
 
     task = asyncio.create_task(follow())
@@ -134,15 +201,15 @@ async def closing_ends_the_cycles_at_any_time_and_more_than_once(bench: SourceBe
     async with asyncio.timeout(PATIENCE_S):
         await task
     with pytest.raises(RuntimeError, match="used once"):
-        await anext(source.cycles())
+        await anext(source.rows())
 
 
 async def twenty_sources_leave_nothing_open(bench: SourceBench) -> None:
-    await bench.show({401: 20.0, 402: 20.0, 403: 20.0})
+    await bench.show(20.0, 20.0, 20.0)
 
     async def one() -> None:
-        async with aclosing(bench.open().cycles()) as cycles:
-            await until(cycles, lambda cycle: cycle.degc[0] == 20.0)
+        async with aclosing(bench.open().rows()) as rows:
+            await until(rows, lambda row: row.values[0] == 20.0)
 
     await one()
     tasks = len(asyncio.all_tasks())
@@ -155,11 +222,16 @@ async def twenty_sources_leave_nothing_open(bench: SourceBench) -> None:
 
 
 CHECKS: tuple[Check, ...] = (
-    a_cycle_holds_every_sensor_in_the_order_of_the_configuration,
-    a_new_number_is_a_new_temperature,
-    what_is_no_temperature_never_passes,
-    a_sensor_without_a_number_is_not_received_and_named,
+    a_row_holds_every_input_in_the_order_of_the_configuration,
+    rows_come_to_the_daemon_as_what_they_measure,
+    a_new_number_is_a_new_value,
+    what_is_no_value_never_passes,
+    an_input_without_a_number_is_not_received_and_named,
+)
+"""Of what a source measures."""
+WIRE_CHECKS: tuple[Check, ...] = (
     a_lost_device_is_a_link_error_that_names_the_source_and_a_new_one_comes_back,
-    closing_ends_the_cycles_at_any_time_and_more_than_once,
+    closing_ends_the_rows_at_any_time_and_more_than_once,
     twenty_sources_leave_nothing_open,
 )
+"""Of how it is opened, lost and closed, whatever it measures."""

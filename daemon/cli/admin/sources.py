@@ -1,4 +1,4 @@
-"""`toolpoint sources`: what the temperature sources of a configuration deliver."""
+"""`toolpoint sources`: what the sources of a configuration deliver."""
 
 import asyncio
 import math
@@ -10,16 +10,15 @@ from typing import Any
 import click
 
 from config.schema import Configuration
-from config.schema.source_drivers import SourceConfig
+from config.schema.source_drivers import SourceEntry
 from daemon.cli.admin.scanning import scan
 from daemon.cli.common import config_option, json_option, option, read_configuration, refuse, say, write_json
 from drivers import registry
 from drivers.clock import SystemClock
 from drivers.contract import DriverError
-from drivers.readings import in_words
+from drivers.readings import Row
 from models.json_values import finite_or_none, printable
 from models.quality import describe
-from models.records import TemperatureCycle
 
 PATIENCE_S = 5.0
 """Time for the first cycle beyond its period [s]."""
@@ -27,7 +26,7 @@ PATIENCE_S = 5.0
 
 @click.group()
 def sources() -> None:
-    """Temperature sources beside the LATSIS lines: Modbus, logger files, the kernel, programs, MQTT, OPC UA tags."""
+    """Sources of temperatures and displacements: Modbus, logger files, the kernel, programs, MQTT, OPC UA tags."""
 
 
 sources.add_command(scan)
@@ -41,13 +40,13 @@ sources.add_command(scan)
 @option("--cycles", type=click.IntRange(min=1), default=1, help="End after so many cycles of each source.")
 @json_option
 def read(config_path: Path, simulated: bool, cycles: int, json_path: str | None) -> None:
-    """Show what every sensor of every source measures now.
+    """Show what every sensor and every channel of every source measures now.
 
-    Exit status 0 when every sensor has a temperature, else 1. Nothing is written. Stop the daemon first where a device
+    Exit status 0 when each of them has a value, else 1. Nothing is written. Stop the daemon first where a device
     takes one connection only.
     """
     configuration = read_configuration(config_path)
-    if not configuration.temperatures.sources:
+    if not _sources(configuration):
         refuse(f"{config_path}: temperatures.sources names no source; `toolpoint check` reads LATSIS lines")
     results = asyncio.run(_read(configuration, simulated=simulated, count=cycles, quiet=json_path == "-"))
     write_json(json_path, {"simulated": simulated, "sources": results})
@@ -61,21 +60,28 @@ async def _read(configuration: Configuration, *, simulated: bool, count: int, qu
             from daemon.simulation.boxes import simulated_sources
 
             configuration = await stack.enter_async_context(simulated_sources(configuration))
-        each = configuration.temperatures.sources or []
-        done = await asyncio.gather(*(_one(configuration, source, count, quiet) for source in each))
+        each = _sources(configuration)
+        done = await asyncio.gather(*(_one(source, count, quiet) for source in each))
         return {source.name: result for source, result in zip(each, done, strict=True)}
 
 
-async def _one(configuration: Configuration, source: SourceConfig, count: int, quiet: bool) -> dict[str, Any]:
-    """Read one source; return its sensors, or its problem."""
+def _sources(configuration: Configuration) -> list[SourceEntry]:
+    """Return the sources of temperatures and those of displacements."""
+    displacements = configuration.displacements
+    measured = None if displacements is None else displacements.sources
+    return [*(configuration.temperatures.sources or ()), *(measured or ())]
+
+
+async def _one(source: SourceEntry, count: int, quiet: bool) -> dict[str, Any]:
+    """Read one source; return what it measures, or its problem."""
     result: dict[str, Any] = {"driver": source.driver, "exposed": source.connection.exposed, "problem": None}
-    opened = registry.open_temperature_source(configuration, source, SystemClock())
-    seen: TemperatureCycle | None = None
+    opened = registry.SOURCES[source.driver]()(source, SystemClock())
+    seen: Row | None = None
     try:
-        cycles = opened.cycles()
+        rows = opened.rows()
         for _ in range(count):
             async with asyncio.timeout(source.cycle_period_s + PATIENCE_S):
-                seen = await anext(cycles)
+                seen = await anext(rows)
             if not quiet:
                 _show(source, seen)
     except (DriverError, TimeoutError, StopAsyncIteration) as error:
@@ -85,27 +91,28 @@ async def _one(configuration: Configuration, source: SourceConfig, count: int, q
             say(printable(str(result["problem"])))
     finally:
         await opened.close()
-    return result | _sensors(source, seen)
+    return result | _values(source, seen)
 
 
-def _sensors(source: SourceConfig, cycle: TemperatureCycle | None) -> dict[str, Any]:
-    degc = [math.nan] * len(source.sensors) if cycle is None else cycle.degc.tolist()
-    sensors = {
-        str(sensor.id): {
-            "degc": finite_or_none(value, 3),
-            "reason": "" if math.isfinite(value) else "nothing arrived" if cycle is None else describe(cycle.reason[i]),
+def _values(source: SourceEntry, row: Row | None) -> dict[str, Any]:
+    values = [math.nan] * len(source.inputs) if row is None else row.values.tolist()
+    found = {
+        str(each.key): {
+            each.unit_words.lower(): finite_or_none(value, 3),
+            "reason": "" if math.isfinite(value) else "nothing arrived" if row is None else describe(row.reason[i]),
         }
-        for i, (sensor, value) in enumerate(zip(source.sensors, degc, strict=True))
+        for i, (each, value) in enumerate(zip(source.inputs, values, strict=True))
     }
-    faults = [] if cycle is None else list(cycle.faults)
-    return {"missing": sum(not math.isfinite(value) for value in degc), "sensors": sensors, "faults": faults}
+    faults = [] if row is None else list(row.faults)
+    missing = sum(not math.isfinite(value) for value in values)
+    return {"missing": missing, source.connection.listed: found, "faults": faults}
 
 
-def _show(source: SourceConfig, cycle: TemperatureCycle) -> None:
+def _show(source: SourceEntry, row: Row) -> None:
     exposed = f"; {source.connection.exposed}" if source.connection.exposed else ""
-    click.echo(printable(f"source {source.name} ({source.driver}{exposed}), cycle {cycle.number}"))
-    for sensor, degc, reason in zip(source.sensors, cycle.degc.tolist(), cycle.reason.tolist(), strict=True):
-        value = f"{degc:8.2f} degC" if math.isfinite(degc) else f"       - {describe(reason)}"
-        click.echo(printable(f"  {in_words(sensor):40.40} {value}"))
-    for fault in cycle.faults:
+    click.echo(printable(f"source {source.name} ({source.driver}{exposed}), cycle {row.number}"))
+    for each, value, reason in zip(source.inputs, row.values.tolist(), row.reason.tolist(), strict=True):
+        words = f"{value:8.2f} {each.unit_words}" if math.isfinite(value) else f"       - {describe(reason)}"
+        click.echo(printable(f"  {each.in_words:40.40} {words}"))
+    for fault in row.faults:
         say(printable(fault))

@@ -79,7 +79,7 @@ async def names(request: Request, person: Viewer) -> Response:
     by_channel = {axis.estimate: name for name, axis in configuration.compensation.axes.items() if axis.estimate}
     channels = list(by_channel)
     if configuration.displacements is not None:
-        channels += [each.name for each in configuration.displacements.channels]
+        channels += [each.name for each in configuration.displacements.every_channel]
     for channel in dict.fromkeys(channels):
         own = {"unit": "um", "channel": channel, "axis": by_channel.get(channel)}
         if channel in by_channel:

@@ -38,6 +38,7 @@ from drivers.clock import Clock
 from drivers.contract import DisplacementSource, TemperatureSource
 from drivers.displacement.source import DisplacementCsvSource
 from drivers.latsis.source import LatsisSerialSource
+from drivers.registry import DisplacementInput
 from models.control.state import OutputMemory
 from models.records import TemperatureCycle, ThermalErrorEstimate
 
@@ -140,7 +141,7 @@ class CampaignDaemon:
         return _Noted(LatsisSerialSource(line, configuration.temperatures.sensors, clock, reader=reader), self._cycles)
 
     def _open_displacements(
-        self, configuration: Configuration, clock: Clock, after_utc_s: float | None
+        self, configuration: Configuration, _: DisplacementInput, clock: Clock, after_utc_s: float | None
     ) -> DisplacementSource:
         assert configuration.displacements is not None
         return DisplacementCsvSource(configuration.displacements, clock, after_utc_s=after_utc_s, in_thread=False)

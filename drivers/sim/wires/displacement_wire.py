@@ -39,6 +39,7 @@ class DisplacementCsv:
         faults: Sequence[Fault] = (),
     ) -> None:
         """Prepare the logger; `read` gives displacements by channel [um], `utc_of` the UTC of a simulated time."""
+        assert config.file is not None
         self._file = config.file
         self._scale_um = {channel.name: channel.scale_um for channel in config.channels}
         self._columns = _columns(config)
@@ -138,6 +139,7 @@ class DisplacementCsv:
 def _columns(config: DisplacementsConfig) -> list[_Column]:
     """Return the file's columns: numbered ones where they belong, named ones in the places that are left."""
     file = config.file
+    assert file is not None
     wanted: list[tuple[str | int, _Column]] = []
     for part, key in enumerate(file.time_columns if file.start is None else []):
         wanted.append((key, _Column(title=str(key) if isinstance(key, str) else f"Time{part or ''}", time_part=part)))

@@ -263,7 +263,7 @@ async def _cnc_face(
 def _logger(
     machine: SimulatedMachine, configuration: Configuration, origin_utc_s: float, faults: Sequence[Fault]
 ) -> DisplacementCsv | None:
-    if configuration.displacements is None:
+    if configuration.displacements is None or configuration.displacements.file is None:
         return None
     return DisplacementCsv(
         configuration.displacements,

@@ -1,4 +1,4 @@
-"""Temperatures that stand as tags in an OPC UA server, beside the CNC or in a gateway."""
+"""Numbers that stand as tags in an OPC UA server, beside the CNC or in a gateway."""
 
 import asyncio
 import contextlib
@@ -9,8 +9,8 @@ from asyncua.client.client import Client
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.uaerrors import UaError
 
-from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import OpcUaTagsConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.source_sections import OpcUaServer
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of
@@ -22,13 +22,13 @@ from drivers.readings import NoReading, Readings
 from models.quality import Reason
 
 
-class OpcUaTemperatureSource(PolledSource):
-    """Reads all tags in one request; a tag whose status is not good has no temperature."""
+class OpcUaTagSource(PolledSource):
+    """Reads all tags in one request; a tag whose status is not good has no value."""
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
         limit_library_log()
-        assert isinstance(source.connection, OpcUaTagsConfig)
+        assert isinstance(source.connection, OpcUaServer)
         self._config = source.connection
         self._where = f"source {source.name}: {self._config.endpoint}"
         self._client: Client | None = None
@@ -52,7 +52,7 @@ class OpcUaTemperatureSource(PolledSource):
                 f"{self._where} has no namespace {uri!r} (`namespace_uri`); it has {', '.join(namespaces)}"
             )
         index = namespaces.index(uri)
-        self._nodes = [client.get_node(self._node_id(sensor.node, index)) for sensor in self._config.sensors]
+        self._nodes = [client.get_node(self._node_id(each.node, index)) for each in self._config.every_input]
 
     def _node_id(self, text: str, namespace_index: int) -> ua.NodeId:
         try:
@@ -71,8 +71,8 @@ class OpcUaTemperatureSource(PolledSource):
         if len(answers) != len(self._nodes):
             raise LinkError(f"{self._where} answered {len(answers)} values to a request for {len(self._nodes)}")
         return {
-            sensor.id: reading_of(answer, sensor.node)
-            for sensor, answer in zip(self._config.sensors, answers, strict=True)
+            each.key: reading_of(answer, each.node)
+            for each, answer in zip(self._config.every_input, answers, strict=True)
         }
 
     async def _call(self, what: str, call: Any) -> Any:

@@ -1,8 +1,8 @@
-"""Temperatures in the files of a logger, read by what reads displacements there."""
+"""What a source reads in the files of a logger, by what reads the A/D logger's."""
 
 from config.schema.displacements import DisplacementChannelConfig
-from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import CsvConfig
+from config.schema.source_drivers import SourceEntry
+from config.schema.source_sections import CsvFiles
 from drivers.clock import Clock
 from drivers.displacement.rows import LoggedNumbers
 from drivers.displacement.source import DisplacementCsvSource
@@ -13,6 +13,7 @@ from models.records import DisplacementSample, Instant
 
 NEWEST_PERIODS = 3.0
 """A row whose time stamp is more cycle periods old is of the past, and not shown as the present."""
+LONGEST_NAME = 80
 AHEAD_S = 5.0
 """A time stamp may be so far ahead of this computer's clock [s]."""
 WHY = {
@@ -23,20 +24,23 @@ WHY = {
 }
 
 
-class LoggerTemperatureSource(PushedSource):
+class LoggerSource(PushedSource):
     """Each row is a cycle: at its time stamp, or, where rows have none, when it was read.
 
     What was written before the source was opened is history and not delivered, but for the latest rows.
     """
 
-    def __init__(self, source: SourceConfig, clock: Clock) -> None:
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
-        assert isinstance(source.connection, CsvConfig)
+        assert isinstance(source.connection, CsvFiles)
         config = source.connection
         self._path = config.file.path
         self._stamped = bool(config.file.time_columns)
-        self._ids = source.sensor_ids
-        channels = [DisplacementChannelConfig(name=f"sensor {s.id}", column=s.column) for s in config.sensors]
+        self._keys = [each.key for each in source.inputs]
+        channels = [
+            DisplacementChannelConfig(name=f"sensor {each.key}"[:LONGEST_NAME], column=each.column)
+            for each in config.every_input
+        ]
         self._files = DisplacementCsvSource(
             LoggedNumbers(file=config.file, channels=channels, owner=f"source {source.name}: file"), clock
         )
@@ -56,8 +60,8 @@ class LoggerTemperatureSource(PushedSource):
 
     def _on_row(self, row: DisplacementSample) -> None:
         readings = {
-            sensor_id: number if reason == Reason.NONE else WHY.get(Reason(reason), NOT_RECEIVED)
-            for sensor_id, number, reason in zip(self._ids, row.um.tolist(), row.reason.tolist(), strict=True)
+            key: number if reason == Reason.NONE else WHY.get(Reason(reason), NOT_RECEIVED)
+            for key, number, reason in zip(self._keys, row.um.tolist(), row.reason.tolist(), strict=True)
         }
         now = self._clock.now()
         if not self._stamped:
