@@ -14,13 +14,29 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
+HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
 LONGEST_FIRST = (
-    "tests/system/test_hardships.py",
+    f"{HARDSHIPS}[process]",
+    "tests/daemon/test_truth_of_combined_faults.py",
     "tests/literature/test_fl_thermal_families.py",
+    f"{HARDSHIPS}[store]",
+    "tests/system/test_faults.py",
+    "tests/daemon/test_truth_after_bad_input.py",
+    f"{HARDSHIPS}[calendar]",
+    "tests/daemon/test_replay_follows.py",
+    "tests/system/test_fault_campaign.py",
+    "tests/system/test_pages.py",
+    "tests/system/test_end_to_end.py",
+    "tests/daemon/test_cli_thermal_evaluate.py",
+    "tests/daemon/test_monitor_contract.py",
+    "tests/system/test_spindle_speed_wires.py",
+    "tests/daemon/test_lags_on_line.py",
+    "tests/daemon/test_planner_process.py",
+    "tests/system",
 )
-"""Files that take longest, in this order: whoever comes last with a long one leaves the other processors idle."""
-ONE_BY_ONE = frozenset({"tests/system/test_hardships.py"})
-"""Files whose tests share nothing, and are given to processes one by one."""
+"""What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle."""
+ONE_BY_ONE = ("tests/system/test_hardships.py", "tests/daemon/test_replay_follows.py")
+"""Files whose tests share nothing and take long, and are given to processes one by one."""
 IN_MEMORY = Path("/dev/shm")
 """Where files never wait for a disk. No test takes away what was not synced by taking away a disk's power."""
 ENOUGH_BYTES = 4 << 30
@@ -68,9 +84,12 @@ def fit(folder: Path) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the files that take longest first."""
-    place = {file: number for number, file in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: place.get(file_of(item.nodeid), len(place)))
+    """Put the tests that take longest first."""
+
+    def place(item: pytest.Item) -> int:
+        return next((i for i, begin in enumerate(LONGEST_FIRST) if item.nodeid.startswith(begin)), len(LONGEST_FIRST))
+
+    items.sort(key=place)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -80,13 +99,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class InOrder(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return nodeid if file_of(nodeid) in ONE_BY_ONE else super()._split_scope(nodeid)
+            return nodeid if nodeid.startswith(ONE_BY_ONE) else super()._split_scope(nodeid)
 
     if config.getoption("dist") != "loadfile":
         return None
     config.option.loadscopereorder = False  # it puts files of few tests last, and these are the longest ones
     return InOrder(config, log)
-
-
-def file_of(nodeid: str) -> str:
-    return nodeid.partition("::")[0]

@@ -1,6 +1,7 @@
 """The output step: the table of states, and what must hold in every history."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -59,6 +60,7 @@ def run(memory, count, *, start_s=0.0, follow=True, **changes):
     return memory, command
 
 
+@cache
 def active(seconds=600):
     return run(started(), seconds, request=OperatorRequest(enable=frozenset(AXES)))
 

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 import zipfile
@@ -35,6 +36,12 @@ def test_top_level_folders() -> None:
     if listed.returncode != 0:
         pytest.skip("these sources are no git repository, so what belongs to them is unknown")
     assert {name.split("/")[0] for name in listed.stdout.splitlines() if "/" in name} == FOLDERS
+
+
+def test_the_tests_that_are_given_out_first_are_there() -> None:
+    named = re.findall(r'"(tests/[\w/.]+)', (ROOT / "tests/conftest.py").read_text("utf-8"))
+    assert len(named) > 10
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_no_function_is_longer_than_a_screen_or_two() -> None:
