@@ -91,8 +91,8 @@ def summary(result: Result) -> str:
     slowest = max(((max(times), kind) for kind, times in result.recovery_s.items()), default=(0.0, "none"))
     return "\n".join(
         [
-            f"{result.days:.4g} simulated days in {result.wall_s:.0f} s ({result.processor_s:.0f} s of processor time), "
-            f"seed {result.seed}: "
+            f"{result.days:.4g} simulated days in {result.wall_s:.0f} s ({result.processor_s:.0f} s of processor "
+            f"time), seed {result.seed}: "
             f"{sum(result.incidents.values())} incidents of {len(result.incidents)} kinds, "
             f"{result.lives} lives of the daemon, {result.cycles} cycles, {result.blocks} blocks",
             f"{checked} checks of {len(result.ledger.counts)} invariants, {result.ledger.violations} violations",
