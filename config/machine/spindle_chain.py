@@ -70,36 +70,47 @@ def build_spindle(
         Unit cells along each side of a mixed or layered section.
 
     """
-    return _Builder(description, file, rotary, cells).build()
+    return _builder(description, file, rotary, cells).build(description)
 
 
 def segment_elasticity(
     description: SpindleDescription, segment: SegmentDescription, file: Path, cells: int = CELLS
 ) -> Elasticity:
     """Return the equivalent constants of a segment's own section; raises ConfigurationError."""
-    builder = _Builder(description, file, None, cells)
+    builder = _builder(description, file, None, cells)
     found = builder.section(segment, ())
     if found is None:
         raise ConfigurationError(_located(file, builder.problems))
     return found
 
 
-class _Builder:
-    def __init__(self, description: SpindleDescription, file: Path, rotary: Rotary | None, cells: int) -> None:
-        self.description = description
+def _builder(description: SpindleDescription, file: Path, rotary: Rotary | None, cells: int) -> "ChainBuilder":
+    return ChainBuilder(description.materials, file, rotary or description.rigid_rotary_inertia or "correct", cells)
+
+
+class ChainBuilder:
+    """Builds parts from descriptions; what is wrong is gathered with the key that it stands at."""
+
+    def __init__(
+        self, materials: Mapping[str, MaterialDescription], file: Path, rotary: Rotary, cells: int = CELLS
+    ) -> None:
+        """`materials`: those of the file, beside the shipped ones. `file`: for sentences about it."""
         self.file = file
         self.cells = cells
-        self.rotary: Rotary = rotary or description.rigid_rotary_inertia or "correct"
-        self.materials = {**_materials(shipped_materials()), **_materials(description.materials)}
+        self.rotary = rotary
+        self.materials = {**_materials(shipped_materials()), **_materials(materials)}
         self.problems: list[tuple[KeyPath, str]] = []
 
-    def build(self) -> Spindle:
-        told = self.description
-        segments = self.segments(told.segments, ("segments",), told.structural_damping)
-        holder = self.body(told.holder, "holder")
-        tool = self.body(told.tool, "tool")
+    def check(self) -> None:
+        """Raise ConfigurationError with everything that was found wrong."""
         if self.problems:
             raise ConfigurationError(_located(self.file, self.problems))
+
+    def build(self, told: SpindleDescription) -> Spindle:
+        segments = self.segments(told.segments, ("segments",), told.structural_damping)
+        holder = self.body(told.holder, "holder", told.structural_damping)
+        tool = self.body(told.tool, "tool", told.structural_damping)
+        self.check()
         parts: list[Part] = []
         joints = {joint.after_segment: _spring(joint) for joint in told.joints}
         for number, segment in enumerate(segments, start=1):
@@ -119,11 +130,11 @@ class _Builder:
             shaft=Chain(parts=tuple(parts), supports=supports),
             holder=holder,
             tool=tool,
-            warnings=self.warnings(),
+            warnings=self.warnings(told),
         )
 
-    def warnings(self) -> tuple[str, ...]:
-        known = self.description.bearings_identified_with
+    def warnings(self, told: SpindleDescription) -> tuple[str, ...]:
+        known = told.bearings_identified_with
         if known is None or known == self.rotary:
             return ()
         return (
@@ -131,16 +142,17 @@ class _Builder:
             f"computed with {self.rotary}; the resonances of such a mixture are shifted (about 10 Hz at the nose)",
         )
 
-    def body(self, body: Body | None, name: str) -> tuple[Part, ...]:
+    def body(self, body: Body | None, name: str, of_shaft: float) -> tuple[Part, ...]:
         if body is None:
             return ()
-        damping = self.description.structural_damping if body.structural_damping is None else body.structural_damping
+        damping = of_shaft if body.structural_damping is None else body.structural_damping
         parts: list[Part] = list(self.segments(body.segments, (name, "segments"), damping))
         if body.joint is not None:
             parts.append(_spring(body.joint))
         return tuple(parts)
 
     def segments(self, told: list[SegmentDescription], path: KeyPath, damping: float) -> list[Segment]:
+        """Return the segments; what is wrong is put to `problems`."""
         built = []
         for index, each in enumerate(told):
             tubes = self.tubes(each, (*path, index))

@@ -1,5 +1,6 @@
 """The reference page of spindle files, made from their schema: `python -m config.machine.spindle_reference`."""
 
+from config.machine.blank_test import BlankTest, ToolLibrary
 from config.machine.spindle import SpindleDescription, shipped_materials, shipped_spindles
 from config.reference import section_tables
 
@@ -43,6 +44,18 @@ SHIPPED = """\
 Instead of a file, the commands take the name of a spindle that ships:"""
 MATERIALS = "Materials that ship (`origin` says which numbers are derived):"
 
+BLANKS = """\
+## A test on a blank
+
+What [`toolpoint dynamics blank`](commands.md) reads first: a cylinder in the holder, hit at its tip and at a second
+point ([how to](../how-to/one-impact-test-for-every-tool.md)).
+"""
+LIBRARY = """\
+## A library of tools
+
+What it reads second. The constants of a tool's material are given as those of a section: `material`, or all four.
+"""
+
 
 def spindle_reference() -> str:
     """Return the reference page in Markdown."""
@@ -55,6 +68,8 @@ def spindle_reference() -> str:
         shear = f"{told.G_gpa:g}" if told.G_gpa else f"{told.G_zx_gpa:g}, {told.G_zy_gpa:g}"
         poisson = "not known" if told.nu is None else f"{told.nu:g}"
         lines.append(f"| `{name}` | {told.E_gpa:g} | {shear} | {poisson} | {told.density_g_cm3:g} | {told.origin} |")
+    lines += ["", *BLANKS.splitlines(), *section_tables(BlankTest)]
+    lines += ["", *LIBRARY.splitlines(), *section_tables(ToolLibrary)]
     return "\n".join(lines) + "\n"
 
 

@@ -20,6 +20,7 @@ from daemon.cli.common import (
     write_json,
 )
 from daemon.cli.dynamics.bearings import bearings
+from daemon.cli.dynamics.blank import blank
 from daemon.cli.dynamics.campaign import campaign, simulate_campaign, track
 from daemon.cli.dynamics.identify import contact, identify
 from daemon.cli.dynamics.studies import compare, sensitivity
@@ -111,5 +112,5 @@ def frf(
     write_json(json_path, found)
 
 
-for command in (identify, contact, sensitivity, compare, bearings, campaign, simulate_campaign, track):
+for command in (identify, contact, blank, sensitivity, compare, bearings, campaign, simulate_campaign, track):
     dynamics.add_command(command)
