@@ -1,11 +1,12 @@
 """What noise in an impact test on a blank makes of the tool that is computed from it, with and without smoothing.
 
-    python tests/benchmarks/bench_blank.py
+    python tests/benchmarks/bench_blank.py [--draws 25]
 
-Per noise of the responses: root mean square and largest error of the peak's size over 25 draws, its error in
+Per noise of the responses: root mean square and largest error of the peak's size over the draws, its error in
 frequency, how often the printed interval holds the true peak, and the error without smoothing.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -20,12 +21,14 @@ from config.machine.spindle import SegmentDescription  # noqa: E402
 from daemon.workbench.dynamics.blanks import blank_summary  # noqa: E402
 from models.dynamics.inverse_coupling import held_stiffness, tool_point_receptance  # noqa: E402
 
-DRAWS = 25
 NOISES = (0.002, 0.005, 0.01, 0.02)
 
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=25, help="draws of the noise, per row")
+    draws = parser.parse_args().draws
     holder = holder_on_spindle()
     measured, true = blank_test(holder), np.abs(tip(holder, TOOL))
     peak = int(true.argmax())
@@ -36,7 +39,7 @@ def main() -> None:
     print("noise    rms    largest  frequency [Hz]  interval holds  rms unsmoothed")
     for noise in NOISES:
         sizes, places, held, bare = [], [], 0, []
-        for seed in range(DRAWS):
+        for seed in range(draws):
             raw = noisy(measured, noise, seed)
             found = blank_summary(blank, {"tool": TOOL}, HZ, raw)["tools"]["tool"]
             sizes.append(found["peak_m_per_n"] / true[peak] - 1.0)
@@ -47,7 +50,7 @@ def main() -> None:
             bare.append(np.abs(without).max() / true[peak] - 1.0)
         rms, unsmoothed = (np.sqrt(np.mean(np.square(each))) for each in (sizes, bare))
         print(
-            f"{noise:5.1%} {rms:6.1%} {np.abs(sizes).max():10.1%} {max(places):14.0f} {held / DRAWS:15.0%} "
+            f"{noise:5.1%} {rms:6.1%} {np.abs(sizes).max():10.1%} {max(places):14.0f} {held / draws:15.0%} "
             f"{unsmoothed:15.0%}"
         )
 
