@@ -44,12 +44,6 @@ def _haas() -> CncFactory:
     return HaasCnc
 
 
-def _linuxcnc() -> CncFactory:
-    from drivers.linuxcnc.cnc import LinuxcncCnc
-
-    return LinuxcncCnc
-
-
 def _latsis() -> LineFactory:
     from drivers.latsis.source import LatsisSerialSource
 
@@ -98,12 +92,7 @@ def _file() -> FileFactory:
     return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
 
 
-CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {
-    "opcua": _opcua,
-    "focas": _focas,
-    "haas": _haas,
-    "linuxcnc": _linuxcnc,
-}
+CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas, "haas": _haas}
 """`cnc.driver` -> what imports the driver and returns its factory."""
 LINES: Mapping[str, Callable[[], LineFactory]] = {"latsis": _latsis}
 """Driver of a line -> the same."""

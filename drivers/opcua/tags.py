@@ -22,20 +22,23 @@ from drivers.readings import NoReading, Readings
 from models.quality import Reason
 
 
-class OpcUaTagSource(PolledSource):
-    """Reads all tags in one request; a tag whose status is not good has no value."""
+class TagSession:
+    """One session with a server whose tags are read, to be used once."""
 
-    def __init__(self, source: SourceEntry, clock: Clock) -> None:
-        super().__init__(source, clock)
+    def __init__(self, config: OpcUaServer, where: str) -> None:
         limit_library_log()
-        assert isinstance(source.connection, OpcUaServer)
-        self._config = source.connection
-        self._where = f"source {source.name}: {self._config.endpoint}"
+        self._config = config
+        self._where = where
         self._client: Client | None = None
-        self._nodes: list[Any] = []
 
-    async def open(self) -> None:
-        """Connect and find the namespace; raises LinkError or FatalDriverError."""
+    @property
+    def client(self) -> Client:
+        """The library's client, while connected."""
+        assert self._client is not None
+        return self._client
+
+    async def connect(self) -> tuple[Client, list[str]]:
+        """Connect; return the library's client and the namespaces. Raises LinkError or FatalDriverError."""
         security = self._config.security
         credentials = load_credentials(security) if security else None
         client = self._client = Client(self._config.endpoint, timeout=self._config.timeout_s)
@@ -44,8 +47,48 @@ class OpcUaTagSource(PolledSource):
             secure(client, credentials)
             client.set_user(credentials.user_name)
             client.set_password(credentials.password)
-        await self._call("connecting", client.connect())
-        namespaces = await self._call("reading its namespaces", client.get_namespace_array())
+        await self.call("connecting", client.connect())
+        return client, await self.call("reading its namespaces", client.get_namespace_array())
+
+    async def call(self, what: str, call: Any, keeps: tuple[type[UaError], ...] = ()) -> Any:
+        """Return what a call brings within the time-out; raises LinkError, and those errors that `keeps` names."""
+        try:
+            async with asyncio.timeout(self._config.timeout_s):
+                return await cancelled_plainly(call)
+        except keeps:
+            raise
+        except TimeoutError as error:
+            words = f"{self._where} did not answer within {self._config.timeout_s:g} s while {what}"
+            raise LinkError(f"{words}: check address, network, and that the server runs") from error
+        except (OSError, UaError) as error:
+            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
+
+    async def close(self) -> None:
+        """Close the session and the socket; never waits longer than the time-out."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        with contextlib.suppress(Exception):
+            async with asyncio.timeout(self._config.timeout_s):
+                await cancelled_plainly(client.disconnect())
+        with contextlib.suppress(Exception):
+            abort(client)
+
+
+class OpcUaTagSource(PolledSource):
+    """Reads all tags in one request; a tag whose status is not good has no value."""
+
+    def __init__(self, source: SourceEntry, clock: Clock) -> None:
+        super().__init__(source, clock)
+        assert isinstance(source.connection, OpcUaServer)
+        self._config = source.connection
+        self._where = f"source {source.name}: {self._config.endpoint}"
+        self._session = TagSession(self._config, self._where)
+        self._nodes: list[Any] = []
+
+    async def open(self) -> None:
+        """Connect and find the namespace; raises LinkError or FatalDriverError."""
+        client, namespaces = await self._session.connect()
         uri = self._config.namespace_uri
         if uri not in namespaces:
             raise FatalDriverError(
@@ -66,8 +109,8 @@ class OpcUaTagSource(PolledSource):
 
     async def read(self) -> Readings:
         """Return the number of each tag; raises LinkError when the server is lost."""
-        assert self._client is not None
-        answers = await self._call("reading", self._client.read_attributes(self._nodes, AttributeIds.Value))
+        reading = self._session.client.read_attributes(self._nodes, AttributeIds.Value)
+        answers = await self._session.call("reading", reading)
         if len(answers) != len(self._nodes):
             raise LinkError(f"{self._where} answered {len(answers)} values to a request for {len(self._nodes)}")
         return {
@@ -75,26 +118,9 @@ class OpcUaTagSource(PolledSource):
             for each, answer in zip(self._config.every_input, answers, strict=True)
         }
 
-    async def _call(self, what: str, call: Any) -> Any:
-        try:
-            async with asyncio.timeout(self._config.timeout_s):
-                return await cancelled_plainly(call)
-        except TimeoutError as error:
-            words = f"{self._where} did not answer within {self._config.timeout_s:g} s while {what}"
-            raise LinkError(f"{words}: check address, network, and that the server runs") from error
-        except (OSError, UaError) as error:
-            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
-
     async def release(self) -> None:
         """Close the session and the socket; never waits longer than the time-out."""
-        client, self._client = self._client, None
-        if client is None:
-            return
-        with contextlib.suppress(Exception):
-            async with asyncio.timeout(self._config.timeout_s):
-                await cancelled_plainly(client.disconnect())
-        with contextlib.suppress(Exception):
-            abort(client)
+        await self._session.close()
 
 
 def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:

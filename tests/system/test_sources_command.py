@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 import yaml
+from asyncua import Server, ua
 from click.testing import CliRunner
 
 from config.machines import shipped_file
 from daemon.cli import main
+from daemon.simulation.processes import free_port
 from drivers.sim.wires.modbus_box import ModbusTcpBox
 
 REPOSITORY = Path(__file__).parents[2]
@@ -177,3 +179,69 @@ def test_a_scan_of_the_kernel_lists_its_files(tmp_path: Path) -> None:
     assert "# 1-Wire: 21.5 degC" in found.output and "# hwmon: 40 degC" in found.output
     read = runner.invoke(main, ["sources", "read", "--config", str(pasted(found.stdout, tmp_path / "t.yaml"))])
     assert read.exit_code == 0, read.output
+
+
+class Gateway:
+    """A server with tags in a thread of its own."""
+
+    def __init__(self) -> None:
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
+        self._thread.start()
+        assert self._ready.wait(60)
+
+    async def _serve(self) -> None:
+        server = Server()
+        await server.init()
+        self.endpoint = f"opc.tcp://127.0.0.1:{free_port()}/gateway"
+        server.set_endpoint(self.endpoint)
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        index = await server.register_namespace("urn:gateway")
+        folder = await server.nodes.objects.add_folder(ua.NodeId("Machine", index), "Machine")
+        for name, value, unit in (("Column", 23.5, "\u00b0C"), ("Gauge", 0.125, "mm"), ("Count", 7, "")):
+            tag = await folder.add_variable(ua.NodeId(name, index), name, value)
+            if unit:
+                about = ua.EUInformation(DisplayName=ua.LocalizedText(unit))
+                await tag.add_property(ua.NodeId(f"{name}.EU", index), ua.QualifiedName("EngineeringUnits", 0), about)
+                await tag.add_property(ua.NodeId(f"{name}.P", index), ua.QualifiedName("ValuePrecision", 0), 3.0)
+        await folder.add_variable(ua.NodeId("Name", index), "Name", "a text")
+        await server.start()
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        self._ready.set()
+        await self._end.wait()
+        await server.stop()
+
+    def stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join()
+
+
+@pytest.fixture
+def gateway() -> Iterator[Gateway]:
+    made = Gateway()
+    yield made
+    made.stop()
+
+
+@pytest.mark.wires
+def test_a_scan_lists_the_numbers_of_a_server_with_their_units_and_can_be_pasted(
+    tmp_path: Path, gateway: Gateway
+) -> None:
+    runner = CliRunner()
+    found = runner.invoke(main, ["sources", "scan", "opcua", gateway.endpoint])
+    assert found.exit_code == 0, found.output
+    content = yaml.safe_load(found.stdout)
+    (source,) = content["temperatures"]["sources"]
+    assert [sensor["node"] for sensor in source["opcua"]["sensors"]] == ["s=Column", "s=Count"]
+    assert "# Column: 23.5 \u00b0C" in found.stdout and "# Count: 7 (no unit is given)" in found.stdout
+    (gauges,) = content["displacements"]["sources"]
+    assert gauges["opcua"]["channels"] == [{"name": "Gauge", "node": "s=Gauge", "unit": "mm"}]
+    path = pasted(found.stdout, tmp_path / "toolpoint.yaml")
+    whole = yaml.safe_load(path.read_text(encoding="utf-8")) | {"displacements": content["displacements"]}
+    path.write_text(yaml.safe_dump(whole), encoding="utf-8")
+    read = runner.invoke(main, ["sources", "read", "--config", str(path), "--json", "-"])
+    sources = json.loads(read.stdout)["sources"]
+    assert sources["opcua"]["sensors"]["401"]["degc"] == 23.5
+    assert sources["gauges"]["channels"]["Gauge"]["um"] == pytest.approx(125.0)
+    nobody = runner.invoke(main, ["sources", "scan", "opcua", "127.0.0.1:1"])
+    assert nobody.exit_code == 1 and "opc.tcp://127.0.0.1:1 was lost while connecting" in nobody.output

@@ -2,13 +2,17 @@
 
 import asyncio
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import yaml
 
 from daemon.cli.common import option, refuse, say
 from drivers.contract import DriverError
+from models.json_values import printable
+
+if TYPE_CHECKING:
+    from drivers.opcua.scan import FoundTag
 
 FIRST_ID = 401
 KERNEL_FILES = {
@@ -33,7 +37,7 @@ def units(text: str) -> range:
 
 
 @click.command()
-@click.argument("kind", type=click.Choice(["modbus", "kernel", "mqtt"]))
+@click.argument("kind", type=click.Choice(["modbus", "kernel", "mqtt", "opcua"]))
 @click.argument("place", required=False)
 @option("--units", "units_text", default="1", help="Modbus: units to ask, such as 1-16.")
 @option("--registers", type=click.IntRange(1, 125), default=16, help="Modbus: registers from 0 on to look at.")
@@ -55,7 +59,8 @@ def scan(
 ) -> None:
     """Find what is on a bus, and print configuration to paste.
 
-    PLACE is HOST or HOST:PORT of a box or broker, a serial port such as /dev/ttyUSB0, or, for the kernel, nothing.
+    PLACE is HOST or HOST:PORT of a box or broker, a serial port such as /dev/ttyUSB0, the address of an OPC UA server
+    (opc.tcp://host:port/path, which must let anybody read), or, for the kernel, nothing.
     Nothing is written to a device. Stop the daemon first where it has the same port open: a serial bus has one master.
     """
     if kind == "kernel":
@@ -65,6 +70,9 @@ def scan(
         raise click.UsageError(f"name the place: toolpoint sources scan {kind} HOST")
     if kind == "mqtt":
         _broker(*_host_and_port(place, 1883), topic, seconds)
+        return
+    if kind == "opcua":
+        _server(place)
         return
     wire: dict[str, Any] = {"serial_port": place, "baud": baud, "parity": parity}
     if not place.startswith("/"):
@@ -155,16 +163,71 @@ async def _mqtt(host: str, port: int, topic: str, seconds: float) -> Found:
     ]
 
 
+def _server(place: str) -> None:
+    from drivers.opcua.scan import LENGTHS
+
+    endpoint = place if place.startswith("opc.tcp://") else f"opc.tcp://{place if ':' in place else f'{place}:4840'}"
+    try:
+        tags, more = asyncio.run(_browsed(endpoint))
+    except DriverError as error:
+        refuse(str(error), status=1)
+    if not tags:
+        refuse(f"{endpoint} shows no variable that holds a number; a user may see more than anybody does", 1)
+    for uri in dict.fromkeys(tag.namespace_uri for tag in tags):
+        here = [tag for tag in tags if tag.namespace_uri == uri]
+        wire = {"endpoint": endpoint, "namespace_uri": uri}
+        lengths = [tag for tag in here if tag.unit in LENGTHS.values()]
+        if others := [tag for tag in here if tag.unit not in LENGTHS.values()]:
+            paste("opcua", wire, [({"node": tag.node} | _unit_of(tag), _now(tag)) for tag in others])
+        if lengths:
+            _paste_channels(wire, [({"name": t.name, "node": t.node} | _unit_of(t), _now(t)) for t in lengths])
+    if more:
+        say(f"{endpoint} has more than is shown; {len(tags)} variables are")
+
+
+async def _browsed(endpoint: str) -> "tuple[list[FoundTag], bool]":
+    from config.schema.source_sections import OpcUaServer
+    from drivers.opcua.scan import analog_variables
+    from drivers.opcua.tags import TagSession
+
+    session = TagSession(OpcUaServer(endpoint=endpoint, namespace_uri="-", security=None, timeout_s=5.0), endpoint)
+    try:
+        return await analog_variables(session)
+    finally:
+        await session.close()
+
+
+def _unit_of(tag: "FoundTag") -> dict[str, Any]:
+    return {"unit": tag.unit} if tag.unit not in ("", "degC") else {}
+
+
+def _now(tag: "FoundTag") -> str:
+    return f"{tag.name}: {tag.number:g} {tag.given_unit or '(no unit is given)'}"
+
+
+def _paste_channels(wire: dict[str, Any], found: Found) -> None:
+    """Print an entry of the sources of displacements."""
+    click.echo("displacements:\n  sources:")
+    _paste_entry("gauges", "opcua", wire)
+    click.echo("        channels:")
+    for entry, words in found:
+        click.echo(f"          - {_yaml(entry)}  # {printable(words)}")
+
+
+def _paste_entry(name: str, driver: str, wire: dict[str, Any]) -> None:
+    click.echo(f"    - name: {name}\n      driver: {driver}\n      cycle_period_s: 10.0\n      {driver}:")
+    for key, value in wire.items():
+        click.echo(f"        {key}: {_yaml(value)}")
+
+
 def paste(driver: str, wire: dict[str, Any], found: Found) -> None:
     """Print an entry of the sources, each sensor on a line with what it measures now."""
     click.echo("temperatures:\n  sources:")
-    click.echo(f"    - name: {driver}\n      driver: {driver}\n      cycle_period_s: 10.0\n      {driver}:")
-    for key, value in wire.items():
-        click.echo(f"        {key}: {_yaml(value)}")
+    _paste_entry(driver, driver, wire)
     click.echo("        sensors:")
     for number, (entry, words) in enumerate(found, start=FIRST_ID):
         sensor = _yaml({"id": number, "component": "WHERE IT SITS", **entry})
-        click.echo(f"          - {sensor}  # {words}")
+        click.echo(f"          - {sensor}  # {printable(words)}")
 
 
 def _yaml(value: Any) -> str:

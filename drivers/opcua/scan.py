@@ -1,0 +1,113 @@
+"""Which variables of an OPC UA server hold numbers, and which of them look like temperatures or lengths. Reads only."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.object_ids import ObjectIds
+from asyncua.ua.uaerrors import UaStatusCodeError
+
+from drivers.json_fields import number_of
+from drivers.opcua.tags import TagSession
+
+MOST_NODES = 20_000
+"""Nodes that are looked at before the rest is left."""
+MOST_TAGS = 500
+PROPERTY = ua.NodeId(ua.Int32(ObjectIds.HasProperty))
+"""How a variable refers to what describes it, which is nothing measured."""
+KINDS: Any = ua.NodeClass.Object | ua.NodeClass.Variable
+"""A mask, which the library declares as one kind."""
+UNITS = {"°c": "degC", "degc": "degC", "c": "degC", "°f": "degF", "degf": "degF", "k": "K"}
+LENGTHS = {"mm": "mm", "µm": "um", "μm": "um", "um": "um", "micron": "um"}
+"""How engineering units are written -> how the configuration writes them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundTag:
+    """One variable that holds a number."""
+
+    namespace_uri: str
+    node: str
+    """Identifier in its namespace, as the configuration writes it."""
+    name: str
+    number: float
+    unit: str
+    """As the configuration writes it; '' where the server gives none or another."""
+    given_unit: str
+    """As the server writes it."""
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it is measured in a unit of length."""
+        return self.unit in LENGTHS.values()
+
+
+async def analog_variables(session: TagSession) -> tuple[list[FoundTag], bool]:
+    """Return the numbers below the server's objects, and whether there are more; namespace 0 is the server's own.
+
+    Raises LinkError or FatalDriverError.
+    """
+    client, namespaces = await session.connect()
+    waiting, seen, found = deque([client.nodes.objects]), {client.nodes.objects.nodeid}, list[FoundTag]()
+    while waiting and len(seen) < MOST_NODES and len(found) < MOST_TAGS:
+        node = waiting.popleft()
+        browsing = node.get_references(ObjectIds.HierarchicalReferences, nodeclassmask=KINDS)
+        try:
+            children = await session.call("browsing", browsing, keeps=(UaStatusCodeError,))
+        except UaStatusCodeError:
+            continue  # a folder that is not for everybody
+        variables = []
+        for child in children:
+            node_id = child.NodeId
+            is_property = child.ReferenceTypeId == PROPERTY
+            if not child.IsForward or is_property or node_id in seen or node_id.NamespaceIndex == 0:
+                continue
+            seen.add(node_id)
+            waiting.append(client.get_node(node_id))
+            if child.NodeClass == ua.NodeClass.Variable:
+                variables.append((client.get_node(node_id), child.BrowseName.Name or ""))
+        found += await _numbers(session, variables, namespaces)
+    return found[:MOST_TAGS], bool(waiting) or len(found) > MOST_TAGS
+
+
+async def _numbers(
+    session: TagSession, variables: Sequence[tuple[Any, str]], namespaces: Sequence[str]
+) -> list[FoundTag]:
+    """Return those of the variables that hold a number now."""
+    if not variables:
+        return []
+    nodes = [node for node, _ in variables]
+    answers = await session.call("reading", session.client.read_attributes(nodes, AttributeIds.Value))
+    found = []
+    for (node, name), answer in zip(variables, answers, strict=True):
+        if answer.StatusCode is not None and not answer.StatusCode.is_good():
+            continue
+        number = number_of(None if answer.Value is None else answer.Value.Value)
+        if not isinstance(number, float) or not math.isfinite(number):
+            continue
+        given = await _unit(session, node)
+        found.append(
+            FoundTag(
+                namespace_uri=namespaces[node.nodeid.NamespaceIndex],
+                node=node.nodeid.to_string().partition(";")[2] or node.nodeid.to_string(),
+                name=name,
+                number=number,
+                unit=(UNITS | LENGTHS).get(given.strip().lower(), ""),
+                given_unit=given,
+            )
+        )
+    return found
+
+
+async def _unit(session: TagSession, node: Any) -> str:
+    """Return the engineering unit of an analog variable (OPC 10000-8, 5.6.3), '' where it has none."""
+    try:
+        about = await session.call("reading a unit", node.get_child("0:EngineeringUnits"), keeps=(UaStatusCodeError,))
+        value = await session.call("reading a unit", about.read_value(), keeps=(UaStatusCodeError,))
+    except UaStatusCodeError:
+        return ""
+    return str(getattr(getattr(value, "DisplayName", None), "Text", "") or "")
