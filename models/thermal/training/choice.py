@@ -127,10 +127,12 @@ class ChosenProblem:
         numbers = fold_numbers(rows, fold)
         self._independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
         plain = families if self._lags.all_min else (*families, "ridge")
-        tried = [self._on_temperatures(name) for name in ON_TEMPERATURES if name in plain]
+        without_lags = part_of(inputs, (), ())
+        tried = [self._on_temperatures(name, without_lags) for name in ON_TEMPERATURES if name in plain]
         chosen, others, why = self._choose([one for one in tried if one.refused is None])
         self._chosen = chosen
         self.layout = chosen.layout
+        self._inputs = without_lags  # hundreds of sensors with all their lags are tens of megabytes
         self.hyper_parameters: HyperParameters = chosen.hyper_parameters | {
             "family": chosen.family,
             "lags_min": list(chosen.layout.lags_min),
@@ -149,8 +151,7 @@ class ChosenProblem:
         """Put sentences before the others that say what to record next."""
         self.choice = replace(self.choice, advice=(*sentences, *self.choice.advice))
 
-    def _on_temperatures(self, name: str) -> _Tried:
-        plain = part_of(self._inputs, (), ())
+    def _on_temperatures(self, name: str, plain: Inputs) -> _Tried:
         try:
             problem = ON_TEMPERATURES[name](plain, self._rows, self._fold, self._probe_min)
             errors = self._errors(plain, problem)
@@ -189,18 +190,20 @@ class ChosenProblem:
                     RidgeMember(name, inputs, self._rows, self._fold, self._probe_min, design)
                     for name, design in names.items()
                 ]
+            del inputs  # before the next part is made: with hundreds of sensors each is tens of megabytes
         return made
 
     def _processes(self, *, speed: bool) -> list[GaussianMember]:
         """Return the Gaussian processes on temperatures alone and on each part of the lags, these with speed or not."""
-        parts = {"gaussian temperatures": (part_of(self._inputs, (), ()), False)}
+        made = [self._process("gaussian temperatures", part_of(self._inputs, (), ()), departures=False)]
         for part, inputs in self._parts(speed=speed):
             if part in DEPARTURES:
-                parts[_named(f"gaussian {part}", speed)] = inputs, DEPARTURES[part]
-        return [
-            GaussianMember(name, inputs, self._rows, self._fold, self._probe_min, departures)
-            for name, (inputs, departures) in parts.items()
-        ]
+                made.append(self._process(_named(f"gaussian {part}", speed), inputs, departures=DEPARTURES[part]))
+            del inputs
+        return made
+
+    def _process(self, name: str, inputs: Inputs, *, departures: bool) -> GaussianMember:
+        return GaussianMember(name, inputs, self._rows, self._fold, self._probe_min, departures)
 
     def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:
         """Return what is chosen, what else was tried with lags, and why it is that one."""
@@ -318,7 +321,7 @@ def mean_of(
     linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
     far = min([one for one, _ in linear] or ridges, key=_score) if processes and ridges else None
     layout = joint_layout([one.layout for one in (*(one for one, _ in kept), *([far] if far is not None else []))])
-    centre = inputs.features[rows].mean(axis=0)[columns_of(layout, inputs.layout)]
+    centre = inputs.features.mean(axis=0, where=rows[:, None])[columns_of(layout, inputs.layout)]
 
     def fit(left_out: frozenset[int]) -> Fit:
         """Return the mean of the members, fitted on everything but some folds."""

@@ -31,6 +31,10 @@ DEFAULT_DESIGNS = (
 """The two ridges of the default model: levels on departures from the lags, and generalised least squares on lags."""
 
 
+MOST_AT_ONCE = 256
+"""Rows that are estimated at a time: with hundreds of sensors all rows together would take hundreds of megabytes."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fit:
     """A fitted model, as coefficients of features."""
@@ -55,14 +59,23 @@ class Fit:
     def estimate_um(self, features: FloatArray, reference: FloatArray, elapsed_min: FloatArray | float) -> FloatArray:
         """Return the thermal error since the reference [um], shape (n_channels,) or (n, n_channels)."""
         drift = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
-        linear_um = np.asarray((features - reference) @ self.coefficients + drift)
+        if features.ndim == 1:
+            return np.asarray(self._since_um(features[None], reference)[0] + drift)
+        parts = [features[at : at + MOST_AT_ONCE] for at in range(0, len(features), MOST_AT_ONCE)] or [features]
+        return np.asarray(np.vstack([self._since_um(part, reference) for part in parts]) + drift)
+
+    def _since_um(self, features: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return the thermal error of some rows since the reference without the drift [um], shape (n, n_channels)."""
+        change = features - reference
+        linear_um = np.asarray(change @ self.coefficients)
         if self.mixture is None:
             return linear_um
-        far_um = (features - reference) @ self.solutions[self.mixture.outside].coefficients(self.without)
-        both = np.vstack([np.atleast_2d(features), reference]) - self.centre
+        far_um = change @ self.solutions[self.mixture.outside].coefficients(self.without)
+        both = np.vstack([features, reference])
+        if self.centre is not None:
+            both -= self.centre
         both = imputed_mean(self.solutions, both, self.without)
-        tables = np.atleast_2d(linear_um), np.atleast_2d(far_um)
-        return self.mixture.bent_um(self.solutions, both[:-1], both[-1], *tables).reshape(linear_um.shape)
+        return self.mixture.bent_um(self.solutions, both[:-1], both[-1], linear_um, far_um)
 
 
 class Problem(Protocol):

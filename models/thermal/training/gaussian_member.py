@@ -51,7 +51,7 @@ class GaussianMember:
     ) -> None:
         self.name, self.layout = name, inputs.layout
         self._design = Design(departures=departures, correlation_min=None)
-        self._centre = inputs.features[rows].mean(axis=0)
+        self._centre = inputs.features.mean(axis=0, where=rows[:, None])
         self._chosen = spread_rows(rows, fold, inputs.run)
         self._fold = fold[self._chosen]
         columns = design_columns(inputs.features[self._chosen] - self._centre, inputs.layout, self._design)

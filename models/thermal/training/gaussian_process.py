@@ -47,30 +47,76 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Between:
-    """What the kernel needs of each pair of some rows."""
+class _Kernels:
+    """What the covariance of rows is made of, whatever the hyper-parameters."""
 
-    used: IntArray
-    """The rows, shape (m,)."""
     linear: FloatArray
-    """Products of the columns of each group, shape (n_groups, m, m)."""
+    """Products of the columns of each group, shape (n_groups, n, n)."""
     apart: FloatArray
-    """Squared distances of the coordinates, shape (m, m)."""
+    """Squared distances of the coordinates, shape (n, n)."""
     same_run: FloatArray
-    """1 where both are of one run, shape (m, m)."""
+    """1 for two rows of one run, shape (n, n)."""
     elapsed_min: FloatArray
-    """Time between them, shape (m, m)."""
+    """Time between two rows, shape (n, n)."""
 
-    def among(self, used: IntArray) -> "_Between":
-        """Return the same of some of the rows."""
-        some = np.ix_(used, used)
-        return _Between(
-            used=used,
-            linear=self.linear[:, used[:, None], used],
-            apart=self.apart[some],
-            same_run=self.same_run[some],
-            elapsed_min=self.elapsed_min[some],
+    def some(self, used: IntArray) -> "_Kernels":
+        """Return those of some rows; of all in their order these themselves, which may be tens of megabytes."""
+        if len(used) == len(self.apart) and np.array_equal(used, np.arange(len(used))):
+            return self
+        both = np.ix_(used, used)
+        return _Kernels(
+            linear=np.stack([each[both] for each in self.linear]),
+            apart=self.apart[both],
+            same_run=self.same_run[both],
+            elapsed_min=self.elapsed_min[both],
         )
+
+    def of_groups(self, logarithms: FloatArray) -> FloatArray:
+        """Return the covariance of the linear part, shape (n, n)."""
+        total = np.zeros_like(self.apart)
+        for variance, each in zip(np.exp(2.0 * logarithms[: len(self.linear)]), self.linear, strict=True):
+            total += variance * each
+        return total
+
+    def of_rows(self, logarithms: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance of what bends, and of the residual that persists, each of shape (n, n)."""
+        bend, length, residual, residual_min = np.exp(logarithms[len(self.linear) : -1])
+        bends = np.square(bend) * np.exp(-0.5 * self.apart / np.square(length))
+        return bends, np.square(residual) * np.exp(-self.elapsed_min / residual_min) * self.same_run
+
+    def covariance(self, logarithms: FloatArray, bends: FloatArray, persists: FloatArray) -> FloatArray:
+        """Return the covariance of the displacements without the linear part, shape (n, n)."""
+        found = bends + persists + RUN_VARIANCE * self.same_run
+        found[np.diag_indices_from(found)] += np.exp(2.0 * logarithms[-1])
+        return found
+
+
+def _surprise(logarithms: FloatArray, kernels: _Kernels, values: FloatArray) -> tuple[float, FloatArray]:
+    """Return what `GaussianProcess.surprise` says of the rows of the kernels; `values`, shape (m, n_channels)."""
+    bend, residual = kernels.of_rows(logarithms)
+    covariance = kernels.covariance(logarithms, bend, residual)
+    covariance += kernels.of_groups(logarithms)
+    try:
+        lower = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return 1e6, np.zeros_like(logarithms)
+    inverse, (rows, channels) = inverse_of(lower), values.shape
+    weights = inverse @ values
+    value = 0.5 * float((weights * values).sum()) + channels * float(np.log(np.diagonal(lower)).sum())
+    pull = channels * inverse - weights @ weights.T
+    count, scale = len(kernels.linear), np.exp(logarithms)
+    gradient = np.empty_like(logarithms)
+    gradient[:count] = [
+        variance * np.vdot(each, pull) for variance, each in zip(scale**2, kernels.linear, strict=False)
+    ]
+    bend *= pull
+    residual *= pull
+    gradient[count] = bend.sum()
+    gradient[count + 1] = 0.5 * np.vdot(bend, kernels.apart) / np.square(scale[count + 1])
+    gradient[count + 2] = residual.sum()
+    gradient[count + 3] = 0.5 * np.vdot(residual, kernels.elapsed_min) / scale[count + 3]
+    gradient[count + 4] = np.square(scale[-1]) * np.trace(pull)
+    return value / rows, gradient / rows
 
 
 class GaussianProcess:
@@ -81,15 +127,13 @@ class GaussianProcess:
 
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
-        self._whole = _Between(
-            used=np.arange(len(rows.columns)),
+        self._kernels = _Kernels(
             linear=np.stack([rows.columns[:, group] @ rows.columns[:, group].T for group in rows.groups]),
             apart=squared_distances(rows.coordinates, rows.coordinates),
             same_run=(rows.run[:, None] == rows.run).astype(np.float64),
             elapsed_min=np.abs(rows.time_min[:, None] - rows.time_min),
         )
-        self._last: _Between | None = None
-        known = self._whole.apart[self._whole.apart > 0.0]
+        known = self._kernels.apart[self._kernels.apart > 0.0]
         self._typical = 0.5 * float(np.log(np.median(known))) if len(known) else 0.0
 
     @property
@@ -106,59 +150,12 @@ class GaussianProcess:
         length = (self._typical - 2.3, self._typical + 3.0)
         return [*groups, (-6.0, 3.0), length, (-7.0, 1.5), (np.log(3.0), np.log(400.0)), (-6.0, 0.0)]
 
-    def parts(self, logarithms: FloatArray, used: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the kernel of some rows by what it is of: each group, what bends, the residual.
-
-        Result of shapes (n_groups, m, m), (m, m) and (m, m).
-
-        `logarithms`: of the hyper-parameters, see `first`. `used`, shape (m,): rows.
-        """
-        count, between = len(self.rows.groups), self._among(used)
-        scale = np.exp(logarithms)
-        linear = np.square(scale[:count])[:, None, None] * between.linear
-        bend = np.square(scale[count]) * np.exp(-0.5 * between.apart / np.square(scale[count + 1]))
-        persists = np.exp(-between.elapsed_min / scale[count + 3])
-        return linear, bend, np.square(scale[count + 2]) * persists * between.same_run
-
-    def _among(self, used: IntArray) -> _Between:
-        """Return the matrices of some rows; a search asks for the same rows again and again."""
-        if self._last is None or not np.array_equal(self._last.used, used):
-            self._last = self._whole.among(used)
-        return self._last
-
-    def noisy(self, logarithms: FloatArray, used: IntArray) -> FloatArray:
-        """Return the covariance of the displacements of some rows, shape (m, m)."""
-        linear, bend, residual = self.parts(logarithms, used)
-        noise = np.exp(2.0 * logarithms[-1]) * np.eye(len(used))
-        return np.asarray(linear.sum(axis=0) + bend + residual + noise + RUN_VARIANCE * self._among(used).same_run)
-
     def surprise(self, logarithms: FloatArray, used: IntArray) -> tuple[float, FloatArray]:
         """Return minus the logarithm of the evidence per row, but for a constant, and its gradient (eqs. 5.8, 5.9).
 
         `logarithms`: of the hyper-parameters. `used`, shape (m,): rows.
         """
-        linear, bend, residual = self.parts(logarithms, used)
-        between = self._among(used)
-        noise = float(np.exp(2.0 * logarithms[-1]))
-        values, channels = self.rows.values[used], self.rows.values.shape[1]
-        covariance = linear.sum(axis=0) + bend + residual + RUN_VARIANCE * between.same_run + noise * np.eye(len(used))
-        try:
-            lower = np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:
-            return 1e6, np.zeros_like(logarithms)
-        inverse = inverse_of(lower)
-        weights = inverse @ values
-        value = 0.5 * float((weights * values).sum()) + channels * float(np.log(np.diagonal(lower)).sum())
-        pull = channels * inverse - weights @ weights.T
-        count, scale = len(linear), np.exp(logarithms)
-        gradient = np.empty_like(logarithms)
-        gradient[:count] = np.einsum("gij,ij->g", linear, pull)
-        gradient[count] = (pull * bend).sum()
-        gradient[count + 1] = 0.5 * (pull * bend * between.apart).sum() / np.square(scale[count + 1])
-        gradient[count + 2] = (pull * residual).sum()
-        gradient[count + 3] = 0.5 * (pull * residual * between.elapsed_min).sum() / scale[count + 3]
-        gradient[count + 4] = noise * np.trace(pull)
-        return value / len(used), gradient / len(used)
+        return _surprise(logarithms, self._kernels.some(used), self.rows.values[used])
 
     def likely(self, used: IntArray, begin: FloatArray, steps: int) -> FloatArray:
         """Return the logarithms of the hyper-parameters with the largest evidence, by L-BFGS within `bounds`.
@@ -170,16 +167,16 @@ class GaussianProcess:
         bounds = self.bounds
         start = np.clip(begin, [low for low, _ in bounds], [high for _, high in bounds])
         options = {"maxiter": steps, "maxfun": 2 * steps + 5}
-        found = minimize(
-            self.surprise, start, args=(used,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-        )
+        arguments = self._kernels.some(used), self.rows.values[used]
+        found = minimize(_surprise, start, args=arguments, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         return np.asarray(found.x, dtype=np.float64)
 
     def posterior(self, logarithms: FloatArray, used: IntArray) -> "Posterior":
         """Return what the displacements of some rows tell (eqs. 2.25, 2.26)."""
-        lower = np.linalg.cholesky(self.noisy(logarithms, used))
-        inverse = inverse_of(lower)
-        count = len(self.rows.groups)
+        kernels, count = self._kernels.some(used), len(self.rows.groups)
+        linear = kernels.of_groups(logarithms)
+        without_linear = kernels.covariance(logarithms, *kernels.of_rows(logarithms))
+        inverse = inverse_of(np.linalg.cholesky(without_linear + linear))
         scale = np.zeros(self.rows.columns.shape[1])
         for size, group in zip(np.exp(logarithms[:count]), self.rows.groups, strict=True):
             scale[group] = size
@@ -189,7 +186,7 @@ class GaussianProcess:
             coordinates=self.rows.coordinates[used],
             length=float(np.exp(logarithms[count + 1])),
             variance=float(np.exp(2.0 * logarithms[count])),
-            without_linear=self.noisy(logarithms, used) - self.parts(logarithms, used)[0].sum(axis=0),
+            without_linear=without_linear,
             inverse=inverse,
             weights=inverse @ self.rows.values[used],
         )

@@ -72,7 +72,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         period_min=inputs.period_min,
         solutions=tuple(_in_single_precision(solution) for solution in fit.solutions),
         drift_um_per_min=fit.drift_um_per_min.copy(),
-        centre=features[rows].mean(axis=0),
+        centre=features.mean(axis=0, where=rows[:, None]),
         domain=Domain(
             of_increments=False,
             lowest=inputs.degc[rows].min(axis=0),

@@ -59,11 +59,10 @@ def prepare(
         Time between probes [min] for which it is chosen; None without probes.
 
     """
-    plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
-    wanted = np.ones(plain.rows, dtype=np.bool_) if wanted is None else wanted
-    inputs = plain
+    inputs = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
+    wanted = np.ones(inputs.rows, dtype=np.bool_) if wanted is None else wanted
     if recipe.lags:
-        lags = offered_lags(plain, wanted & plain.trainable())
+        lags = offered_lags(inputs, wanted & inputs.trainable())
         speed_lags_min = lags.all_speed_min
         inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags.all_min, speed_lags_min=speed_lags_min)
     rows = wanted & inputs.trainable()

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from models.records import FloatArray
 from models.thermal.features import BRIDGE_MIN, BoolArray, Design, IntArray, design_columns
@@ -21,6 +22,8 @@ MOST_COLUMNS = 200
 """More columns are first turned into their leading principal directions, this many."""
 DIRECTION_ROWS = 900
 """So many rows, evenly spread, tell these directions; neighbouring rows say nearly the same."""
+MOST_AT_ONCE = 256
+"""Rows of which all columns are made at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,23 +59,25 @@ class RidgeProblem:
 
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design) -> None:
         self._layout, self._design = inputs.layout, design
-        columns = design_columns(inputs.features, inputs.layout, design)
-        # Hundreds of sensors with all their lags: no more copies at a time than must be.
-        largest = np.maximum(
-            columns.max(axis=0, where=rows[:, None], initial=-np.inf),
-            -columns.min(axis=0, where=rows[:, None], initial=np.inf),
-        )
-        scaled = columns - columns.mean(axis=0, where=rows[:, None])
-        del columns
-        spread = np.sqrt(np.einsum("i,ij,ij->j", rows.astype(np.float64), scaled, scaled) / max(int(rows.sum()), 1))
+        mean, spread, largest = _scale(inputs, rows, design)
         moves = spread > 1e-9 * np.maximum(1.0, largest)
         self._gain = np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
-        scaled *= self._gain
-        self._basis: FloatArray | None = None
-        if scaled.shape[1] > MOST_COLUMNS:
-            self._basis = _leading_directions(scaled, np.flatnonzero(rows))
-            scaled = scaled @ self._basis
-        self._pieces = _pieces(inputs, rows, fold, design, scaled)
+
+        def scaled(some: IntArray) -> FloatArray:
+            """Return the columns of some rows about their mean, over their deviation."""
+            columns = design_columns(inputs.features[some], inputs.layout, design) - mean
+            columns *= self._gain
+            return columns
+
+        used = np.flatnonzero(rows)
+        self._basis: npt.NDArray[np.float32] | None = None
+        if inputs.layout.columns > MOST_COLUMNS:
+            self._basis = _leading_directions(scaled(used[:: 1 + len(used) // DIRECTION_ROWS])).astype(np.float32)
+            parts = [scaled(used[at : at + MOST_AT_ONCE]) @ self._basis for at in range(0, len(used), MOST_AT_ONCE)]
+            x = np.vstack(parts)
+        else:
+            x = scaled(used)
+        self._pieces = _pieces(inputs, used, fold, design, x)
 
     def solve(self, left_out: frozenset[int], penalties: Sequence[float]) -> list[Solution]:
         """Return the fits on everything but some folds, one per relative penalty."""
@@ -101,20 +106,38 @@ class RidgeProblem:
         return found
 
 
-def _leading_directions(scaled: FloatArray, rows: IntArray) -> FloatArray:
+def _scale(inputs: Inputs, rows: BoolArray, design: Design) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, deviation and largest absolute value of each column of a design, each of shape (d,).
+
+    Hundreds of sensors with all their lags are some hundred megabytes, so only some rows are looked at together.
+    """
+    used = np.flatnonzero(rows)
+    parts = [used[at : at + MOST_AT_ONCE] for at in range(0, len(used), MOST_AT_ONCE)]
+    total, largest, squares = (np.zeros(inputs.layout.columns) for _ in range(3))
+    for part in parts:
+        columns = design_columns(inputs.features[part], inputs.layout, design)
+        total += columns.sum(axis=0)
+        largest = np.maximum(largest, np.abs(columns).max(axis=0))
+    mean = total / max(len(used), 1)
+    for part in parts:
+        columns = design_columns(inputs.features[part], inputs.layout, design) - mean
+        squares += np.einsum("ij,ij->j", columns, columns)
+    return mean, np.sqrt(squares / max(len(used), 1)), largest
+
+
+def _leading_directions(some: FloatArray) -> FloatArray:
     """Return the directions along which rows differ most, shape (d, at most `MOST_COLUMNS`).
 
-    `scaled`, shape (n, d): standardised columns about their mean. `rows`: those that tell.
+    `some`, shape (n, d): standardised columns about their mean, of the rows that tell.
     """
-    some = scaled[rows[:: 1 + len(rows) // DIRECTION_ROWS]]
     eigenvalues, vectors = np.linalg.eigh(some @ some.T)
     kept = np.argsort(eigenvalues)[::-1][: min(MOST_COLUMNS, some.shape[1])]
     kept = kept[eigenvalues[kept] > 1e-10 * max(float(eigenvalues[-1]), 1e-300)]
     return np.ascontiguousarray(some.T @ vectors[:, kept] / np.sqrt(eigenvalues[kept]))
 
 
-def _pieces(inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design, scaled: FloatArray) -> list[_Piece]:
-    used, x, y = np.flatnonzero(rows), scaled[rows], inputs.cleansed_um[rows]
+def _pieces(inputs: Inputs, used: IntArray, fold: IntArray, design: Design, x: FloatArray) -> list[_Piece]:
+    y = inputs.cleansed_um[used]
     if design.correlation_min is not None:
         elapsed_min = np.diff(inputs.time_min[used])
         follows = (np.diff(inputs.run[used]) == 0) & (np.diff(fold[used]) == 0)

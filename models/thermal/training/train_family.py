@@ -85,6 +85,7 @@ def train_family(
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
     kept = [name for name in plain.sensor_names if name not in left_out]
+    del plain
     if not kept:
         raise DatasetError("no temperature can be used; every one is constant or mostly missing")
     used = [with_sensors(recording, kept) for recording in recordings]

@@ -259,7 +259,7 @@ def _band_um(
         count = int((out & known).sum())
         for run in np.unique(inputs.run[out & known]):
             chosen = np.flatnonzero(out & known & (inputs.run == run))
-            points = leverage_positions(fit.solutions, inputs.features[chosen]) / np.sqrt(limit)
+            points = leverage_positions(fit.solutions, inputs.features, chosen) / np.sqrt(limit)
             factor = band_factor(np.linalg.norm(points - points[0], axis=1))[:, None]
             scores.append(np.abs(series_um[chosen] - series_um[chosen[0]]) / factor)
             shares.append(np.full(len(chosen), 1.0 / count))
