@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -90,6 +91,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next((i for i, begin in enumerate(LONGEST_FIRST) if item.nodeid.startswith(begin)), len(LONGEST_FIRST))
 
     items.sort(key=place)
+
+
+def pytest_collection_finish() -> None:
+    """Load the standard nodes of OPC UA once, where a test serves some."""
+    if "asyncua.server.internal_server" in sys.modules:
+        from standard_nodes import loaded_once
+
+        loaded_once()
 
 
 @pytest.hookimpl(optionalhook=True)
