@@ -44,6 +44,12 @@ def _haas() -> CncFactory:
     return HaasCnc
 
 
+def _linuxcnc() -> CncFactory:
+    from drivers.linuxcnc.cnc import LinuxcncCnc
+
+    return LinuxcncCnc
+
+
 def _latsis() -> LineFactory:
     from drivers.latsis.source import LatsisSerialSource
 
@@ -92,7 +98,12 @@ def _file() -> FileFactory:
     return lambda config, clock, after_utc_s: DisplacementCsvSource(config, clock, after_utc_s=after_utc_s)
 
 
-CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {"opcua": _opcua, "focas": _focas, "haas": _haas}
+CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {
+    "opcua": _opcua,
+    "focas": _focas,
+    "haas": _haas,
+    "linuxcnc": _linuxcnc,
+}
 """`cnc.driver` -> what imports the driver and returns its factory."""
 LINES: Mapping[str, Callable[[], LineFactory]] = {"latsis": _latsis}
 """Driver of a line -> the same."""

@@ -222,10 +222,36 @@ class HaasConfig(CncConnection):
         return f"{self.host.lower()}:{self.port}"
 
 
+class LinuxcncConfig(CncConnection):
+    """LinuxCNC on the daemon's own computer; nothing goes over a wire."""
+
+    driver: ClassVar[str] = "linuxcnc"
+
+    command: list[str] = Field(
+        ["/usr/bin/python3"],
+        min_length=1,
+        description="Python that LinuxCNC was installed for, behind what runs it as LinuxCNC's user if that is another",
+        examples=[["sudo", "-n", "-u", "cnc", "/usr/bin/python3"]],
+    )
+    nml_file: Path = Field(Path("/usr/share/linuxcnc/linuxcnc.nml"), description="LinuxCNC's list of its channels")
+    analog_in: int = Field(0, ge=0, le=63, description="first of the analog inputs of motion that are ours: the clock")
+    analog_out: int = Field(0, ge=0, le=63, description="first of the analog outputs of motion that are ours")
+
+    @property
+    def encrypted(self) -> bool:
+        """Nothing goes over a wire: who may reach LinuxCNC's memory is decided by the computer's accounts."""
+        return True
+
+    @property
+    def address(self) -> str:
+        """The one LinuxCNC of this computer."""
+        return "linuxcnc"
+
+
 class CncDriverConfig(SectionOfDriver):
     """The driver and its section: a union that `driver` decides, with one key per driver."""
 
-    driver: Literal["opcua", "focas", "haas"] = Field(
+    driver: Literal["opcua", "focas", "haas", "linuxcnc"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"
     )
     opcua: OpcUaConfig | None = Field(
@@ -239,6 +265,7 @@ class CncDriverConfig(SectionOfDriver):
     haas: HaasConfig | None = Field(
         None, description="machine data collection of a Haas, which cannot be encrypted; required with driver haas"
     )
+    linuxcnc: LinuxcncConfig | None = Field(None, description="LinuxCNC; required with driver linuxcnc")
     allow_insecure_writes: bool = Field(
         False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
     )

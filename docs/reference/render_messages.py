@@ -29,6 +29,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/haas/cnc.py",
         "drivers/haas/link.py",
         "drivers/haas/requests.py",
+        "drivers/linuxcnc/cnc.py",
+        "drivers/linuxcnc/link.py",
         "drivers/linked_cnc.py",
         "drivers/power_on.py",
     ),

@@ -5,15 +5,14 @@ import pytest_asyncio
 from commissioning_bench import Bench, Person, serving
 
 from config.records.commissioning import commissioning_inhibit, save_commissioning
-from config.schema.cnc import CncConfig
-from config.schema.driver_section import drivers_of
 from daemon.checkup.machine import preflight
+from drivers.sim.wires.cnc_face import SIMULATED
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=drivers_of(CncConfig))
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=SIMULATED)
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("commission"), request.param) as bench:
         yield bench

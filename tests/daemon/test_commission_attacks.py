@@ -11,12 +11,11 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import STOPPED, Bench, Person, refused, serving
 
-from config.schema.cnc import CncConfig
-from config.schema.driver_section import drivers_of
 from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError
 from drivers.sim.nc.wiring import Wiring
+from drivers.sim.wires.cnc_face import SIMULATED
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -28,7 +27,7 @@ DIAMETER = Wiring(um_per_um={"x": {"x": 0.5}})
 SKEW = Wiring(um_per_um={"z": {"z": 1.0, "x": 0.5}})
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=drivers_of(CncConfig))
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=SIMULATED)
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("attacks"), request.param) as bench:
         yield bench

@@ -1,0 +1,1 @@
+"""LinuxCNC on this computer, by a program that runs with LinuxCNC's own Python modules."""

@@ -1,0 +1,88 @@
+"""The bridge to LinuxCNC as a child process: one request at a time, each answered with its own number."""
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+from importlib.resources import files
+from typing import Any
+
+from drivers.contract import LinkError
+
+END_PATIENCE_S = 1.0
+"""The bridge may take so long to end when its input has ended; then it is killed."""
+LONGEST_LINE = 65_536
+
+
+class BridgeError(ValueError):
+    """A line that is no answer to what was asked."""
+
+
+class BridgeLink:
+    """A running bridge; a request that was given up ends it, so that no answer comes late."""
+
+    def __init__(self, process: asyncio.subprocess.Process, name: str) -> None:
+        self._process, self._name = process, name
+        self._asked = 0
+        self.lost: str | None = None
+        """Why the link is lost; None while it stands."""
+
+    @classmethod
+    async def start(cls, command: list[str], name: str) -> "BridgeLink":
+        """Start the bridge; raises OSError."""
+        text = files("drivers.linuxcnc").joinpath("bridge.py").read_text(encoding="utf-8")
+        process = await asyncio.create_subprocess_exec(
+            *command,
+            "-c",
+            text,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            limit=LONGEST_LINE,
+            start_new_session=True,
+            env={"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LC_ALL": "C.UTF-8"},
+        )
+        return cls(process, name)
+
+    async def ask(self, **request: Any) -> dict[str, Any]:
+        """Send a request and return its answer; raises LinkError and BridgeError."""
+        if self.lost is not None:
+            raise LinkError(self.lost)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._asked += 1
+        try:
+            self._process.stdin.write(json.dumps({"id": self._asked, **request}).encode() + b"\n")
+            line = await self._process.stdout.readline()
+        except asyncio.CancelledError:
+            self.abort(f"{self._name}: an answer was given up")
+            raise
+        if not line:
+            self.abort(f"{self._name}: the bridge has ended; cnc.linuxcnc.command must run as LinuxCNC's own user")
+            raise LinkError(self.lost or "")
+        try:
+            answer = json.loads(line)
+            if not isinstance(answer, dict) or answer.get("id") != self._asked:
+                raise BridgeError(f"{line[:80]!r} does not answer request {self._asked}")
+        except json.JSONDecodeError as error:
+            raise BridgeError(f"{line[:80]!r} is no answer") from error
+        if "error" in answer:
+            self.abort(f"{self._name}: {answer['error']}")
+            raise LinkError(self.lost or "")
+        return answer
+
+    def abort(self, reason: str) -> None:
+        """End the bridge."""
+        self.lost = self.lost or reason
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    async def ended(self) -> None:
+        """Wait until the bridge has ended; call after `abort`."""
+        try:
+            async with asyncio.timeout(END_PATIENCE_S):
+                await self._process.wait()
+        except TimeoutError:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            await self._process.wait()

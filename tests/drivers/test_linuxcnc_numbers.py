@@ -1,0 +1,20 @@
+"""Numbers that LinuxCNC does not have itself: of programs, of work offsets, of pins."""
+
+from scripted_machine import cnc_config
+
+from drivers.linuxcnc.cnc import program_number, work_offset
+from drivers.linuxcnc.pins import Pins
+
+
+def test_programs_and_offsets_have_numbers() -> None:
+    assert [program_number(path) for path in ("/a/o1000.ngc", "/a/1000.ngc", "")] == [1000, 1000, 0]
+    assert program_number("/a/part.ngc") != program_number("/b/part.ngc") > 10_000_000
+    assert [work_offset(index) for index in (0, 1, 6, 9, 12)] == [0, 54, 59, 593, 0]
+
+
+def test_every_macro_of_the_map_has_a_pin_of_its_own_behind_the_clock() -> None:
+    config = cnc_config(linuxcnc={"analog_in": 4, "analog_out": 10})
+    pins = Pins.of(config)
+    assert pins.clock == 4 and list(pins.inputs.values()) == list(range(5, 13)) and len(pins) == 16
+    assert {**pins.inputs, **pins.outputs}.keys() == set(config.macros.block)
+    assert list(pins.outputs.values()) == list(range(10, 16)) and set(pins.outputs) == set(range(510, 516))
