@@ -86,6 +86,15 @@ Feed = Annotated[
 ]
 
 
+class UncertaintyCase(Section):
+    """How far the numbers of a case may be off, as standard deviations in shares of the value."""
+
+    coefficients: float = Field(0.1, ge=0, lt=0.5, description="of K_tc and of K_rc / K_tc: tool, wear, speed")
+    frequency: float = Field(0.005, ge=0, lt=0.5, description="of natural frequencies: temperature, clamping")
+    damping: float = Field(0.1, ge=0, lt=0.5, description="of damping ratios")
+    gain: float = Field(0.05, ge=0, lt=0.5, description="of a mode's size: calibration of hammer and sensor")
+
+
 class StabilityCase(Section):
     """Tool, engagement, cutting coefficients and structure of one milling operation."""
 
@@ -107,6 +116,7 @@ class StabilityCase(Section):
     feed_deg: Feed = Field(
         0.0, description="direction of the feed against X [deg], or all: at each speed the worst of all directions"
     )
+    uncertainty: UncertaintyCase = Field(UncertaintyCase(), description="how far these numbers may be off (--band)")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -158,4 +168,4 @@ def load_stability_case(path: Path) -> StabilityCase:
     return with_absolute_paths(load_yaml_model(path, StabilityCase), path.resolve().parent)
 
 
-__all__ = ["ALL_DIRECTIONS", "DirectionCase", "ModeCase", "StabilityCase", "load_stability_case"]
+__all__ = ["ALL_DIRECTIONS", "DirectionCase", "ModeCase", "StabilityCase", "UncertaintyCase", "load_stability_case"]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from config.loader import parse_yaml_model
-from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase, load_stability_case
+from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase, UncertaintyCase, load_stability_case
 from models.stability.cutting_coefficients import MATERIALS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -30,7 +30,7 @@ def test_the_cases_shown_are_valid(page: str, heading: str) -> None:
 
 def test_every_key_is_in_the_reference() -> None:
     text = (DOCS / "reference" / "stability-files.md").read_text("utf-8")
-    for model in (StabilityCase, ModeCase, DirectionCase):
+    for model in (StabilityCase, ModeCase, DirectionCase, UncertaintyCase):
         for name in model.model_fields:
             assert f"`{name}`" in text, name
 

@@ -354,3 +354,23 @@ def test_roughness_per_depth(tmp_path: Path) -> None:
     assert high["ra_um"] == pytest.approx(3.0 * low["ra_um"], rel=1e-3)
     path.write_text("position_mm,height\n1,2\n")
     assert "no column height_um" in refusal("roughness", path)
+
+
+@pytest.mark.parametrize(("method", "points"), [("zoa", 12), ("sdm", 2)])
+def test_a_band_lies_around_the_lobes(case, tmp_path, method, points):
+    words = ["lobes", case, "--method", method, "--points", points, "--from-rpm", 6000, "--to-rpm", 20000, "--band"]
+    found = answer(*words, "--picture", tmp_path / "band.html")
+    low, high, expected = (np.array(found[key]) for key in ("depth_low_mm", "depth_high_mm", "limiting_depth_mm"))
+    assert np.all(low <= expected) and np.all(expected <= high) and low.min() < 0.9 * expected.min()
+    assert "careful" in (tmp_path / "band.html").read_text("utf-8")
+    sure = other(
+        case, ("feed_deg: 0\n", "feed_deg: 0\nuncertainty: {coefficients: 0, frequency: 0, damping: 0, gain: 0}\n")
+    )
+    found = answer("lobes", sure, *words[2:])
+    assert found["depth_low_mm"] == pytest.approx(found["limiting_depth_mm"], rel=1e-9)
+
+
+def test_a_band_of_one_point_is_refused_and_so_is_an_uncertainty_that_is_no_share(case):
+    assert "--band belongs to lobes" in refusal("lobes", case, "--method", "sdm", "--at", "7000:4", "--band")
+    wrong = other(case, ("feed_deg: 0\n", "feed_deg: 0\nuncertainty: {damping: 2}\n"))
+    assert "uncertainty.damping" in refusal("lobes", wrong, "--band")

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +90,9 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
     type=click.IntRange(8, 2000),
     help="Steps per tooth passing of the semi-discretisation; without: by collocation.",
 )
+@option(
+    "--band", is_flag=True, help="Add between which depths the limit lies, by the uncertainty that the case states."
+)
 @picture_option
 @json_option
 def lobes(
@@ -101,16 +104,19 @@ def lobes(
     max_depth_mm: float | None,
     at: tuple[tuple[float, float], ...],
     steps: int | None,
+    band: bool,
     picture: Path | None,
     json_path: str | None,
 ) -> None:
     """Limiting depth of cut over spindle speed for the milling CASE."""
     from config.machine.stability_case import load_stability_case
-    from daemon.workbench.stability.lobes import LobesRequest, find_lobes, radii_at
+    from daemon.workbench.stability.lobes import LobesRequest, find_band, find_lobes, radii_at
     from models.errors import StabilityError
 
     if method == "zoa" and (at or steps is not None):
         refuse("--at and --steps belong to the semi-discretisation; add --method sdm")
+    if at and band:
+        refuse("--band belongs to lobes, --at to single points; leave out one of them")
     if at and picture is not None:
         refuse("--at gives numbers, not lobes to draw; leave out one of --at and --picture")
     request = LobesRequest(
@@ -125,10 +131,19 @@ def lobes(
             found = find_lobes(case, request)
             content = lobes_content(found, method, max_depth_mm)
             _show(found)
+            diagrams = [(case_path.stem, found)]
+            if band:
+                limits = find_band(case, request)
+                for name, depths in (("depth_low_mm", limits.low_mm), ("depth_high_mm", limits.high_mm)):
+                    content[name] = [_shown_depth(each, content["max_depth_mm"]) for each in depths]
+                lowest = replace(found, limiting_depth_mm=limits.low_mm)
+                lowest_mm = float(limits.low_mm.min())
+                say(f"as far as the case's numbers are known: stable everywhere up to {lowest_mm:.4g} mm")
+                diagrams.append(("careful", lowest))
             if picture is not None:
                 from daemon.workbench.stability.pictures import lobes_picture
 
-                lobes_picture(picture, [(case_path.stem, found)])
+                lobes_picture(picture, diagrams)
     except StabilityError as error:
         refuse(f"{case_path}: {error}")
     write_json(json_path, content)
@@ -141,7 +156,7 @@ def lobes_content(found: "StabilityLobes", method: str, max_depth_mm: float | No
     depths, chatter = [], []
     for depth, frequency in zip(found.limiting_depth_mm, found.chatter_hz, strict=True):
         beyond = not math.isfinite(depth) or (max_depth_mm is not None and depth > max_depth_mm)
-        depths.append(max_depth_mm if beyond else float(depth))
+        depths.append(_shown_depth(depth, max_depth_mm))
         chatter.append(None if beyond or not math.isfinite(frequency) else float(frequency))
     return {
         "method": method,
@@ -153,6 +168,11 @@ def lobes_content(found: "StabilityLobes", method: str, max_depth_mm: float | No
         "minimum": None if found.minimum is None else asdict(found.minimum),
         "warnings": list(found.warnings),
     }
+
+
+def _shown_depth(depth_mm: float, max_depth_mm: float | None) -> float | None:
+    beyond = not math.isfinite(depth_mm) or (max_depth_mm is not None and depth_mm > max_depth_mm)
+    return max_depth_mm if beyond else float(depth_mm)
 
 
 def _show(found: "StabilityLobes") -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
 from daemon.workbench.stability.case_files import modal_response_of, response_of
 from models.errors import StabilityError
+from models.records import FloatArray
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed
 from models.spindle_speed.tuning import SpeedChoice
 from models.stability.collocation import follows, spectral_radii
@@ -15,7 +16,8 @@ from models.stability.lobes import StabilityLobes
 from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut
-from models.stability.response import ModalResponse
+from models.stability.response import ModalResponse, ToolPointResponse
+from models.stability.robust_lobes import Uncertainty, depth_band
 from models.stability.semi_discretisation import (
     FEWEST_PER_CYCLE,
     fine_steps,
@@ -26,6 +28,8 @@ from models.stability.semi_discretisation import (
 from models.stability.state_space import state_space
 
 POINTS = {"zoa": 400, "sdm": 100}
+DRAWS = {"zoa": 60, "sdm": 20}
+"""Cuts from which a band is made; 20 of the slow kind reach from the lowest to the highest."""
 CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 """Speeds among which one is chosen."""
 
@@ -43,36 +47,58 @@ class LobesRequest:
     steps: int | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthBand:
+    """Limiting depths between which the middle 95 of 100 lie, at the speeds of the lobes; inf: none."""
+
+    low_mm: FloatArray
+    high_mm: FloatArray
+
+
 def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
     """Return the lobes of a case; raises MeasurementFileError and StabilityError."""
-    cut = case.cut()
-    points = request.points or POINTS[request.method]
-    from_rpm, to_rpm = request.from_rpm, request.to_rpm
+    if request.method == "zoa":
+        return _lobes(response_of(case), case.cut(), case, request)
+    modes, warnings = modal_response_of(case, request.from_rpm, request.to_rpm)
+    return _lobes(modes, case.cut(), case, request).with_warnings(warnings)
+
+
+def find_band(case: StabilityCase, request: LobesRequest) -> DepthBand:
+    """Return the limiting depths at the speeds of `find_lobes` as a band; raises as it does."""
+    modes, _ = modal_response_of(case, request.from_rpm, request.to_rpm)
+
+    def limits(drawn: ModalResponse, cut: Cut) -> FloatArray:
+        return _lobes(drawn, cut, case, request).limiting_depth_mm
+
+    low, high = depth_band(
+        limits, modes, case.cut(), Uncertainty(**case.uncertainty.model_dump()), DRAWS[request.method]
+    )
+    return DepthBand(low_mm=low, high_mm=high)
+
+
+def _lobes(response: ToolPointResponse, cut: Cut, case: StabilityCase, request: LobesRequest) -> StabilityLobes:
+    points, span = request.points or POINTS[request.method], (request.from_rpm, request.to_rpm)
     everywhere = case.feed_deg == ALL_DIRECTIONS
     feed_deg = 0.0 if everywhere else float(case.feed_deg)
-    if request.method == "zoa":
-        response = response_of(case)
+    if not isinstance(response, ModalResponse) or request.method == "zoa":
         if everywhere:
-            return lowest_over_feed_directions(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points)
-        return zeroth_order_lobes(response, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, feed_deg=feed_deg)
-    modes, warnings = modal_response_of(case, from_rpm, to_rpm)
+            return lowest_over_feed_directions(response, cut, from_rpm=span[0], to_rpm=span[1], points=points)
+        return zeroth_order_lobes(response, cut, from_rpm=span[0], to_rpm=span[1], points=points, feed_deg=feed_deg)
     depth, steps = request.max_depth_mm, request.steps
     if everywhere:
-        found = semi_discretised_over_feed_directions(
-            modes, cut, from_rpm=from_rpm, to_rpm=to_rpm, points=points, max_depth_mm=depth, steps=steps
+        return semi_discretised_over_feed_directions(
+            response, cut, from_rpm=span[0], to_rpm=span[1], points=points, max_depth_mm=depth, steps=steps
         )
-    else:
-        found = semi_discretised_lobes(
-            modes,
-            cut,
-            from_rpm=from_rpm,
-            to_rpm=to_rpm,
-            points=points,
-            feed_deg=feed_deg,
-            max_depth_mm=depth,
-            steps=steps,
-        )
-    return found.with_warnings(warnings)
+    return semi_discretised_lobes(
+        response,
+        cut,
+        from_rpm=span[0],
+        to_rpm=span[1],
+        points=points,
+        feed_deg=feed_deg,
+        max_depth_mm=depth,
+        steps=steps,
+    )
 
 
 def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps: int | None) -> dict[str, Any]:
