@@ -17,6 +17,7 @@ from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
 LOST = "the link to the CNC was lost before it took effect; ask again"
+FAULTY = "the output went into FAULT before it took effect; acknowledge the fault, then measure again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +89,14 @@ class MeasuredByNc:
         if self.tool_setting is None and self._probe is None:
             return ""
         effective = inputs.link and bool(np.all(np.isfinite(inputs.applied_um))) and memory.reference_id is not None
+        lost = LOST if inputs.output_fault is None else FAULTY
+        effective &= inputs.output_fault is None
         if self._probe is not None:
-            self._history.probe(self._probe if effective else replace(self._probe, accepted=False, reason=LOST))
+            self._history.probe(self._probe if effective else replace(self._probe, accepted=False, reason=lost))
             if effective:
                 self._skill.probe(self._probe, memory)
         self.tool_setting = self.probe_um = self._probe = None
-        return "" if effective else LOST
+        return "" if effective else lost
 
 
 def judged_probe(

@@ -71,11 +71,13 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     Returns
     -------
     OutputMemory
-        Unchanged without a setting, without a valid reference, or without an echo.
+        Unchanged without a setting, without a valid reference, without an echo, or in a fault.
 
     """
     axes = inputs.tool_setting
     if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
+        return memory
+    if inputs.output_fault is not None:
         return memory
     error = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
     before = memory.tools.get(inputs.tool_number)
@@ -182,8 +184,8 @@ def probe_inhibit(
         return replace(inhibit, text=f"the estimate cannot be corrected: {inhibit.text}")
     if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
         return Inhibit(code=InhibitCode.NO_ESTIMATE, text="the axis has no estimate")
-    if (missing := _incomplete(inputs, limits)) is not None:
-        return missing
+    if (why := _in_fault(memory, inputs) or _incomplete(inputs, limits)) is not None:
+        return why
     correction = inputs.applied_um - probe_um - request_um(memory, inputs)
     for axis, change in zip(limits.axes, correction, strict=True):
         if abs(change) > limits.probe_bound_um:
@@ -217,7 +219,18 @@ def tool_setting_inhibit(
     """
     if inhibit is not None:
         return replace(inhibit, text=f"the tool cannot be set: {inhibit.text}")
-    return _incomplete(inputs, limits)
+    return _in_fault(memory, inputs) or _incomplete(inputs, limits)
+
+
+def _in_fault(memory: OutputMemory, inputs: OutputInputs) -> Inhibit | None:
+    """Return why nothing that is measured now counts: the program gets no answer, and would not know that it did."""
+    if inputs.output_fault is None and memory.state is not OutputState.FAULT:
+        return None
+    return Inhibit(
+        code=InhibitCode.FAULT,
+        text="the output is in FAULT: nothing is written, so the program gets no answer",
+        remedy="acknowledge the fault, then measure again",
+    )
 
 
 def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
@@ -253,10 +266,11 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
     Returns
     -------
     OutputMemory
-        With the offset that makes the request `applied - deviation` on the probed axes, of a probe without noise.
+        With the offset that makes the request `applied - deviation` on the probed axes, of a probe without noise;
+        in a fault it is left out.
 
     """
-    if inputs.probe_um is None or memory.reference_id is None:
+    if inputs.probe_um is None or memory.reference_id is None or inputs.output_fault is not None:
         return _offset_now(memory, inputs, limits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
     probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)

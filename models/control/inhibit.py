@@ -24,6 +24,7 @@ class InhibitCode(StrEnum):
     DOMAIN = "domain"
     NO_ESTIMATE = "no estimate"
     PROBE = "probe"
+    FAULT = "fault"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -162,6 +162,16 @@ def test_motion_without_temperatures(trace: Trace) -> None:
     assert trace.violated == {"no_motion_on_bad_input"}
 
 
+@pytest.mark.parametrize(("to_um", "found"), [(9.0, set()), (11.0, {"no_motion_on_bad_input"})])
+def test_a_retreat_without_temperatures_takes_out_and_adds_nothing(trace: Trace, to_um: float, found: set[str]) -> None:
+    """Under zero_first the axes stay switched on while the offset is taken out, whether or not lines send anything."""
+    trace.block(0.0, 10.0)
+    trace.watch.input_is(100.0, good=False)
+    trace.block(170.0, 10.0, claims("RETREAT"))
+    trace.block(230.0, to_um, claims("RETREAT"))
+    assert trace.violated == found
+
+
 @pytest.mark.parametrize("mark", ["reference", "restart"])
 def test_a_step_at_a_reference_or_a_restart(trace: Trace, mark: str) -> None:
     """What is written runs ahead of the tool; after both it must begin at the tool."""

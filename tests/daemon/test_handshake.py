@@ -18,6 +18,7 @@ from nc_requests import (
 
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
 
@@ -111,6 +112,32 @@ async def test_a_probe_value_that_cannot_be_used_moves_nothing(rig, bench, axis,
         events = [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "refused"]
         assert any(words in text for text in events), events
         assert all(not probe.accepted for probe in reader.probes(0.0, 2.0**40))
+
+
+@pytest.mark.parametrize("waits", [True, False])
+async def test_a_probe_in_a_fault_moves_nothing_after_the_acknowledgement(rig, bench, waits):
+    """In FAULT no answer is written: the program must not be left with a probe that counts without its knowledge."""
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    before = rig.applied["z"]
+    rig.control.journal.raise_fault("macro #501 holds 0.002, we wrote 0")
+    await rig.turn(rig.estimate(0.0, -8.0))
+    assert rig.state == "FAULT"
+    ask(bench, 1, PROBE, Z_AXIS, -0.0056)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    assert answer(bench) == 0.0, "nothing is written"
+    if not waits:
+        bench.nc.macros.set(KIND, 0.0)
+        await rig.turn(rig.estimate(0.0, -8.0))
+    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    await rig.follow(0.0, -8.0, 40)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(before, abs=0.11)
+    assert answer(bench) == (-1.0 if waits else 0.0), "refused where the program still waits"
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        (probe,) = reader.probes(0.0, 2.0**40)
+    assert not probe.accepted and "in FAULT" in probe.reason
 
 
 async def test_a_tool_setting_moves_nothing_and_a_tool_change_selects_it(rig, bench):

@@ -135,6 +135,24 @@ def test_nothing_is_counted_from_an_estimate_that_fades_or_is_held(changes, word
     assert words in str(probe_inhibit(machine.memory, inputs, LIMITS, None, deviation))
 
 
+@pytest.mark.parametrize("acknowledged", [False, True])
+def test_nothing_that_is_measured_in_a_fault_counts_after_it(acknowledged):
+    """Nothing is written in FAULT, so the program hears neither yes nor no; the tool must not move later."""
+    machine = Machine().following()
+    fault = {} if acknowledged else {"output_fault": "macro #501 holds 0.002, we wrote 0"}
+    in_fault = replace(machine.memory, state=OutputState.FAULT) if acknowledged else machine.memory
+    deviation = np.array([np.nan, -5.6])
+    for refusal in (
+        probe_inhibit(in_fault, machine.inputs(**fault), LIMITS, None, deviation),
+        tool_setting_inhibit(in_fault, machine.inputs(**fault), LIMITS, None),
+    ):
+        assert "in FAULT" in str(refusal) and "acknowledge the fault, then measure again" in str(refusal)
+    if not acknowledged:
+        machine.step(probe_um=deviation, tool_setting=(False, True), **fault)
+        assert machine.memory.offset_um == pytest.approx([0.0, 0.0])
+        assert not machine.memory.tools
+
+
 # --- confidence --------------------------------------------------------------------------
 
 

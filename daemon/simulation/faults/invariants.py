@@ -248,7 +248,7 @@ class WriteWatch:
             from_last, from_tool = abs(um - last_um), abs(um - there_um)
             check("slew_written", min(from_last, from_tool) <= reach_um, where)
             self._unsteppy(time_s, axis, last_s, (min(from_last, from_tool), from_tool), where)
-            self._frozen(time_s, axis, from_last, from_tool, claims, where)
+            self._frozen(time_s, axis, um, (from_last, from_tool), claims, where)
         if taken:
             self._written[axis] = (time_s, um)
 
@@ -266,10 +266,13 @@ class WriteWatch:
             self._ledger.check(f"no_step_at_{mark}", distance_um <= reach_um, f"{where} ({mark} at {since_s:.1f} s)")
 
     def _frozen(
-        self, time_s: float, axis: str, from_last_um: float, from_tool_um: float, claims: Claims, where: str
+        self, time_s: float, axis: str, um: float, distances_um: tuple[float, float], claims: Claims, where: str
     ) -> None:
-        """In HOLD, and without temperatures, an axis that is switched on stands still (or begins at the tool)."""
-        still = from_last_um <= SLACK_UM or from_tool_um <= SLACK_UM
+        """In HOLD, and without temperatures, an axis that is switched on stands still (or begins at the tool).
+
+        A retreat follows no temperature: zero_first takes the offset out all the same, but nothing may grow meanwhile.
+        """
+        still = min(distances_um) <= SLACK_UM
         index = list(self._axes).index(axis)
         on = index < len(claims.wanted) and claims.wanted[index]
         stayed_on = on and self._wanted_at_write == claims.wanted
@@ -277,4 +280,7 @@ class WriteWatch:
             self._ledger.check("hold_freezes", still, where)
         bad_s = time_s - self._bad_since_s
         if stayed_on and self._written[axis][0] > self._bad_since_s + self._bad_after_s + 2.0:
-            self._ledger.check("no_motion_on_bad_input", still, f"{where}; no temperatures for {bad_s:.0f} s")
+            before_um = self._written[axis][1]
+            withdraws = claims.state == "RETREAT" and min(0.0, before_um) <= um <= max(0.0, before_um)
+            what = f"{where}; no temperatures for {bad_s:.0f} s"
+            self._ledger.check("no_motion_on_bad_input", still or withdraws, what)
