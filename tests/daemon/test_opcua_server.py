@@ -3,9 +3,7 @@
 import asyncio
 import contextlib
 import math
-from dataclasses import replace
 
-import numpy as np
 import pytest
 from asyncua import Client, ua
 from asyncua.common.utils import Buffer
@@ -13,7 +11,7 @@ from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from control_rig import SENSOR_IDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from opcua_bench import ROLES, TAGS, OpcUaBench, tag_server
+from opcua_bench import NOW, ROLES, TAGS, OpcUaBench, tag_server, tell
 from scripted_machine import Keys
 
 from daemon.history.reader import HistoryReader
@@ -22,36 +20,13 @@ from drivers.opcua.server.encoding import Kind, variant
 from drivers.opcua.server.requests import Request, ServiceError
 from drivers.opcua.server.space import Variable
 from drivers.opcua.server.subscriptions import Item, Publisher, PublishRequest
-from models.quality import Quality, Reason
-from models.records import Instant, MachineTemperatures, Trace
 
-NOW = Instant(monotonic_s=1000.0, utc_s=1_760_000_400.0, real_s=1000.0)
 METHODS = {"reference": [], "enable": [[]], "disable": [[], False], "acknowledge": []}
 
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
     return Keys(tmp_path_factory.mktemp("keys"))
-
-
-def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s) -> MachineTemperatures:
-    """Five sensors: good, held, out of range, not received, good."""
-    return MachineTemperatures(
-        line="spindle",
-        measured_degc=np.array([first_degc, 99.0, 300.0, np.nan, 20.0]),
-        degc=np.array([first_degc, 22.0, np.nan, np.nan, 20.0]),
-        quality=np.array([Quality.GOOD, Quality.HELD, Quality.MISSING, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
-        reason=np.array(
-            [Reason.NONE, Reason.RATE, Reason.OUT_OF_RANGE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8
-        ),
-        age_s=np.array([0.0, 12.0, np.inf, np.inf, 4.0]),
-        trace=Trace(first_byte=NOW, last_byte=replace(NOW, utc_s=utc_s)),
-    )
-
-
-def tell(bench: OpcUaBench, **of: float) -> None:
-    board = bench.rig.snapshots
-    board.thermal = replace(board.thermal, temperatures=temperatures(**of))
 
 
 async def index(client: Client) -> int:

@@ -4,10 +4,11 @@ import asyncio
 import contextlib
 import shutil
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from asyncua import Client
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.crypto.uacrypto import CertProperties
@@ -21,8 +22,11 @@ from config.schema import Configuration
 from config.schema.service import OpcUaServerConfig
 from daemon.history.reader import HistoryReader
 from daemon.monitor.opcua.serving import OpcUaService
+from models.quality import Quality, Reason
+from models.records import Instant, MachineTemperatures, Trace
 
 TAGS = "urn:toolpoint:tags"
+NOW = Instant(monotonic_s=1000.0, utc_s=1_760_000_400.0, real_s=1000.0)
 ROLES = {"otto": "viewer", "anna": "operator", "eva": "engineer"}
 
 
@@ -107,3 +111,24 @@ async def tag_server(directory: Path, keys: Keys, **changes: Any) -> AsyncIterat
         finally:
             task.cancel()
             await asyncio.gather(task, waiting, return_exceptions=True)
+
+
+def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s) -> MachineTemperatures:
+    """Five sensors: good, held, out of range, not received, good."""
+    return MachineTemperatures(
+        line="spindle",
+        measured_degc=np.array([first_degc, 99.0, 300.0, np.nan, 20.0]),
+        degc=np.array([first_degc, 22.0, np.nan, np.nan, 20.0]),
+        quality=np.array([Quality.GOOD, Quality.HELD, Quality.MISSING, Quality.MISSING, Quality.GOOD], dtype=np.uint8),
+        reason=np.array(
+            [Reason.NONE, Reason.RATE, Reason.OUT_OF_RANGE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8
+        ),
+        age_s=np.array([0.0, 12.0, np.inf, np.inf, 4.0]),
+        trace=Trace(first_byte=NOW, last_byte=replace(NOW, utc_s=utc_s)),
+    )
+
+
+def tell(bench: OpcUaBench, **of: float) -> None:
+    """Publish temperatures as the thermal task does."""
+    board = bench.rig.snapshots
+    board.thermal = replace(board.thermal, temperatures=temperatures(**of))

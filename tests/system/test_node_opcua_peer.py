@@ -9,6 +9,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -17,6 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from control_rig import SENSOR_IDS
+from monitor_bench import PASSWORD as ACCOUNT_PASSWORD
+from opcua_bench import NOW, TAGS, tag_server, tell
 from scripted_machine import (
     CLIENT_URI,
     GROUPS,
@@ -209,3 +213,42 @@ async def test_driver_against_node_opcua_as_server(node_server: NodeServer, keys
     with pytest.raises(LinkError):
         await lost.read([])
     await lost.close()
+
+
+@pytest.mark.parametrize("mode", ["Sign", "SignAndEncrypt"])
+async def test_node_opcua_reads_the_daemons_tags(
+    node_environment: dict[str, str], keys: Keys, tmp_path: Path, mode: str
+) -> None:
+    async with tag_server(tmp_path, keys) as bench:
+        tell(bench)
+        options = {
+            "endpoint": bench.url,
+            "certificate": str(keys.client),
+            "privateKey": str(keys.client_key),
+            "applicationUri": CLIENT_URI,
+            "pki": str(tmp_path / "pki"),
+            "user": "anna",
+            "password": ACCOUNT_PASSWORD,
+            "namespace": TAGS,
+            "mode": mode,
+        }
+        client = NodeServer(await start("tags.js", options, node_environment), bench.url)
+        await client.line("subscribed")
+        tell(bench, first_degc=23.25)
+        answer = asyncio.ensure_future(client.line("result "))
+        while not answer.done():
+            await bench.rig.turn()
+            await asyncio.sleep(0.02)
+        result = json.loads(answer.result().removeprefix("result "))
+        await client.process.communicate()
+    assert re.search("BadIdentityTokenRejected|anonymous", result.pop("anonymous"), re.IGNORECASE)
+    assert result == {
+        "names": [f"temperature.{sensor}" for sensor in SENSOR_IDS],
+        "tag": [21.5, "Good", round(NOW.utc_s * 1000)],
+        "held": [22.0, "UncertainLastUsableValue"],
+        "unit": "°C",
+        "heard": 23.25,
+        "write": "BadNotWritable",
+        "called": ["Good", [True, "OFF", result["called"][1][2]]],
+        "arguments": ["Axes", "Zero"],
+    }

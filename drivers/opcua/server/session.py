@@ -76,8 +76,10 @@ class Session:
         """Answer CreateSession; raises ServiceError."""
         if not self._wire.secured:
             raise ServiceError(StatusCodes.BadSecurityModeInsufficient)
-        if self._token is not None:
-            raise ServiceError(StatusCodes.BadTooManySessions)
+        if self.person is not None:
+            raise ServiceError(
+                StatusCodes.BadTooManySessions
+            )  # on this connection; one that nobody activated is given up
         wanted = request.structure(ua.CreateSessionParameters)
         sent = self._wire.policy.peer_certificate
         if wanted.ClientCertificate != sent:
