@@ -50,6 +50,12 @@ def _linuxcnc() -> CncFactory:
     return LinuxcncCnc
 
 
+def _mtconnect() -> CncFactory:
+    from drivers.mtconnect.cnc import MtconnectCnc
+
+    return MtconnectCnc
+
+
 def _latsis() -> LineFactory:
     from drivers.latsis.source import LatsisSerialSource
 
@@ -103,6 +109,7 @@ CNC_DRIVERS: Mapping[str, Callable[[], CncFactory]] = {
     "focas": _focas,
     "haas": _haas,
     "linuxcnc": _linuxcnc,
+    "mtconnect": _mtconnect,
 }
 """`cnc.driver` -> what imports the driver and returns its factory."""
 LINES: Mapping[str, Callable[[], LineFactory]] = {"latsis": _latsis}

@@ -35,6 +35,7 @@ NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
 READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 TOPIC_PATTERN = r"^[^+#\x00]+$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
+AGENT_PATTERN = r"^http://[^\s/?#@]+(/[^\s?#]*)?$"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
@@ -43,6 +44,7 @@ FORMS = {
     NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     TOPIC_PATTERN: "a topic without the wildcards + and #",
+    AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }
 """What the patterns ask for, in words."""

@@ -7,10 +7,11 @@ beside it, and one line in `drivers/registry.py`.
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, TypeVar
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
+from config.schema.base import AGENT_PATTERN, ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
 from config.schema.driver_section import SectionOfDriver
 
 Connection = TypeVar("Connection", bound="CncConnection")
@@ -248,10 +249,59 @@ class LinuxcncConfig(CncConnection):
         return "linuxcnc"
 
 
+class MtconnectConfig(CncConnection):
+    """An MTConnect agent, which is only read: state, program, speed; nothing can be compensated through it."""
+
+    driver: ClassVar[str] = "mtconnect"
+
+    url: str = Field(
+        pattern=AGENT_PATTERN,
+        description="address of the agent: http://host:port",
+        examples=["http://192.168.10.20:5000"],
+    )
+    device: str | None = Field(None, description="name or uuid of the device; none: the agent has only one")
+    spindle_speed_item: str | None = Field(
+        None, description="id or name of the data item of the spindle's speed [1/min]; none: the first of its type"
+    )
+    motor_temperature_item: str | None = Field(
+        None, description="id or name of the data item of the spindle motor's temperature [degC]; none: not read"
+    )
+
+    @property
+    def host(self) -> str:
+        """Name or address of the agent."""
+        return str(urlsplit(self.url).hostname)
+
+    @property
+    def port(self) -> int:
+        """Its TCP port."""
+        return urlsplit(self.url).port or 80
+
+    @property
+    def path(self) -> str:
+        """What stands before its pages."""
+        return urlsplit(self.url).path.rstrip("/")
+
+    @property
+    def address(self) -> str:
+        """The agent's host and port, and its device."""
+        return f"{self.host.lower()}:{self.port}{self.path}" + (f" {self.device}" if self.device else "")
+
+    @model_validator(mode="after")
+    def _port_is_one(self) -> Self:
+        try:
+            good = urlsplit(self.url).port != 0 and bool(urlsplit(self.url).hostname)
+        except ValueError:
+            good = False
+        if not good:
+            raise KeyProblems([(("url",), "must be an address such as http://192.168.10.20:5000")])
+        return self
+
+
 class CncDriverConfig(SectionOfDriver):
     """The driver and its section: a union that `driver` decides, with one key per driver."""
 
-    driver: Literal["opcua", "focas", "haas", "linuxcnc"] = Field(
+    driver: Literal["opcua", "focas", "haas", "linuxcnc", "mtconnect"] = Field(
         "opcua", description="how the CNC is reached; the section of that name says where"
     )
     opcua: OpcUaConfig | None = Field(
@@ -266,6 +316,9 @@ class CncDriverConfig(SectionOfDriver):
         None, description="machine data collection of a Haas, which cannot be encrypted; required with driver haas"
     )
     linuxcnc: LinuxcncConfig | None = Field(None, description="LinuxCNC; required with driver linuxcnc")
+    mtconnect: MtconnectConfig | None = Field(
+        None, description="an MTConnect agent, which is only read; required with driver mtconnect"
+    )
     allow_insecure_writes: bool = Field(
         False, description="write over an unencrypted or anonymous connection all the same (shown everywhere)"
     )

@@ -32,6 +32,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/linuxcnc/cnc.py",
         "drivers/linuxcnc/link.py",
         "drivers/linked_cnc.py",
+        "drivers/mtconnect",
         "drivers/power_on.py",
     ),
     "Temperatures and lines": ("drivers/latsis", "models/quality.py", "daemon/links.py"),

@@ -25,7 +25,7 @@ from drivers.opcua.server.wire import Handshakes, Message, Wire, WireError
 log = logging.getLogger(__name__)
 
 FIRST_S = 10.0
-"""Whoever connects has logged in within this, or is cut off [s]."""
+"""Whoever connects, or has logged out, has logged in within this, or is cut off [s]."""
 MOST_UNSENT = 262_144
 """While a client has not taken so much, nothing more is published to it [byte]."""
 LONGEST_SLEEP_S = 3600.0
@@ -109,6 +109,7 @@ class Conversation:
 
     def __init__(self, server: TagServer, wire: Wire, address: str, on_session: Callable[[bool], None]) -> None:
         self._server, self._wire, self._on_session = server, wire, on_session
+        self._until_s = time.monotonic() + FIRST_S
         product = "Toolpoint"
         self.session = Session(wire, server.identity, server.users, product, address)
         self.publisher = Publisher(wire.send, lambda: wire.unsent < MOST_UNSENT)
@@ -146,10 +147,9 @@ class Conversation:
 
     async def run(self) -> None:
         """Answer requests until the client goes, or says nothing for too long."""
-        until_s = time.monotonic() + FIRST_S
         while True:
             logged_in = self.session.person is not None
-            patience_s = self.session.idle_s if logged_in else until_s - time.monotonic()
+            patience_s = self.session.idle_s if logged_in else self._until_s - time.monotonic()
             try:
                 message = await self._wire.receive(patience_s)
             except TimeoutError:
@@ -216,4 +216,5 @@ class Conversation:
         self._server.open.discard(self)
         self.session.left()
         self._on_session(False)
+        self._until_s = time.monotonic() + FIRST_S
         return b""

@@ -5,10 +5,11 @@ from typing import Protocol
 from urllib.parse import urlparse
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import FocasConfig, HaasConfig, OpcUaConfig
+from config.schema.cnc_drivers import FocasConfig, HaasConfig, MtconnectConfig, OpcUaConfig
 from drivers.sim.contract import SimulatedNc
 from drivers.sim.wires.focas_server import SimulatedFocasServer
 from drivers.sim.wires.haas_server import SimulatedHaasServer
+from drivers.sim.wires.mtconnect_agent import SimulatedMtconnectAgent
 from drivers.sim.wires.opcua_server import ServerSecurity, SimulatedCncServer
 
 SIMULATED = ("opcua", "focas", "haas")
@@ -42,7 +43,7 @@ def configured_port(config: CncConfig) -> int:
     connection = config.connection
     if isinstance(connection, OpcUaConfig):
         return urlparse(connection.endpoint).port or 4840
-    assert isinstance(connection, FocasConfig | HaasConfig)
+    assert isinstance(connection, FocasConfig | HaasConfig | MtconnectConfig)
     return connection.port
 
 
@@ -54,4 +55,6 @@ def cnc_server(
         return SimulatedFocasServer(nc, config, port=port)
     if config.driver == "haas":
         return SimulatedHaasServer(nc, config, port=port)
+    if config.driver == "mtconnect":
+        return SimulatedMtconnectAgent(nc, config, port=port)
     return SimulatedCncServer(nc, config, port=port, security=security, readable=readable)

@@ -1,0 +1,1 @@
+"""Reads a machine from an MTConnect agent, which is never written to."""

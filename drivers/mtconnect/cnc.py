@@ -1,0 +1,187 @@
+"""A control behind an MTConnect agent: its state is read, nothing is ever written.
+
+Each read asks for every observation since the last one, by the agent's sequence, so that no change between two reads
+is passed over. Where the agent has forgotten some of them, its present state is read anew; where it was started anew
+(another instance), the link is lost and built again.
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import NoReturn
+
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import MtconnectConfig
+from drivers.clock import Clock
+from drivers.contract import SIMULATED_CNC_IDENTITY, Capability, FatalDriverError, NotSentError
+from drivers.linked_cnc import LinkedCnc
+from drivers.mtconnect.device import READS_ONLY, Device, chosen_device
+from drivers.mtconnect.http import HttpError, fetch
+from drivers.mtconnect.xml import Element, XmlError, parsed
+from models.records import CncSample
+
+COUNT = 500
+"""Observations of one answer."""
+MOST_ANSWERS = 8
+"""After so many answers the present state is read instead of the rest."""
+SIMULATED_UUID = "toolpoint-simulated"
+FORGOTTEN = "OUT_OF_RANGE"
+
+
+class AgentError(ValueError):
+    """The agent answers with an error or with what it was not asked for; the text says which."""
+
+    def __init__(self, sentence: str, code: str = "") -> None:
+        super().__init__(sentence)
+        self.code = code
+
+
+class AgentLink:
+    """Stands for the agent's connections, which are made anew for each request."""
+
+    def __init__(self) -> None:
+        self.lost: str | None = None
+
+    def abort(self, reason: str) -> None:
+        """Note that the agent is not asked any more."""
+        self.lost = self.lost or reason
+
+    async def ended(self) -> None:
+        """There is nothing to wait for."""
+
+
+class MtconnectCnc(LinkedCnc):
+    """Implements `drivers.contract.Cnc` on an agent; what it cannot is most of it."""
+
+    wrong_answers = (HttpError, XmlError, AgentError)
+
+    def __init__(self, config: CncConfig, clock: Clock) -> None:
+        self._agent = config.connection_as(MtconnectConfig)
+        super().__init__(config, clock, self._agent.address)
+        self._link: AgentLink | None = None
+        self._device: Device | None = None
+        self._instance = ""
+        self._next = 0
+
+    @property
+    def cannot(self) -> Mapping[str, str]:
+        """What this control does not give, with the reason (known after connect)."""
+        return {} if self._device is None else dict(self._device.cannot)
+
+    @property
+    def _present_link(self) -> AgentLink | None:
+        return self._link
+
+    def _forget_link(self) -> None:
+        self._link = None
+
+    async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        """Refuse: an agent only reads. Raises NotSentError, LinkError without a link."""
+        self._need_link()
+        raise NotSentError(f"nothing was sent: {READS_ONLY} (cnc.driver)")
+
+    async def _connect(self) -> None:
+        self._link = AgentLink()
+        agent = self._agent
+        root = await self._asked("/probe")
+        if root.name != "MTConnectDevices":
+            raise FatalDriverError(
+                f"{self._name} is no MTConnect agent: its probe is a {root.name}; check cnc.mtconnect.url"
+            )
+        device = chosen_device(root, agent.device, agent.spindle_speed_item, agent.motor_temperature_item)
+        self._device = device
+        self.identity = SIMULATED_CNC_IDENTITY if device.uuid == SIMULATED_UUID else f"mtconnect:{device.uuid}"
+        self._instance = _header(root).get("instanceId", "")
+        await self._read_current(device)
+
+    async def _sample(self, macros: Sequence[int]) -> CncSample:
+        device = self._device
+        assert device is not None
+        clock_s = await self._follow(device)
+        return CncSample(
+            time=self._clock.now(),
+            mode=device.mode,
+            run=device.run,
+            alarm=device.alarm,
+            program=device.program,
+            sequence_number=device.sequence_number,
+            spindle_speed_rpm=device.number(Capability.SPINDLE_SPEED),
+            motor_temperature_degc=device.number(Capability.MOTOR_TEMPERATURE),
+            clock_s=clock_s,
+            power_on_count=0,
+            work_offset=device.work_offset,
+            tool_number=device.tool_number,
+            macros=await self._macros(macros),
+        )
+
+    async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]:
+        return dict.fromkeys(macros)
+
+    async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> NoReturn:
+        raise NotSentError(READS_ONLY)
+
+    async def _follow(self, device: Device) -> float:
+        """Take every observation since the last read; return when the agent answered [s since 1970]."""
+        for _ in range(MOST_ANSWERS):
+            try:
+                root = await self._asked(f"/sample?from={self._next}&count={COUNT}")
+            except AgentError as error:
+                if error.code != FORGOTTEN:
+                    raise
+                break
+            header = self._checked(root)
+            device.observe(root, anew=False)
+            if self._next > _number(header, "lastSequence"):
+                return _time_s(header)
+        return await self._read_current(device)
+
+    async def _read_current(self, device: Device) -> float:
+        root = await self._asked("/current")
+        header = self._checked(root)
+        device.observe(root, anew=True)
+        return _time_s(header)
+
+    def _checked(self, root: Element) -> dict[str, str]:
+        """Return the header of an answer and note where the next begins; raises LinkError for another instance."""
+        if root.name != "MTConnectStreams":
+            raise AgentError(f"a {root.name} instead of MTConnectStreams")
+        header = _header(root)
+        if header.get("instanceId", "") != self._instance:
+            self._lose(f"{self._name}: the agent was started anew; what it told before counts no longer")
+        self._next = _number(header, "nextSequence")
+        return header
+
+    async def _asked(self, target: str) -> Element:
+        """Return the document at a target; raises AgentError for one that tells an error."""
+        agent = self._agent
+        below = f"/{self._device.name}" if self._device is not None and self._device.name else ""
+        try:
+            content = await fetch(agent.host, agent.port, f"{agent.path}{below}{target}")
+        except ConnectionRefusedError as error:
+            sentence = "refuses the connection: check cnc.mtconnect.url, and that the agent runs"
+            self._lose(f"{self._name} {sentence}", error)
+        root = parsed(content)
+        if root.name == "MTConnectError":
+            error_ = root.first("Error")
+            code = "" if error_ is None else error_.attributes.get("errorCode", "")
+            words = "" if error_ is None else error_.text.strip()[:200]
+            raise AgentError(f"the agent says {code or 'an error'}: {words}", code)
+        return root
+
+
+def _header(root: Element) -> dict[str, str]:
+    header = root.first("Header")
+    return {} if header is None else header.attributes
+
+
+def _number(header: dict[str, str], name: str) -> int:
+    text = header.get(name, "")
+    if not (text.isascii() and text.isdecimal() and len(text) <= 20):
+        raise AgentError(f"its header gives no {name}")
+    return int(text)
+
+
+def _time_s(header: dict[str, str]) -> float:
+    try:
+        return datetime.fromisoformat(header.get("creationTime", "")).timestamp()
+    except ValueError as error:
+        raise AgentError("its header gives no creationTime") from error

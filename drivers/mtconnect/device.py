@@ -1,0 +1,233 @@
+"""What a device of an agent tells: which of its data items mean what, and their latest observations."""
+
+import math
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from drivers.contract import Capability, FatalDriverError
+from drivers.mtconnect.xml import Element
+from models.records import CncMode, CncRun
+
+UNAVAILABLE = "UNAVAILABLE"
+RUNS = {
+    "ACTIVE": CncRun.START,
+    "WAIT": CncRun.START,
+    "FEED_HOLD": CncRun.HOLD,
+    "INTERRUPTED": CncRun.HOLD,
+    "OPTIONAL_STOP": CncRun.STOP,
+    "PROGRAM_STOPPED": CncRun.STOP,
+    "STOPPED": CncRun.STOP,
+    "PROGRAM_OPTIONAL_STOP": CncRun.STOP,
+    "PROGRAM_COMPLETED": CncRun.RESET,
+    "READY": CncRun.RESET,
+}
+"""EXECUTION of an agent -> state of the program."""
+MODES = {
+    "AUTOMATIC": CncMode.MEMORY,
+    "SEMI_AUTOMATIC": CncMode.MEMORY,
+    "MANUAL": CncMode.JOG,
+    "MANUAL_DATA_INPUT": CncMode.MDI,
+    "EDIT": CncMode.EDIT,
+}
+BLOCK_NUMBER = re.compile(r"^\s*/?\s*N(\d{1,8})", re.IGNORECASE)
+PROGRAM_NUMBER = re.compile(r"^O?0*(\d{1,8})(\.\w{1,4})?$", re.IGNORECASE)
+WORK_OFFSET = re.compile(r"^G?(\d{1,6})(?:\.1\s*P(\d{1,3}))?$", re.IGNORECASE)
+ITEMS: dict[str, tuple[tuple[str, str], ...]] = {
+    "execution": (("EXECUTION", ""),),
+    "mode": (("CONTROLLER_MODE", ""),),
+    Capability.PROGRAM: (("PROGRAM", "ACTIVE"), ("PROGRAM", "MAIN"), ("PROGRAM", "")),
+    "label": (("LINE_LABEL", ""),),
+    "block": (("BLOCK", ""),),
+    Capability.SPINDLE_SPEED: (("ROTARY_VELOCITY", "ACTUAL"), ("SPINDLE_SPEED", "ACTUAL"), ("ROTARY_VELOCITY", "")),
+    Capability.WORK_OFFSET: (("WORK_OFFSET", ""),),
+    Capability.TOOL_NUMBER: (("TOOL_NUMBER", ""), ("TOOL_ID", "")),
+    "emergency_stop": (("EMERGENCY_STOP", ""),),
+    "availability": (("AVAILABILITY", ""),),
+}
+"""What the daemon knows -> types and subtypes of data items that tell it, the best first; '' is any subtype."""
+READS_ONLY = "an MTConnect agent is read and never written: reach the control by another driver to compensate"
+NO_ITEM = "the agent's device has no data item of type {}"
+NOT_TOLD = "MTConnect does not tell it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataItem:
+    """One data item of the device."""
+
+    item_id: str
+    name: str
+    kind: str
+    subtype: str
+
+
+@dataclass
+class Device:
+    """One device, its data items, and what was observed last."""
+
+    name: str
+    uuid: str
+    items: tuple[DataItem, ...]
+    spindle_item: str | None = None
+    motor_item: str | None = None
+    values: dict[str, str] = field(default_factory=dict)
+    """Text of the latest observation by data item."""
+    faults: dict[str, set[str]] = field(default_factory=dict)
+    """Native codes of the faults that are active, by data item of a condition."""
+    cannot: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Choose the data items; raises FatalDriverError where one that is needed or named is missing."""
+        self._chosen = {role: self._choose(kinds) for role, kinds in ITEMS.items()}
+        for role, item in (
+            (Capability.SPINDLE_SPEED, self.spindle_item),
+            (Capability.MOTOR_TEMPERATURE, self.motor_item),
+        ):
+            if item is not None:
+                self._chosen[role] = self._named(item)
+        if self._chosen["execution"] is None:
+            sentence = "nothing says whether a program runs; choose another device (cnc.mtconnect.device)"
+            raise FatalDriverError(f"the agent's device {self.name} has no data item of type EXECUTION: {sentence}")
+        self.cannot = {Capability.READ_MACROS: READS_ONLY, Capability.WRITE_MACROS: READS_ONLY}
+        self.cannot |= {Capability.CLOCK: NOT_TOLD, Capability.POWER_ON_COUNT: NOT_TOLD}
+        for role in (Capability.PROGRAM, Capability.SPINDLE_SPEED, Capability.WORK_OFFSET, Capability.TOOL_NUMBER):
+            if self._chosen[role] is None:
+                self.cannot[role] = NO_ITEM.format(ITEMS[role][0][0])
+        if self._chosen["label"] is None and self._chosen["block"] is None:
+            self.cannot[Capability.SEQUENCE_NUMBER] = NO_ITEM.format("LINE_LABEL or BLOCK")
+        if self._chosen.get(Capability.MOTOR_TEMPERATURE) is None:
+            self.cannot[Capability.MOTOR_TEMPERATURE] = "no data item is named in cnc.mtconnect.motor_temperature_item"
+
+    def _choose(self, kinds: tuple[tuple[str, str], ...]) -> str | None:
+        for kind, subtype in kinds:
+            for item in self.items:
+                if item.kind == kind and (not subtype or item.subtype == subtype):
+                    return item.item_id
+        return None
+
+    def _named(self, name: str) -> str:
+        found = next((item.item_id for item in self.items if name in (item.item_id, item.name)), None)
+        if found is None:
+            raise FatalDriverError(
+                f"the agent's device {self.name} has no data item {name!r}; its probe page shows their ids and names"
+            )
+        return found
+
+    # --- observations --------------------------------------------------------------------
+
+    def observe(self, streams: Element, *, anew: bool) -> None:
+        """Take the observations of an answer in their order; `anew`: nothing else is true any more."""
+        if anew:
+            self.values.clear()
+            self.faults.clear()
+        for stream in streams.below("DeviceStream"):
+            if stream.attributes.get("uuid", self.uuid) == self.uuid:
+                for component in stream.below("ComponentStream"):
+                    self._take(component)
+
+    def _take(self, component: Element) -> None:
+        for part in component.children:
+            for observation in part.children:
+                item = observation.attributes.get("dataItemId", "")
+                if part.name in ("Samples", "Events"):
+                    self.values[item] = observation.text.strip()
+                elif part.name == "Condition":
+                    self._condition(item, observation)
+
+    def _condition(self, item: str, observation: Element) -> None:
+        """Take a state of a condition: a normal one without a code ends all its faults."""
+        code = observation.attributes.get("nativeCode", "")
+        active = self.faults.setdefault(item, set())
+        if observation.name == "Fault":
+            active.add(code)
+        elif observation.name == "Normal" and not code:
+            active.clear()
+        else:
+            active.discard(code)
+
+    def _text(self, role: str) -> str:
+        """Return what was observed last, '' where nothing is known."""
+        item = self._chosen.get(role)
+        text = "" if item is None else self.values.get(item, "")
+        return "" if text == UNAVAILABLE else text
+
+    @property
+    def run(self) -> CncRun:
+        """Whether a program runs."""
+        return RUNS.get(self._text("execution"), CncRun.UNKNOWN)
+
+    @property
+    def mode(self) -> CncMode:
+        """Mode of the control."""
+        return MODES.get(self._text("mode"), CncMode.UNKNOWN)
+
+    @property
+    def alarm(self) -> bool:
+        """A condition is a fault, or the emergency stop is pressed."""
+        return any(self.faults.values()) or self._text("emergency_stop") == "TRIGGERED"
+
+    @property
+    def program(self) -> int:
+        """Number of the program; one that has a name gets a number made from it, 0 is none."""
+        name = self._text(Capability.PROGRAM).replace("\\", "/").rpartition("/")[2]
+        found = PROGRAM_NUMBER.match(name)
+        if found is not None:
+            return int(found[1])
+        return 100_000_000 + zlib.crc32(name.encode()) % 900_000_000 if name else 0
+
+    @property
+    def sequence_number(self) -> int:
+        """N of the running block, 0 where it has none."""
+        label = self._text("label").lstrip("Nn")
+        if label.isdecimal():
+            return int(label[:8])
+        found = BLOCK_NUMBER.match(self._text("block"))
+        return int(found[1]) if found is not None else 0
+
+    @property
+    def work_offset(self) -> int:
+        """G code of the work offset, 0 where it is not told."""
+        found = WORK_OFFSET.match(self._text(Capability.WORK_OFFSET))
+        if found is None:
+            return 0
+        return int(found[1]) if found[2] is None else int(found[1]) * 10_000 + 1000 + int(found[2])
+
+    @property
+    def tool_number(self) -> int:
+        """Number of the tool in the spindle, 0 where it is not told."""
+        text = self._text(Capability.TOOL_NUMBER).lstrip("Tt")
+        return int(text[:8]) if text.isdecimal() else 0
+
+    def number(self, role: str) -> float:
+        """Return a sample's value, NaN where it is not known."""
+        try:
+            value = float(self._text(role))
+        except ValueError:
+            return math.nan
+        return value if math.isfinite(value) else math.nan
+
+
+def data_items(device: Element) -> Iterator[DataItem]:
+    """Yield the data items of a device, of itself first."""
+    for item in device.below("DataItem"):
+        found = item.attributes
+        yield DataItem(
+            item_id=found.get("id", ""),
+            name=found.get("name", ""),
+            kind=found.get("type", ""),
+            subtype=found.get("subType", ""),
+        )
+
+
+def chosen_device(probe: Element, wanted: str | None, spindle: str | None, motor: str | None) -> Device:
+    """Return the device of this name or uuid, or the only one; raises FatalDriverError."""
+    devices = list(probe.below("Device"))
+    names = ", ".join(sorted(each.attributes.get("name", "") for each in devices)) or "none"
+    found = [each for each in devices if wanted in (None, each.attributes.get("name"), each.attributes.get("uuid"))]
+    if len(found) != 1:
+        what = f"has no device {wanted!r}" if wanted is not None else f"has {len(devices)} devices"
+        raise FatalDriverError(f"the agent {what}: put one of its names into cnc.mtconnect.device; there are {names}")
+    device = found[0]
+    name, uuid = device.attributes.get("name", ""), device.attributes.get("uuid", "")
+    return Device(name=name, uuid=uuid, items=tuple(data_items(device)), spindle_item=spindle, motor_item=motor)

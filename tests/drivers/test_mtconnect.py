@@ -1,0 +1,211 @@
+"""A control behind an MTConnect agent: what is read, that nothing is written, and what a bad agent may not do."""
+
+import asyncio
+import contextlib
+import math
+
+import pytest
+import pytest_asyncio
+from cnc_contract import (
+    a_control_that_went_away_is_a_lost_link,
+    a_second_look_at_one_instant_differs_only_in_time,
+    a_silent_peer_is_a_lost_link_within_the_time_out,
+    close_is_for_any_time,
+    identity_stays,
+    reconnecting_leaves_nothing_behind,
+    what_it_cannot_is_said_and_has_no_value,
+    who_speaks_another_protocol_is_no_control,
+)
+from control_rig import HandClock, machine, record_for
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scripted_machine import ScriptedNc, cnc_config
+
+from daemon.cnc.interlocks import Interlocks
+from drivers.clock import SystemClock
+from drivers.contract import Capability, FatalDriverError, LinkError, NotSentError
+from drivers.mtconnect.cnc import MtconnectCnc
+from drivers.mtconnect.device import DataItem, Device
+from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
+from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
+from models.records import CncMode, CncRun
+
+READ_ONLY_CHECKS = (
+    identity_stays,
+    close_is_for_any_time,
+    a_control_that_went_away_is_a_lost_link,
+    what_it_cannot_is_said_and_has_no_value,
+    a_second_look_at_one_instant_differs_only_in_time,
+    a_silent_peer_is_a_lost_link_within_the_time_out,
+    who_speaks_another_protocol_is_no_control,
+)
+"""Of the contract's checks those that write nothing; the others need a control that takes macros."""
+
+
+class AgentBench:
+    def __init__(self):
+        self.nc = ScriptedNc()
+        self.agent = SimulatedMtconnectAgent(self.nc, cnc_config(mtconnect={"url": "http://127.0.0.1:1"}), port=0)
+
+    @property
+    def port(self):
+        return self.agent.port
+
+    def open(self, **changes):
+        return self.open_at(self.port, **changes)
+
+    def open_at(self, port, *, section=None, **changes):
+        mtconnect = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat", **(section or {})}
+        return MtconnectCnc(cnc_config(mtconnect=mtconnect, **changes), SystemClock())
+
+    async def lose(self):
+        await self.agent.stop()
+
+
+@pytest_asyncio.fixture
+async def bench():
+    made = AgentBench()
+    await made.agent.start()
+    yield made
+    await made.agent.stop()
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("check", READ_ONLY_CHECKS, ids=lambda check: check.__name__)
+async def test_it_does_what_the_daemon_relies_on_of_a_control_that_is_only_read(bench, check):
+    await check(bench)
+
+
+@pytest.mark.wires
+async def test_a_hundred_connections_leave_nothing_behind(bench):
+    await reconnecting_leaves_nothing_behind(bench, 100)
+
+
+@pytest.mark.wires
+async def test_state_program_and_speed_are_read_and_writing_is_refused_with_a_sentence(bench):
+    cnc = bench.open()
+    await cnc.connect()
+    sample = await cnc.read([500])
+    assert (sample.mode, sample.run, sample.alarm) == (CncMode.MEMORY, CncRun.START, False)
+    assert (sample.program, sample.sequence_number, sample.work_offset, sample.tool_number) == (1000, 20, 54, 3)
+    assert (sample.spindle_speed_rpm, sample.motor_temperature_degc) == (5000.0, 31.5)
+    assert sample.macros == {500: None}
+    with pytest.raises(NotSentError, match="read and never written: reach the control by another driver"):
+        await cnc.write_macros([[(500, 1.0)]])
+    assert {Capability.READ_MACROS, Capability.WRITE_MACROS, Capability.CLOCK} <= set(cnc.cannot)
+    bench.nc.run, bench.nc.alarm, bench.nc.program, bench.nc.sequence_number = 2, 1, 17, 100
+    sample = await cnc.read([])
+    assert (sample.run, sample.alarm, sample.program, sample.sequence_number) == (CncRun.HOLD, True, 17, 100)
+    bench.nc.alarm = 0
+    assert not (await cnc.read([])).alarm
+    bench.agent.available = False
+    sample = await cnc.read([])
+    assert (sample.run, sample.program) == (CncRun.UNKNOWN, 0) and math.isnan(sample.spindle_speed_rpm)
+    await cnc.close()
+
+
+@pytest.mark.wires
+async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is_another_link(bench):
+    cnc = bench.open()
+    await cnc.connect()
+    for number in range(BUFFER + 10):
+        bench.nc.sequence_number = number
+        bench.agent.look()
+    assert (await cnc.read([])).sequence_number == BUFFER + 9
+    bench.agent.restart()
+    with pytest.raises(LinkError, match="started anew"):
+        await cnc.read([])
+    with pytest.raises(LinkError):
+        await cnc.read([])
+    await cnc.close()
+
+
+@pytest.mark.wires
+async def test_a_device_or_item_that_is_not_there_is_named(bench):
+    for section, words in (
+        ({"device": "Lathe"}, "has no device 'Lathe': .* there are SimulatedMachine"),
+        ({"spindle_speed_item": "S9"}, "has no data item 'S9'"),
+    ):
+        with pytest.raises(FatalDriverError, match=words):
+            await bench.open(section=section).connect()
+    with pytest.raises(FatalDriverError, match="no data item of type EXECUTION"):
+        Device(name="x", uuid="y", items=(DataItem(item_id="a", name="", kind="PROGRAM", subtype=""),))
+
+
+@pytest.mark.wires
+async def test_the_output_stays_refused_with_the_reason(tmp_path, bench):
+    configuration = machine(tmp_path)
+    cnc = bench.open()
+    await cnc.connect()
+    record = record_for(configuration)
+    inhibit = Interlocks(configuration, HandClock(), record, lambda: "", "").write_inhibit(cnc)
+    assert inhibit is not None and "read and never written" in inhibit.text and "another driver" in inhibit.remedy
+    await cnc.close()
+
+
+def test_names_of_programs_and_blocks_become_numbers():
+    items = tuple(
+        DataItem(item_id=kind, name="", kind=kind, subtype="")
+        for kind in ("EXECUTION", "BLOCK", "LINE_LABEL", "WORK_OFFSET", "TOOL_NUMBER")
+    )
+    items += (DataItem(item_id="PROGRAM", name="", kind="PROGRAM", subtype="MAIN"),)
+    device = Device(name="x", uuid="y", items=items)
+    for name, number in (("O1000", 1000), ("1000.NC", 1000), ("//CNC_MEM/USER/PATH1/O0017", 17), ("", 0)):
+        device.values["PROGRAM"] = name
+        assert device.program == number, name
+    device.values["PROGRAM"] = "HOUSING_A.MPF"
+    first = device.program
+    device.values["PROGRAM"] = "HOUSING_B.MPF"
+    assert first != device.program and min(first, device.program) >= 100_000_000
+    for block, number in (("N100 G0 X1", 100), ("/N7 M1", 7), ("G1 X2 (N5)", 0), ("UNAVAILABLE", 0)):
+        device.values["BLOCK"] = block
+        assert device.sequence_number == number, block
+    device.values["LINE_LABEL"] = "N250"
+    assert device.sequence_number == 250
+    for offset, number in (("G54", 54), ("54", 54), ("G54.1 P3", 541003), ("-", 0)):
+        device.values["WORK_OFFSET"] = offset
+        assert device.work_offset == number, offset
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        b'<!DOCTYPE a [<!ENTITY x "xxxxxxxxxx"><!ENTITY y "&x;&x;&x;&x;">]><a>&y;</a>',
+        b'<!DOCTYPE a SYSTEM "http://127.0.0.1/secret"><a/>',
+        b"<a>" * (DEEPEST + 1),
+        b"<a><b/>" + b"<c/>" * 60_000 + b"</a>",
+        b"x" * (LONGEST_DOCUMENT + 1),
+        b"<a>",
+        b"\xff\xfe\x00",
+        b"",
+    ],
+    ids=["entities", "external", "deep", "many", "long", "open", "bytes", "nothing"],
+)
+def test_a_document_that_could_harm_is_refused(document):
+    with pytest.raises(XmlError):
+        parsed(document)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=300) | st.text(alphabet="<>/ab=\"'&;! -[]", max_size=200).map(str.encode))
+def test_any_bytes_are_a_document_or_refused(content):
+    with contextlib.suppress(XmlError):
+        assert parsed(content).name
+
+
+@pytest.mark.wires
+async def test_an_agent_that_never_ends_its_answer_is_a_lost_link(bench):
+    async def pour(reader, writer):
+        await reader.read(100)
+        writer.write(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n")
+        try:
+            while True:
+                writer.write(b"<a>" * 20_000)
+                await writer.drain()
+        except ConnectionError:
+            writer.close()
+
+    endless = await asyncio.start_server(pour, "127.0.0.1", 0)
+    with pytest.raises(LinkError, match="longer than"):
+        await bench.open_at(endless.sockets[0].getsockname()[1], timeout_s=30.0).connect()
+    endless.close()
