@@ -259,12 +259,18 @@ class MtconnectConfig(CncConnection):
         description="address of the agent: http://host:port",
         examples=["http://192.168.10.20:5000"],
     )
-    device: str | None = Field(None, description="name or uuid of the device; none: the agent has only one")
+    device: str | None = Field(
+        None, description="name or uuid of the device; none: the agent has only one", examples=["VMC-3Axis"]
+    )
     spindle_speed_item: str | None = Field(
-        None, description="id or name of the data item of the spindle's speed [1/min]; none: the first of its type"
+        None,
+        description="id or name of the data item of the spindle's speed [1/min]; none: the first of its type",
+        examples=["S1speed"],
     )
     motor_temperature_item: str | None = Field(
-        None, description="id or name of the data item of the spindle motor's temperature [degC]; none: not read"
+        None,
+        description="id or name of the data item of the spindle motor's temperature [degC]; none: not read",
+        examples=["S1temp"],
     )
 
     @property
