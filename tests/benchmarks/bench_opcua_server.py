@@ -3,9 +3,9 @@
     python tests/benchmarks/bench_opcua_server.py [--minutes 4] [--subscribers 5]
 
 The demo's daemon runs at speed 1, its three lines bring all 302 sensors each second. First it runs without the
-server, then with it; then, in turns of twenty seconds, nobody is connected or all subscribers are told every measurement
-of every sensor, signed and encrypted, so that both are measured in one run on the same computer. Prints feedback percentiles and
-processor time of the daemon, each beside those with nobody, how many changes arrived, and its memory.
+server, then with it; then, in turns of twenty seconds, nobody is connected or all subscribers are told every
+measurement of every sensor, signed and encrypted, so that both are measured in one run on the same computer. Prints
+feedback percentiles and processor time of the daemon, each beside those with nobody, the changes, and its memory.
 """
 
 import argparse
