@@ -61,3 +61,22 @@ def test_every_family_that_training_makes_is_followed(tmp_path: Path, family: st
     assert found["following"]["active_share"] >= LEAST_SHARE and "ACTIVE for" in done.stderr
     if family != "increments-b0":
         assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
+
+
+@pytest.mark.slow
+@pytest.mark.wires
+def test_a_replay_that_the_output_did_not_follow_says_why_and_ends_with_1(tmp_path: Path) -> None:
+    """A spindle four times as fast as in training: the estimate must not be followed, and that is said."""
+    paths = [run(tmp_path, number) for number in range(1, 5)]
+    model = tmp_path / "model.json"
+    arguments = ["thermal", "train", *map(str, paths[:-1]), "--model", "lags", "-o", str(model)]
+    trained = CliRunner().invoke(main, arguments)
+    assert trained.exit_code == 0, trained.output
+    head, *rows = paths[-1].read_text(encoding="utf-8").splitlines()
+    fast = [",".join([time, "24000", *others]) for time, _, *others in (row.split(",") for row in rows)]
+    paths[-1].write_text("\n".join([head, *fast]) + "\n", encoding="utf-8")
+    done = played(tmp_path, paths[-1], model, "--speed", "60", "--to-hours", "0.2")
+    assert done.returncode == 1, done.stderr
+    found = json.loads(done.stdout)["following"]
+    assert found["active_share"] < LEAST_SHARE and found["why"]
+    assert "warning: the output followed the estimate (ACTIVE) for" in done.stderr and found["why"] in done.stderr

@@ -13,6 +13,10 @@ from zoo_machines import ROSTER, Machine, recordings, reversed_run, write
 from daemon.cli import main
 from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import Recording
+from models.thermal.training.inputs import build_inputs
+from models.thermal.training.online import compensated_um, follow
+from models.thermal.training.train_family import train_family
+from models.thermal.training.trial import since_first_known
 
 SMALL = next(machine for machine in ROSTER if machine.sensors == 6 and machine.half == "tuning" and machine.runs == 4)
 
@@ -99,3 +103,19 @@ def test_every_family_on_a_few_small_machines(tmp_path: Path, capsys: pytest.Cap
         assert machine["points"] > -20.0, machine
     table = capsys.readouterr().out
     assert f"tuning: machines 11, {SMALL.number}" in table and "points below it on" in table
+
+
+@pytest.mark.parametrize("number", [24, 25, 26])
+def test_after_a_change_of_the_machine_what_it_gets_is_never_worse_than_nothing(number: int) -> None:
+    """Trained before another coolant or preload: all that comes after it, as the daemon would have it."""
+    machine = next(one for one in ROSTER if one.number == number)
+    changed = next(int(trait.partition("=")[2].partition(":")[0]) for trait in machine.traits if "regime" in trait)
+    made = [recording.downsampled(60.0) for recording in recordings(machine)]
+    model = train_family(made[:changed], "default", sample_s=60.0, created="2026-01-01T00:00:00Z").model
+    inputs = build_inputs(made[changed:], sample_s=60.0, lags_min=(), speed_lags_min=())
+    for recording in range(len(made) - changed):
+        rows = np.flatnonzero(inputs.recording == recording)
+        measured_um = since_first_known(inputs.measured_um[rows])
+        held_um = compensated_um(follow(model, inputs, rows), inputs.time_min[rows], measured_um)
+        left, without = (np.sqrt(np.nanmean(np.square(um), axis=0)) for um in (measured_um - held_um, measured_um))
+        assert (left <= without).all(), (recording, left / without)
