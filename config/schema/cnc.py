@@ -220,6 +220,20 @@ class CncConfig(CncDriverConfig):
         return self.opcua is not None and self.opcua.preset == "sinumerik"
 
     @model_validator(mode="after")
+    def _guard_of_the_control(self) -> "CncConfig":
+        if self.is_sinumerik != (self.guard.dialect == "sinumerik"):
+            raise KeyProblems(
+                [
+                    (
+                        ("guard", "dialect"),
+                        "must be sinumerik with cnc.opcua.preset sinumerik, and only with it: a guard in the other "
+                        "language cannot run on this control",
+                    )
+                ]
+            )
+        return self
+
+    @model_validator(mode="after")
     def _memory_apart(self) -> "CncConfig":
         memory = self.guard.memory_of(len(self.macros.values))
         key = ("guard", "memory")

@@ -31,6 +31,9 @@ class GuardAxisConfig(Section):
 class GuardConfig(Section):
     """The guard macro that the CNC runs at safe points; `toolpoint guard` prints it."""
 
+    dialect: Literal["fanuc", "sinumerik"] = Field(
+        "fanuc", description="language of the programs: custom macro B, or SINUMERIK with R parameters and SD43900"
+    )
     program: int = Field(
         9010, ge=1, le=9999 - PROGRAMS + 1, description=f"O number of the guard; {PROGRAMS} numbers from here are used"
     )
@@ -43,6 +46,12 @@ class GuardConfig(Section):
         580,
         description="SINUMERIK only: first of the two R parameters in which the guard shows the daemon the clock [s] "
         "and the count of power-ons; outside `writable`",
+    )
+    timer: int = Field(
+        1, ge=1, le=99, description="SINUMERIK only: number of the $AC_TIMER that is the clock (MD28258)"
+    )
+    synchronised_action: int = Field(
+        91, ge=1, le=199, description="SINUMERIK only: number (IDS) of the action that shows the clock"
     )
     axes: dict[Name, GuardAxisConfig] = Field(
         default_factory=dict,

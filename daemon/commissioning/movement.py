@@ -23,6 +23,8 @@ GUARD_SAYS: dict[int, str] = {
     GuardStatus.MEMORY: "the guard's memory is damaged (status 8): run the guard's initialise program in MDI",
     GuardStatus.CHECK: "the check does not fit the block (status 10): something else writes a macro of it, or guard "
     "and map of the macros disagree",
+    GuardStatus.SWITCHED_OFF: "the control does not act on SD43900 (status 11): set bit 0 of MD32750, and MD32760 "
+    "above 0, for every axis that is compensated",
     GuardStatus.UNSETTLED: "the external offset was changed in between (status 9): run the initialise program in MDI",
 }
 """What a guard that does not apply the block says by its status."""

@@ -81,10 +81,11 @@ def write_simulation_configuration(
         base["displacements"]["file"] = {"path": str(directory / "displacement.csv"), "header": "time"}
     for other in drivers_of(CncConfig):
         base["cnc"].pop(other, None)
-    base["cnc"] |= {"driver": driver, driver: _connection(driver, directory, secure=secure)}
+    base["cnc"] |= _control(driver, directory, secure=secure)
     base["cnc"]["allow_insecure_writes"] = not secure
     base["cnc"]["stale_after_s"] = max(3.0, speed)
-    base["cnc"].setdefault("guard", {})["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
+    base["cnc"].setdefault("guard", {})["dialect"] = "sinumerik" if driver == "sinumerik" else "fanuc"
+    base["cnc"]["guard"]["request_timeout_s"] = max(10.0, REQUEST_REAL_S * speed)
     base["compensation"]["allow_writable_model_directory"] = True
     reference = base["compensation"].setdefault("reference", {})
     reference["positioning_dwell_s"] = max(POSITIONING_S, 2.0 * base["cnc"].get("poll_period_s", 0.5))
@@ -105,17 +106,21 @@ def write_simulation_configuration(
     return path, load_configuration(path)
 
 
-def _connection(driver: str, directory: Path, *, secure: bool) -> dict[str, Any]:
-    """Return the section of a driver for the simulated control on a free port; raises SimulationError."""
-    if driver == "opcua":
-        return {
+def _control(driver: str, directory: Path, *, secure: bool) -> dict[str, Any]:
+    """Return driver and section for the simulated control on a free port; raises SimulationError.
+
+    `driver` may be sinumerik too: the OPC UA driver at a simulated SINUMERIK.
+    """
+    if driver in ("opcua", "sinumerik"):
+        section = {
             "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/toolpoint/",
-            "namespace_uri": "urn:toolpoint:cnc",
             "security": _keys(directory) if secure else None,
         }
+        kind = {"preset": "sinumerik"} if driver == "sinumerik" else {"namespace_uri": "urn:toolpoint:cnc"}
+        return {"driver": "opcua", "opcua": section | kind}
     if secure:
         raise SimulationError(f"driver {driver} cannot encrypt: leave --secure out, or use --cnc opcua")
-    return {"host": "127.0.0.1", "port": free_port()}
+    return {"driver": driver, driver: {"host": "127.0.0.1", "port": free_port()}}
 
 
 def _keys(directory: Path) -> dict[str, str]:

@@ -10,6 +10,7 @@ from drivers.guard.text import (
     GUARD_VERSION,
     GuardPrograms,
     GuardStatus,
+    GuardTextError,
     decimal,
     guard_axes,
     guard_digest,
@@ -25,6 +26,11 @@ UNVERIFIED = (
 
 def guard_sheet(configuration: Configuration) -> tuple[Section, ...]:
     """Return the sheet for this machine; raises GuardTextError where the programs cannot be made."""
+    if configuration.cnc.guard.dialect == "sinumerik":
+        raise GuardTextError(
+            "the sheet is for custom macro programs; for a SINUMERIK go through the tests of "
+            "docs/how-to/install-the-guard-macro.md, section 7"
+        )
     text = guard_program(configuration)
     return (
         _identity(configuration, text),

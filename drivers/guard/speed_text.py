@@ -43,6 +43,11 @@ def speed_program(configuration: Configuration) -> str:
     tuning, guard = configuration.spindle_speed, configuration.cnc.guard
     if tuning is None:
         raise GuardTextError("there is no section spindle_speed, so the machine has no speed program")
+    if guard.dialect == "sinumerik":
+        raise GuardTextError(
+            "spindle_speed: the speed program is custom macro text, which a SINUMERIK does not run; "
+            "leave the section out"
+        )
     if guard.program <= tuning.program < guard.program + PROGRAMS:
         raise GuardTextError(
             f"spindle_speed.program: O{tuning.program} is one of the guard's, O{guard.program} to "

@@ -12,7 +12,7 @@ from config.records.commissioning import CHECKING_GUARD, macro_map_digest
 from config.schema import Configuration
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import AxisConfig
-from config.schema.guard import PROGRAM_LABELS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
+from config.schema.guard import PROGRAM_LABELS, PROGRAMS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
 from drivers.guard.check import PER_SECOND
 from models.errors import RefusedInputError
 
@@ -57,6 +57,8 @@ class GuardStatus(IntEnum):
     """The external offset is neither what it was before the guard's change nor what it was to become."""
     CHECK = 10
     """The check does not fit what the block holds: another program has written one of its macros."""
+    SWITCHED_OFF = 11
+    """A SINUMERIK whose machine data let no temperature compensation act on an axis."""
 
 
 class GuardTextError(RefusedInputError, ValueError):
@@ -72,6 +74,8 @@ class GuardPrograms:
     request: int | None
     enter: int | None
     leave: int | None
+    start: int | None = None
+    """Only a SINUMERIK has it: lets the clock run and finds out that the control was switched on."""
 
     @classmethod
     def of(cls, macros: MacroMapConfig, guard: GuardConfig) -> "GuardPrograms":
@@ -83,6 +87,7 @@ class GuardPrograms:
             request=first + 2 if macros.request is not None else None,
             enter=first + 3 if flag else None,
             leave=first + 4 if flag else None,
+            start=first + PROGRAMS if guard.dialect == "sinumerik" else None,
         )
 
 
@@ -127,9 +132,13 @@ def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, 
 
 def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
     """Return the text of all NC programs: guard, initialise, and where the map has macros for them the others."""
+    if guard.dialect == "sinumerik":
+        from drivers.guard.sinumerik import sinumerik_text
+
+        return sinumerik_text(macros, axes, guard, machine=machine)
     programs = GuardPrograms.of(macros, guard)
-    rows = list(_axis_rows(macros, axes, guard))
-    fields = _common_fields(macros, guard, len(rows))
+    rows = list(axis_rows(macros, axes, guard))
+    fields = common_fields(macros, guard, len(rows))
     numbers = {
         "guard": programs.guard,
         "initialise": programs.initialise,
@@ -137,7 +146,9 @@ def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gu
         "enter": programs.enter,
         "leave": programs.leave,
     }
-    parts = [_filled(name, number, fields, rows, guard) for name, number in numbers.items() if number is not None]
+    parts = [
+        filled_program(name, number, fields, rows, guard) for name, number in numbers.items() if number is not None
+    ]
     body = "\n".join(parts) + "\n"
     first, rest = body.split("\n", 1)
     text = "%\n" + first + "\n" + "\n".join(_head(macros, axes, guard, machine, body)) + "\n" + rest + "%\n"
@@ -155,21 +166,21 @@ def _head(
     macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, machine: str, body: str
 ) -> Iterator[str]:
     """Yield the comments that say which machine, map and limits the text was made for."""
-    yield f"(MACHINE {_comment(machine)})" if machine else "(MACHINE NOT NAMED)"
+    yield f"(MACHINE {comment(machine)})" if machine else "(MACHINE NOT NAMED)"
     yield f"(TEXT {guard_digest(body)[:16].upper()} MAP {macro_map_digest(macros)[:16].upper()})"
     for name, axis in axes.items():
         bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
-        yield f"(AXIS {_comment(name)} BOUND {bound} STEP {step} MM)"
+        yield f"(AXIS {comment(name)} BOUND {bound} STEP {step} MM)"
     stop = "MESSAGE" if guard.alarm == "message" else "ALARM"
     yield f"(EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {decimal(guard.max_validity_s)} S)"
 
 
-def _comment(text: str) -> str:
+def comment(text: str) -> str:
     """Return a text with nothing but what a control takes in comments."""
     return _FOREIGN.sub(" ", text.upper()).strip()[:40]
 
 
-def _axis_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig) -> Iterator[dict[str, str]]:
+def axis_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig) -> Iterator[dict[str, str]]:
     """Yield the fields of every axis, in the order of the enable bits."""
     controlled = guard_axes(axes, guard)
     increment, to_mm = guard.increment_mm, macros.unit_um / 1000.0
@@ -208,7 +219,7 @@ def _down(value: float, increment: float) -> float:
     return math.floor(value / increment + 1e-6) * increment
 
 
-def _common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
+def common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
     block = ("sequence_a", "sequence_b", "valid_until", "enable", *(("check",) if macros.check is not None else ()))
     echo = ("echo_time", "echo_status", "echo_guard_version")
     flag = {"safe_flag": str(macros.safe_flag)} if macros.safe_flag is not None else {}
@@ -249,7 +260,9 @@ def _stop(means: str, number: int) -> str:
     return {"message": "#3006=1", "stop": f"#3000={number}", "continue": ""}[means]
 
 
-def _filled(name: str, program: int, common: Mapping[str, str], rows: list[dict[str, str]], guard: GuardConfig) -> str:
+def filled_program(
+    name: str, program: int, common: Mapping[str, str], rows: list[dict[str, str]], guard: GuardConfig
+) -> str:
     """Return one template with its numbers."""
     fields = {**common, "program": str(program)}
     sections: dict[str, list[dict[str, str]]] = {

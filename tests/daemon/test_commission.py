@@ -12,7 +12,7 @@ from models.records import WriteOutcome
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=SIMULATED)
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=[*SIMULATED, "sinumerik"])
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("commission"), request.param) as bench:
         yield bench

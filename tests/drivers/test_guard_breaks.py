@@ -2,6 +2,7 @@
 
 import itertools
 
+import guard_bench
 import pytest
 from guard_bench import AXES, CLOCK_S, MAP, NOISE_UM, GuardBench
 
@@ -13,13 +14,20 @@ READS = 7
 """Macros that the guard reads from the block, and that the daemon writes."""
 
 
+@pytest.fixture(params=["fanuc", "sinumerik"], autouse=True)
+def dialect(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both texts are held to the same."""
+    monkeypatch.setattr(guard_bench, "DIALECT", request.param)
+    return str(request.param)
+
+
 @pytest.fixture
-def bench() -> GuardBench:
+def bench(dialect: str) -> GuardBench:
     return GuardBench(own_um={"x": 12.0, "y": -250.0, "z": 1234.5})
 
 
 def test_a_clock_that_wraps_expires_the_block_and_never_revives_it() -> None:
-    bench = GuardBench()
+    bench = GuardBench(dialect="fanuc")  # a timer of a SINUMERIK does not wrap
     bench.clock_s = CLOCK_WRAP_S - 10.0
     bench.write(z=3.0, valid_for_s=30.0)
     assert bench.call() is GuardStatus.APPLIED
@@ -37,7 +45,10 @@ def test_a_clock_that_wraps_expires_the_block_and_never_revives_it() -> None:
 
 def test_another_program_that_clears_the_timer_only_expires_the_block(bench: GuardBench) -> None:
     bench.write(z=3.0)
-    bench.nc.control.timer_zero_ms = CLOCK_S * 1000.0
+    if bench.siemens:
+        bench.nc.control.start_timer(1, 0.0)
+    else:
+        bench.nc.control.timer_zero_ms = CLOCK_S * 1000.0
     interpreter = bench.nc.at(bench.macros, CLOCK_S)
     interpreter.run(bench.nc.programs.guard)
     assert bench.macros.get(MAP.echo_status) == GuardStatus.EXPIRED
@@ -66,8 +77,7 @@ def test_reset_or_power_off_at_every_block_applies_nothing_twice(power_off: bool
         if not bench.interrupted(after):
             break
         if power_off:
-            bench.macros.power_off()
-            bench.nc.power_cycle()
+            bench.power_cycle()
         for axis, um in bench.applied_um.items():
             assert um == pytest.approx(0.0) or um == pytest.approx(target[axis])
             assert abs(um - bench.echo_um[axis]) <= AXES[axis].step_um + NOISE_UM

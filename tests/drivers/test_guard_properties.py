@@ -20,10 +20,11 @@ class GuardHistory(RuleBasedStateMachine):
     """Whatever happens, the tool moves only as far as a believed block, one step and the bound allow."""
 
     policy = "keep"
+    dialect = "fanuc"
 
     def __init__(self) -> None:
         super().__init__()
-        self.bench = GuardBench(own_um={"x": 17.0, "y": -3.0, "z": 800.0}, on_expiry=self.policy)
+        self.bench = GuardBench(own_um={"x": 17.0, "y": -3.0, "z": 800.0}, on_expiry=self.policy, dialect=self.dialect)
         self.clean = True
         """Nobody has touched the guard's own memory."""
 
@@ -55,8 +56,8 @@ class GuardHistory(RuleBasedStateMachine):
 
     @rule(absolute=st.booleans(), metric=st.booleans())
     def program_selects_modes(self, absolute: bool, metric: bool) -> None:
-        self.bench.nc.control.modal[3] = 90 if absolute else 91
-        self.bench.nc.control.modal[6] = 21 if metric else 20
+        self.bench.modal(3, 90 if absolute else 91)
+        self.bench.modal(6, 21 if metric else 20)
 
     @rule()
     def power_is_switched_off_and_on(self) -> None:
@@ -72,10 +73,10 @@ class GuardHistory(RuleBasedStateMachine):
 
     @rule()
     def guard_is_called(self) -> None:
-        before, wanted, mode = self.bench.applied_um, self._wanted(), self.bench.nc.control.modal[3]
+        before, wanted, mode = self.bench.applied_um, self._wanted(), self.bench.modal(3)
         status = self.bench.call()
         self._moved_within_limits(before)
-        assert self.bench.nc.control.modal[3] == mode
+        assert self.bench.modal(3) == mode
         after = self.bench.applied_um
         if status is GuardStatus.APPLIED:
             assert self.clean is False or self.bench.settled()
@@ -115,11 +116,23 @@ class GuardHistoryToZero(GuardHistory):
     policy = "zero"
 
 
+class SinumerikHistory(GuardHistory):
+    dialect = "sinumerik"
+
+
+class SinumerikHistoryToZero(GuardHistoryToZero):
+    dialect = "sinumerik"
+
+
 OFTEN = settings(max_examples=150, stateful_step_count=40, deadline=None, suppress_health_check=list(HealthCheck))
 TestGuardHistory = GuardHistory.TestCase
 TestGuardHistory.settings = OFTEN
 TestGuardHistoryToZero = GuardHistoryToZero.TestCase
 TestGuardHistoryToZero.settings = OFTEN
+TestSinumerikHistory = SinumerikHistory.TestCase
+TestSinumerikHistory.settings = OFTEN
+TestSinumerikHistoryToZero = SinumerikHistoryToZero.TestCase
+TestSinumerikHistoryToZero.settings = OFTEN
 
 
 @settings(max_examples=200, deadline=None)

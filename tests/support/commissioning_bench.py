@@ -25,6 +25,7 @@ from daemon.history.series import WriteRecord
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import Block, PartProgram, standing_program
+from drivers.sim.nc.safe_point import simulated_guard
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
 from drivers.sim.wires.cnc_face import cnc_server
 from drivers.sim.wires.tcp_relay import TcpRelay
@@ -105,14 +106,18 @@ class Bench:
     def __init__(self, directory: Path, driver: str = "opcua") -> None:
         self.directory = directory
         self.driver = driver
+        """A driver's name, or `sinumerik`: the OPC UA driver at a SINUMERIK."""
         self.clock = LoopClock(SPEED)
         self._described = load_configuration(shipped_file("cfrpmt.yaml"))
         self._content = self._described.model_dump_json()
+        dialect = "sinumerik" if driver == "sinumerik" else "fanuc"
+        self.guard = simulated_guard(self._described.compensation.axes).model_copy(update={"dialect": dialect})
         self.stores = 0
         self.reset()
         served = self._described.cnc.model_dump()
         served["macros"]["writable"] += ["121"]  # beyond the shipped map, for the block of the spindle speed
-        served |= {"opcua": None, "driver": driver, driver: self._connection(0)}
+        served |= self._control(0)
+        served["guard"]["dialect"] = self.guard.dialect
         config = CncConfig.model_validate(served)
         self.server = cnc_server(PresentNc(self), config, port=0, security=None, readable=())
         self.relay = TcpRelay(port=0, target_port=0)
@@ -128,7 +133,7 @@ class Bench:
             self._described.temperatures.sensors,
             self._described.cnc.macros,
             self._described.compensation.axes,
-            guard,
+            guard or self.guard,
             wiring=wiring,
         )
         self._origin_s = self.clock.now().monotonic_s
@@ -144,6 +149,12 @@ class Bench:
         nc = self.machine.nc
         self.machine.guard.run(nc.macros, nc.clock_at(self.machine.time_s))
 
+    @property
+    def clock_s(self) -> float:
+        """The clock on which valid_until counts [s]."""
+        shown = self.macro(self.guard.shown) if self.driver == "sinumerik" else None
+        return self.machine.nc.clock_s if shown is None else shown
+
     def macro(self, number: int) -> float | None:
         return self.machine.nc.macros.get(number)
 
@@ -151,7 +162,8 @@ class Bench:
         """The published machine on this bench, with slews that a test can wait for."""
         content = json.loads(self._content)
         content["machine"] = "bench <of tests>"
-        content["cnc"] |= {"opcua": None, "driver": self.driver, self.driver: self._connection(self.relay.port)}
+        content["cnc"] |= self._control(self.relay.port)
+        content["cnc"]["guard"]["dialect"] = self.guard.dialect
         content["cnc"] |= {"allow_insecure_writes": True, "timeout_s": 5.0, "stale_after_s": 300.0}
         for axis in content["compensation"]["axes"].values():
             axis["slew_um_per_min"] = 100.0
@@ -161,10 +173,13 @@ class Bench:
         change(content)
         return Configuration.model_validate_json(json.dumps(content))
 
-    def _connection(self, port: int) -> dict[str, Any]:
+    def _control(self, port: int) -> dict[str, Any]:
+        endpoint = {"endpoint": f"opc.tcp://127.0.0.1:{port}/cnc"}
+        if self.driver == "sinumerik":
+            return {"driver": "opcua", "opcua": {**endpoint, "preset": "sinumerik"}}
         if self.driver == "opcua":
-            return {"endpoint": f"opc.tcp://127.0.0.1:{port}/cnc", "namespace_uri": "urn:toolpoint:cnc"}
-        return {"host": "127.0.0.1", "port": port or 8193}
+            return {"driver": "opcua", "opcua": {**endpoint, "namespace_uri": "urn:toolpoint:cnc"}}
+        return {"opcua": None, "driver": self.driver, self.driver: {"host": "127.0.0.1", "port": port or 8193}}
 
     async def commission(
         self,

@@ -34,17 +34,33 @@ NOISE_UM = 1e-5
 """Rounding of floating-point numbers in offsets [um]."""
 
 
+DIALECT = "fanuc"
+"""Whose text a bench runs where a test says nothing."""
+GROUP_7 = {40: 1, 41: 2, 42: 3}
+
+
+class KeptTable(MacroTable):
+    """R parameters survive power-off."""
+
+    def power_off(self) -> None:
+        pass
+
+
 class GuardBench:
     """A control that has been initialised at CLOCK_S; nothing is applied."""
 
     def __init__(self, own_um: dict[str, float] | None = None, **guard: Any) -> None:
-        settings = GuardConfig(**({"increment_mm": INCREMENT_UM / 1000.0} | guard))
-        self.macros = MacroTable()
+        settings = GuardConfig(**({"increment_mm": INCREMENT_UM / 1000.0, "dialect": DIALECT} | guard))
+        self.siemens = settings.dialect == "sinumerik"
+        self.macros = KeptTable() if self.siemens else MacroTable()
+        self._modal: dict[int, int] = {3: 90}
         self.clock_s = CLOCK_S
         self.nc = SafePointApplication(MAP, AXES, settings)
         for axis, um in (own_um or {}).items():
             self.nc.change_own_offset(axis, um)
         self.nc.initialise(self.macros, self.clock_s)
+        if self.siemens:
+            self.nc.control.start_timer(1, CLOCK_S)
         self.sequence = 0.0
         self.waits = 0
         """Dwells of the guard in the latest run by `steps`."""
@@ -75,6 +91,14 @@ class GuardBench:
         for number, value in self.block(**block):
             self.macros.set(number, value)
 
+    def power_cycle(self) -> None:
+        """Switch the control off and on; its clock goes on where it was, so that what is written counts on it."""
+        self.macros.power_off()
+        self.nc.power_cycle()
+        if self.siemens:
+            self.nc.at(self.macros, self.clock_s).run(self.nc.programs.start)
+            self.nc.control.start_timer(1, self.clock_s)
+
     # --- the part program ----------------------------------------------------------------
 
     def call(self, *, later_s: float = 0.0) -> GuardStatus:
@@ -82,7 +106,8 @@ class GuardBench:
         self.clock_s += later_s
         status = self.nc.run(self.macros, self.clock_s)
         assert self.macros.get(MAP.echo_status) == float(status)
-        assert abs((self.macros.get(MAP.echo_time) or 0.0) - self.clock_s % 2147483.648) < 0.0011
+        clock_s = self.nc.control.timer(1) if self.siemens else self.clock_s % 2147483.648
+        assert abs((self.macros.get(MAP.echo_time) or 0.0) - clock_s) < 0.0011
         assert not self.nc.interpreter.running
         return status
 
@@ -102,7 +127,7 @@ class GuardBench:
         for count in self.steps():
             if count == after:
                 self.nc.interpreter.reset()
-                self.nc.control.modal[3] = 90
+                self.modal(3, 90)
                 return True
         return False
 
@@ -112,6 +137,21 @@ class GuardBench:
             if count == at:
                 work()
         return GuardStatus(round(self.macros.get(MAP.echo_status) or 0.0))
+
+    def modal(self, group: int, code: int | None = None) -> int:
+        """Make a G code active, by FANUC's group, or only return the active one."""
+        if not self.siemens:
+            found: dict[int, int] = self.nc.control.modal
+            if code is not None:
+                found[group] = code
+            return found[group]
+        if code is not None:
+            self._modal[group] = code
+            if group == 6:
+                self.nc.control.groups[13] = 1 if code == 20 else 2
+            elif group == 7:
+                self.nc.control.groups[7] = GROUP_7[code]
+        return self._modal[group]
 
     # --- the truth -----------------------------------------------------------------------
 

@@ -118,6 +118,8 @@ def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> C
     """
     opcua = {key: changes.pop(key) for key in ("security", "nodes", "namespace_uri", "preset") if key in changes}
     changes.setdefault("allow_insecure_writes", opcua.get("security") is None)
+    if opcua.get("preset") == "sinumerik":
+        changes["guard"] = {"dialect": "sinumerik"} | changes.get("guard", {})
     if other := next((driver for driver in drivers_of(CncConfig) if driver in changes), None):
         changes["driver"] = other
     else:

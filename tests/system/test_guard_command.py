@@ -8,6 +8,7 @@ from click.testing import CliRunner, Result
 from config.machines import shipped_file
 from daemon.cli import main
 from drivers.sim.nc.custom_macro import compile_programs
+from drivers.sim.nc.sinumerik import compile_archive
 
 CONFIGURATION = str(shipped_file("cfrpmt.yaml"))
 
@@ -29,6 +30,14 @@ def test_policy_and_number_come_from_the_command_line() -> None:
     assert "(POLICY ZERO, STEP BY STEP." in printed.stdout and "POLICY KEEP" not in printed.stdout
     assert set(compile_programs(printed.stdout)) == {8100, 8101, 8102}
     assert "cnc.guard.on_expiry" in printed.stderr and "cnc.guard" not in guard().stderr
+
+
+def test_another_dialect_is_printed_for_the_asking_and_said_to_be_another() -> None:
+    printed = guard("--dialect", "sinumerik")
+    assert printed.exit_code == 0 and "dialect" in printed.stderr
+    assert set(compile_archive(printed.stdout)) == {"TP9010", "TP9011", "TP9012", "TP9015"}
+    refused = guard("--dialect", "sinumerik", "--sheet", "sheet.md")
+    assert refused.exit_code == 2 and "the sheet is for custom macro programs" in refused.output
 
 
 def test_writes_new_files_only(tmp_path: Path) -> None:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     help="What an expired block does at a safe point (default: cnc.guard.on_expiry).",
 )
 @option("--program", metavar="NUMBER", type=int, help="O number of the guard (default: cnc.guard.program).")
+@option(
+    "--dialect",
+    type=click.Choice(["fanuc", "sinumerik"]),
+    help="Language of the programs: custom macro B, or SINUMERIK with R parameters (default: cnc.guard.dialect).",
+)
 @output_option
 @option(
     "--sheet",
@@ -28,7 +33,13 @@ if TYPE_CHECKING:
 )
 @option("--speed", is_flag=True, help="Print the speed program (spindle_speed) instead.")
 def guard(
-    config_path: Path, policy: str | None, program: int | None, output: Path | None, sheet: Path | None, speed: bool
+    config_path: Path,
+    policy: str | None,
+    program: int | None,
+    dialect: str | None,
+    output: Path | None,
+    sheet: Path | None,
+    speed: bool,
 ) -> None:
     """Print the NC programs of this machine: the guard macro, and what belongs to it.
 
@@ -41,17 +52,18 @@ def guard(
     from drivers.guard.text import GuardTextError, guard_program
 
     unchanged = read_configuration(config_path)
-    configuration = _with_changes(unchanged, policy, program)
+    configuration = _with_changes(unchanged, policy, program, dialect)
     if configuration.cnc.guard != unchanged.cnc.guard:
         say(
-            f"This is not the guard that {config_path} describes. Say the same there (cnc.guard.on_expiry, program) "
-            "before you load it: the daemon expects the guard that is configured there, and anything else is a FAULT"
+            f"This is not the guard that {config_path} describes. Say the same there (cnc.guard.on_expiry, program, "
+            "dialect) before you load it: the daemon expects the guard that is configured there, and anything else is "
+            "a FAULT"
         )
     if sheet is not None and output is not None:
         refuse("--sheet writes the sheet and --output the programs; give one of them")
     if sheet is not None and sheet.suffix not in (".html", ".md"):
         refuse(f"{sheet}: the sheet is .html or .md")
-    if speed and (sheet is not None or policy is not None or program is not None):
+    if speed and (sheet, policy, program, dialect) != (None, None, None, None):
         refuse("--speed prints the speed program, whose number and limits stand in spindle_speed; leave the others out")
     try:
         if speed:
@@ -64,13 +76,15 @@ def guard(
         refuse(f"{config_path}: {error}")
 
 
-def _with_changes(configuration: "Configuration", policy: str | None, program: int | None) -> "Configuration":
+def _with_changes(
+    configuration: "Configuration", policy: str | None, program: int | None, dialect: str | None
+) -> "Configuration":
     """Return the configuration with what the command line says otherwise."""
     from pydantic import ValidationError
 
     from config.schema.guard import GuardConfig
 
-    changes = {"on_expiry": policy, "program": program}
+    changes = {"on_expiry": policy, "program": program, "dialect": dialect}
     settings = configuration.cnc.guard.model_dump() | {
         key: value for key, value in changes.items() if value is not None
     }

@@ -38,7 +38,7 @@ from daemon.simulation.processes import (
 SENSORS = ("latsis", "modbus")
 LIVE_PERIOD_S = 0.25
 WEB_PORT = 8080
-CNC_WIRES = ("opcua", "focas", "haas")
+CNC_WIRES = ("opcua", "focas", "haas", "sinumerik")
 
 
 @click.command()
@@ -57,7 +57,8 @@ CNC_WIRES = ("opcua", "focas", "haas")
     "driver",
     type=click.Choice(CNC_WIRES),
     default="opcua",
-    help="How the daemon reaches the simulated CNC: `focas` as it reaches a FANUC over Ethernet, `haas` as a Haas.",
+    help="How the daemon reaches the simulated CNC: `focas` as a FANUC over Ethernet, `haas` as a Haas, `sinumerik` "
+    "as a Siemens control over OPC UA, with the guard in its language.",
 )
 @option("--secure", is_flag=True, help="Encrypted and signed OPC UA with a user (Basic256Sha256).")
 @option(

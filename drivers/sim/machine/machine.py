@@ -63,6 +63,7 @@ class CfrpMachine:
             tool_number=1,
         )
         self.guard = SafePointApplication(macro_map, axes, guard)
+        self._nc.keeps_all = self.guard.keeps_all
         self._programs = NcPrograms(self.guard, self._nc)
         self._motor_due_s = 0.0
         self._wiring = wiring
@@ -147,6 +148,7 @@ class CfrpMachine:
     def _show(self) -> None:
         self.time_s = self.body.time_s
         self._nc.clock_s = self._nc.clock_at(self.time_s)
+        self.guard.show(self._nc.macros, self._nc.clock_s)
         self._nc.spindle_speed_rpm = self.body.spindle_speed_rpm
         if self.time_s >= self._motor_due_s:
             self._motor_due_s = self.time_s + MOTOR_PERIOD_S

@@ -81,6 +81,7 @@ class RecordedMachine:
         self.time_s = 0.0
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
+        self._nc.keeps_all = self._guard.keeps_all
         self._guard.initialise(self._nc.macros, self._nc.clock_s)
         self._programs = NcPrograms(self._guard, self._nc)
         self._coming = [
@@ -178,6 +179,7 @@ class RecordedMachine:
     def _show(self) -> None:
         nc, speed = self._nc, self._recording.speed_rpm
         nc.clock_s = nc.clock_at(self.time_s)
+        self._guard.show(nc.macros, nc.clock_s)
         nc.spindle_speed_rpm = float(speed[self._row()]) if speed is not None else 0.0
         nc.motor_temperature_degc = ROOM_DEGC
         positioned = self.time_s >= LEAD_IN_S

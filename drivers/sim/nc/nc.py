@@ -80,6 +80,8 @@ class NumericalControl:
         self.tool_number = tool_number
         self._table = MacroTable()
         self.macros: Macros = self._table
+        self.keeps_all = False
+        """Power-off clears no macro variable of this control."""
         self._clock_rate = 1.0 + clock_ppm * 1e-6
         self._clock_zero_s = clock_s
         self._powered_at_s = 0.0
@@ -90,7 +92,8 @@ class NumericalControl:
 
     def power_cycle(self, time_s: float) -> None:
         """Switch off and on: volatile variables vacant, clock from 0, one more power-on, program at its head."""
-        self._table.power_off()
+        if not self.keeps_all:
+            self._table.power_off()
         self.power_on_count += 1
         self._powered_at_s = time_s
         self._clock_zero_s = 0.0

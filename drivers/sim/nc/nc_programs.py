@@ -81,6 +81,8 @@ class NcPrograms:
         self._resume_s = self._next_guard_s = np.inf
         self._at_safe_point = False
         self._application.power_cycle()
+        if (start := self._application.programs.start) is not None:  # as the control calls it after power-on
+            self._queue.append((start, {}))
 
     def _request(self, **arguments: float) -> None:
         if self._application.programs.request is not None:

@@ -1,7 +1,7 @@
 """The NC programs as the simulated NC runs them: the very text that `toolpoint guard` prints.
 
-The guard reads the block of macro variables at safe points and changes the external work offset by G10. What is
-applied is that offset minus the operator's own, whatever the echo says.
+The guard reads the block of macro variables at safe points and changes the external work offset by G10, or SD43900 on a
+SINUMERIK. What is applied is that offset minus the operator's own, whatever the echo says.
 """
 
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from config.schema.guard import AxisLetter, GuardAxisConfig, GuardConfig
 from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_text
 from drivers.sim.contract import Macros
 from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroProgram, compile_programs
+from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikInterpreter, SinumerikProgram, compile_archive
 
 LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "A", "B", "C", "U", "V", "W")
 SIMULATED_INCREMENT_MM = 0.0001
@@ -22,6 +23,11 @@ SIMULATED_INCREMENT_MM = 0.0001
 @lru_cache(maxsize=8)
 def _compiled(text: str) -> dict[int, MacroProgram]:
     return compile_programs(text)
+
+
+@lru_cache(maxsize=8)
+def _compiled_archive(text: str) -> dict[str, SinumerikProgram]:
+    return compile_archive(text)
 
 
 def simulated_guard(axes: Mapping[str, AxisConfig]) -> GuardConfig:
@@ -50,14 +56,19 @@ class SafePointApplication:
         self.text = guard_text(macro_map, axes, guard)
         """What the NC runs."""
         letters = {axis.number: axis.letter for axis in self._axes.values()}
-        self.control = MacroControl(
-            _NoMacros(),
-            addresses=[letters.get(number, "") for number in range(1, max(letters) + 1)],
-            increment_mm=guard.increment_mm,
-        )
-        if guard.read_ahead_stop.startswith("M"):
-            self.control.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
-        self.interpreter = Interpreter(_compiled(self.text), self.control)
+        addresses = [letters.get(number, "") for number in range(1, max(letters) + 1)]
+        self.control: MacroControl | SinumerikControl
+        self.interpreter: Interpreter | SinumerikInterpreter
+        if guard.dialect == "sinumerik":
+            siemens = SinumerikControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
+            self.control = siemens
+            self.interpreter = SinumerikInterpreter(_compiled_archive(self.text), siemens)
+        else:
+            fanuc = MacroControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
+            if guard.read_ahead_stop.startswith("M"):
+                fanuc.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
+            self.control = fanuc
+            self.interpreter = Interpreter(_compiled(self.text), fanuc)
         self._own_mm = dict.fromkeys(axes, 0.0)
 
     @property
@@ -97,7 +108,18 @@ class SafePointApplication:
         self.at(macros, clock_s).run(self.programs.guard)
         return GuardStatus(round(macros.get(self._map.echo_status) or 0.0))
 
-    def at(self, macros: Macros, clock_s: float) -> Interpreter:
+    @property
+    def keeps_all(self) -> bool:
+        """Power-off clears no macro variable of this control."""
+        return isinstance(self.control, SinumerikControl)
+
+    def show(self, macros: Macros, clock_s: float) -> None:
+        """Let the control do what it does all the time, whatever runs: a SINUMERIK's synchronised actions."""
+        if isinstance(self.control, SinumerikControl):
+            self.control.common, self.control.clock_s = macros, clock_s
+            self.control.cycle()
+
+    def at(self, macros: Macros, clock_s: float) -> Interpreter | SinumerikInterpreter:
         """Return the interpreter with these macro variables, at this time of the NC's clock [s]."""
         self.control.common = macros
         self.control.clock_s = clock_s

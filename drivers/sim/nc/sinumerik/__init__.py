@@ -1,0 +1,7 @@
+"""A small interpreter for SINUMERIK programs: the statements that Toolpoint's programs need, errors for all others."""
+
+from drivers.sim.nc.sinumerik.control import SinumerikControl, SinumerikError
+from drivers.sim.nc.sinumerik.interpreter import SinumerikInterpreter
+from drivers.sim.nc.sinumerik.program import SinumerikProgram, compile_archive
+
+__all__ = ["SinumerikControl", "SinumerikError", "SinumerikInterpreter", "SinumerikProgram", "compile_archive"]

@@ -1,0 +1,118 @@
+"""What the interpreter's programs find on the simulated SINUMERIK: R parameters, timers, data, actions, alarms."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from config.schema.guard import VACANT_R
+from drivers.sim.contract import Macros
+
+CLOCK_WRAP_S = 2_147_483.648
+"""The simulated NC's clock begins again from 0 here; timers do not."""
+MESSAGES_KEPT = 20
+METRIC, INCHES = 2, 1
+"""Active function of G group 13: G71, G70."""
+DEFAULT_GROUPS = {7: 1, 13: METRIC}
+"""Active function of each G group after power-on: G40, G71."""
+Action = Callable[["SinumerikControl"], None]
+
+
+class SinumerikError(Exception):
+    """A statement that the interpreter does not know, or that a control would refuse; names program and line."""
+
+    def __init__(self, problem: str, *, where: str = "") -> None:
+        self.problem = problem
+        self.where = where
+        super().__init__(f"{where}: {problem}" if where else problem)
+
+
+class SinumerikControl:
+    """State that outlives a program. R parameters are the NC's macro variables; a number stands for a vacant one.
+
+    `clock_s` is the time since power-on. R parameters and setting data survive power-off; timers and actions do not.
+    """
+
+    def __init__(self, common: Macros, *, addresses: Sequence[str], increment_mm: float) -> None:
+        self.common = common
+        self.addresses = tuple(addresses)
+        """Names of the axes, axis 1 first."""
+        self.increment_mm = increment_mm
+        """The control keeps compensation values in steps of this [mm]."""
+        self.clock_s = 0.0
+        self.tool_number = 0
+        self.external_mm = [0.0] * len(self.addresses)
+        """What each axis is moved by [mm]: SD43900, the operator's own and what a program has added."""
+        self.groups = dict(DEFAULT_GROUPS)
+        """Active function by G group."""
+        self.compensation_types = dict.fromkeys(self.addresses, 1)
+        """MD32750 by axis."""
+        self.velocity_factors = dict.fromkeys(self.addresses, 0.01)
+        """MD32760 by axis."""
+        self.actions: dict[int, Action] = {}
+        """Synchronised actions by their number."""
+        self.alarm: tuple[int, str] | None = None
+        """Number and text of the alarm that has stopped the program."""
+        self.messages: deque[str] = deque(maxlen=MESSAGES_KEPT)
+        """Latest texts with which the program has stopped for the operator."""
+        self.messages_shown = 0
+        self._timers: dict[int, tuple[float, float]] = {}
+
+    def parameter(self, number: int) -> float:
+        """Return an R parameter."""
+        try:
+            value = self.common.get(number)
+        except KeyError as error:
+            raise SinumerikError(f"there is no R{number}") from error
+        return VACANT_R if value is None else value
+
+    def set_parameter(self, number: int, value: float) -> None:
+        """Write an R parameter."""
+        if not math.isfinite(value):
+            raise SinumerikError(f"R{number} cannot hold {value}")
+        try:
+            self.common.set(number, None if value == VACANT_R else value)
+        except KeyError as error:
+            raise SinumerikError(f"there is no R{number}") from error
+
+    def timer(self, number: int) -> float:
+        """Return an $AC_TIMER [s]; 0 until a program has started it."""
+        if number not in self._timers:
+            return 0.0
+        value, at_s = self._timers[number]
+        return value + (self.clock_s - at_s) % CLOCK_WRAP_S
+
+    def start_timer(self, number: int, value: float) -> None:
+        """Let a timer run from a value on [s]."""
+        if value < 0.0:
+            raise SinumerikError("stopping a timer is not known here")
+        self._timers[number] = (value, self.clock_s)
+
+    def axis(self, name: str) -> int:
+        """Return the place of an axis."""
+        if name not in self.addresses:
+            raise SinumerikError(f"this control has the axes {' '.join(self.addresses)}, not {name}")
+        return self.addresses.index(name)
+
+    def set_compensation(self, name: str, value_mm: float) -> None:
+        """Write SD43900 of an axis, which moves by it at once."""
+        axis = self.axis(name)
+        if self.compensation_types[name] & 1 and self.velocity_factors[name] > 0.0:
+            self.external_mm[axis] = round(value_mm / self.increment_mm) * self.increment_mm
+
+    def cycle(self) -> None:
+        """Do what the control does in every cycle of its interpolator."""
+        for action in self.actions.values():
+            action(self)
+
+    def power_on(self) -> None:
+        """Do what power-off and power-on do: no timer runs, no action is left; R parameters and data stay."""
+        self._timers.clear()
+        self.actions.clear()
+        self.groups = dict(DEFAULT_GROUPS)
+        self.alarm = None
+
+    def show(self, text: str) -> None:
+        """Show a message, before which the program stops; this operator presses cycle start at once."""
+        if text:
+            self.messages.append(text)
+            self.messages_shown += 1
