@@ -52,6 +52,7 @@ from models.thermal.family import ThermalModel
 
 if TYPE_CHECKING:
     from daemon.monitor.opcua.serving import OpcUaService
+    from daemon.monitor.shdr import ShdrAdapter
     from daemon.spindle_speed.messages import OpenedModel
 
 log = structlog.get_logger(__name__)
@@ -95,6 +96,12 @@ def _load_opcua_service() -> "type[OpcUaService]":
     return OpcUaService
 
 
+def _load_shdr_adapter() -> "type[ShdrAdapter]":
+    from daemon.monitor.shdr import ShdrAdapter  # noqa: PLC0415 (loaded only where it is configured)
+
+    return ShdrAdapter
+
+
 def _outlets(
     links: Links, configuration: Configuration, board: SnapshotBoard, desk: CommandDesk, history: HistoryWriter
 ) -> Iterator[Coroutine[Any, Any, None]]:
@@ -104,8 +111,13 @@ def _outlets(
         service = await asyncio.to_thread(_load_opcua_service)
         await service(configuration, board, desk, history).serve(came_up)
 
+    async def serve_shdr(came_up: Callable[[], None]) -> None:
+        await _load_shdr_adapter()(configuration, board).serve(came_up)
+
     if (tags := configuration.opcua_server) is not None:
         yield links.own("opcua_server", f"{tags.host}:{tags.port}", serve_tags)
+    if (shdr := configuration.shdr) is not None:
+        yield links.own("shdr", f"{shdr.host}:{shdr.port}", serve_shdr)
 
 
 def _collect_what_comes_now() -> None:

@@ -51,6 +51,7 @@ class Links:
             "service.socket": LinkHealth("local socket"),
             "service.http_port": LinkHealth("metrics"),
             "opcua_server": LinkHealth("OPC UA server"),
+            "shdr": LinkHealth("SHDR adapter"),
         }
         self.shown = [*self._lines.values(), cnc.health]
         """Those to the machine, and to the process that plans for it."""

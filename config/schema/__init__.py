@@ -9,7 +9,7 @@ from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
 from config.schema.guard import PROGRAM_LABELS
-from config.schema.service import HistoryConfig, OpcUaServerConfig, ServiceConfig, SignaturesConfig
+from config.schema.service import HistoryConfig, OpcUaServerConfig, ServiceConfig, ShdrConfig, SignaturesConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from config.schema.temperatures import TemperaturesConfig
 
@@ -32,6 +32,7 @@ class Configuration(Section):
     opcua_server: OpcUaServerConfig | None = Field(
         None, description="tags and methods over OPC UA for others; none: not served"
     )
+    shdr: ShdrConfig | None = Field(None, description="temperatures and state for an MTConnect agent; none: not served")
     signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 
     @model_validator(mode="after")

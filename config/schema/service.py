@@ -132,3 +132,14 @@ class OpcUaServerConfig(Section):
         examples=["/etc/toolpoint/opcua-clients"],
     )
     sessions: int = Field(10, ge=1, le=50, description="so many may be logged in at a time")
+
+
+class ShdrConfig(Section):
+    """The daemon as an SHDR adapter: an MTConnect agent reads temperatures, estimate, compensation and state from it."""
+
+    host: str = Field(
+        "127.0.0.1",
+        min_length=1,
+        description="address that is listened on; whoever reaches it may read, without a login and in the clear",
+    )
+    port: int = Field(7878, ge=1, le=65535, description="TCP port, which the agent's configuration names")
