@@ -135,7 +135,7 @@ class OpcUaServerConfig(Section):
 
 
 class ShdrConfig(Section):
-    """The daemon as an SHDR adapter: an MTConnect agent reads temperatures, estimate, compensation and state from it."""
+    """The daemon as an SHDR adapter, from which an MTConnect agent reads temperatures, estimate and state."""
 
     host: str = Field(
         "127.0.0.1",

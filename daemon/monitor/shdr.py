@@ -69,10 +69,9 @@ class ShdrAdapter:
         known: dict[str, str] = {}
         while True:
             if writer.transport.get_write_buffer_size() < MOST_UNSENT:
-                lines = [
-                    f"{time}|{key}|{text}\n" for key, (time, text) in self.present().items() if known.get(key) != text
-                ]
-                known |= {key: text for key, (_, text) in self.present().items()} if lines else {}
+                present = self.present()
+                lines = [f"{time}|{key}|{text}\n" for key, (time, text) in present.items() if known.get(key) != text]
+                known = {key: text for key, (_, text) in present.items()}
                 writer.write("".join(lines).encode())
             async with asyncio.timeout(PATIENCE_S):
                 await writer.drain()

@@ -1,4 +1,4 @@
-"""The SHDR adapter: what an MTConnect agent gets, its PING, and that nobody else is held up by one that takes nothing."""
+"""The SHDR adapter: what an MTConnect agent gets, its PING, and that one that talks too much is cut off alone."""
 
 import asyncio
 import contextlib
@@ -73,7 +73,7 @@ async def test_an_agent_gets_everything_then_what_has_changed_and_its_ping_is_an
         writer.close()
 
 
-async def test_an_agent_that_takes_nothing_or_says_too_much_is_cut_off_and_another_is_served(tmp_path, monkeypatch):
+async def test_an_agent_that_says_too_much_is_cut_off_and_another_is_served(tmp_path, monkeypatch):
     monkeypatch.setattr(shdr, "PERIOD_S", 0.02)
     async with adapter(tmp_path) as (_, port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
