@@ -96,3 +96,13 @@ def test_what_cannot_be_left_out_is_said(tmp_path: Path, arguments: tuple[str, .
     command = ["thermal", "train", *paths, *arguments, "--model", "ridge", "-o", str(tmp_path / "m.json")]
     result = CliRunner().invoke(main, command)
     assert (result.exit_code, sentence in result.stderr) == (2, True), result.output
+
+
+def test_who_names_no_family_is_told_what_was_fitted_and_what_chooses(tmp_path: Path) -> None:
+    paths = [str(run(tmp_path, number)) for number in range(1, 4)]
+    arguments = ["thermal", "train", *paths, "-o", str(tmp_path / "model.json")]
+    told = "this is the model of increments; --model default takes the family that the recordings support best"
+    for options, expected in (((), True), (("--b0",), False), (("--model", "ridge"), False)):
+        result = CliRunner().invoke(main, [*arguments, *options])
+        assert result.exit_code == 0, result.output
+        assert (told in result.stderr) is expected

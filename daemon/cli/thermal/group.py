@@ -132,6 +132,8 @@ def train(
     kept = kept_paths(recordings, selection)
     found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
     _show(found)
+    if family is None and choices == IncrementChoices(interval_min=1.0, split_at_speed_changes=False):
+        say("next: this is the model of increments; --model default takes the family that the recordings support best")
     write_json(json_path, found)
 
 
