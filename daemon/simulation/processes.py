@@ -75,7 +75,7 @@ def write_simulation_configuration(
     Waiting times that stand for the speed of the wires grow with the speed of the simulation,
     because a pause of this computer is then a long time for the machine.
     """
-    for line in base["temperatures"]["lines"]:
+    for line in base["temperatures"].get("lines", []):
         line["port"] = str(directory / f"{line['name']}.tty")
     if base.get("displacements"):
         base["displacements"]["file"] = {"path": str(directory / "displacement.csv"), "header": "time"}

@@ -1,4 +1,4 @@
-"""`toolpoint simulate`: the simulated machine alone, on real wires."""
+"""`toolpoint simulate`: one's own configuration, or the simulated machine alone, on real wires."""
 
 import asyncio
 import json
@@ -12,8 +12,10 @@ from daemon.cli.common import (
     EXISTING,
     NOT_NEGATIVE,
     POSITIVE,
+    FiniteFloat,
     config_option,
     hours_option,
+    json_option,
     option,
     read_configuration,
     refuse,
@@ -29,16 +31,26 @@ from drivers.contract import DriverError
 @config_option
 @option(
     "--directory",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
-    required=True,
-    help="Where the serial lines (NAME.tty) and the displacement file go.",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Where wires, store and logs go; left out: a temporary folder.",
 )
 @option(
     "--simulated-clock",
     metavar="REAL:UTC:SPEED",
-    required=True,
-    help="Monotonic and calendar second at which simulated time is 0, and its speed.",
+    help="The machine alone, for a daemon on the same clock: monotonic and calendar second at which simulated time "
+    "is 0, and its speed.",
 )
+@option(
+    "--minutes", type=POSITIVE, help="One's own machine: simulated minutes until it ends; left out: Ctrl-C ends it."
+)
+@option(
+    "--speed",
+    type=FiniteFloat(min=0, min_open=True, max=600),
+    default=60.0,
+    help="One's own machine: simulated seconds per second.",
+)
+@option("--enable", is_flag=True, help="One's own machine: switch the output on at once.")
+@json_option
 @option("--day", type=int, help="Seed of the simulated day (default: the demo's).")
 @option("--standing", is_flag=True, help="Stand at a safe point, spindle off, and call the guard again and again.")
 @option(
@@ -64,8 +76,12 @@ from drivers.contract import DriverError
 )
 def simulate(
     config_path: Path,
-    directory: Path,
-    simulated_clock: str,
+    directory: Path | None,
+    simulated_clock: str | None,
+    minutes: float | None,
+    speed: float,
+    enable: bool,
+    json_path: str | None,
     day: int | None,
     standing: bool,
     recording: Path | None,
@@ -77,7 +93,19 @@ def simulate(
     report_s: float,
     server_key: Path | None,
 ) -> None:
-    """Run the simulated machine: serial lines, displacement file, OPC UA server; reports as JSON lines."""
+    """Simulate a configuration: its sensors, axes and CNC driver on a simulated machine, with a daemon beside it.
+
+    Sensors of any source and components of any name sit at plausible places of the simulated machine, and a model is
+    trained on its days. With --simulated-clock the simulated machine runs alone: serial lines, displacement file and
+    the CNC's server, with reports as JSON lines; --day and the options after it are for that.
+    """
+    if simulated_clock is None:
+        from daemon.cli.simulate.own_machine import simulate_own
+
+        simulate_own(config_path, directory, minutes=minutes, speed=speed, enable=enable, json_path=json_path)
+        return
+    if directory is None or not directory.is_dir():
+        refuse("--simulated-clock needs --directory with a folder that exists")
     configuration = read_configuration(config_path)
     configure_logging(configuration.service.log_level)
     clock = parse_simulated_clock(simulated_clock)

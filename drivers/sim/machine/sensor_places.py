@@ -85,6 +85,8 @@ PARTS: dict[tuple[str, str], Path] = {
 }
 """Path of nodes by component and beginning of the part's name; the longest match counts."""
 
+COMPONENTS = frozenset(component for component, _ in PARTS)
+
 _MIXTURES: dict[str, dict[str, float]] = {
     "chiller_return": {"oil": 0.7, "stator": 0.2, "housing_rear": 0.1},
 }
