@@ -40,6 +40,7 @@ from models.records import (
     ThermalErrorEstimate,
 )
 from models.sensor_levels import unshifted
+from models.thermal.estimation import UNSURE_UM, Estimation
 from models.thermal.family import ThermalModel
 
 MOST_WAITING = 100
@@ -58,8 +59,6 @@ Delivery = (
     | MachineTemperatures
 )
 """What it gives."""
-UNSURE_UM = 1.0
-"""An estimate that may be wrong by more since its reference is not followed [um]."""
 TURNS_OF_OUTPUT = 4
 """The loop turns so often until the control task has the answer to its look ahead and has sent its first write."""
 
@@ -263,8 +262,8 @@ class ThermalTask:
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
         since_labels = self._since.label_increments(degc, now_s / 60.0)
-        unsure = self._cleansing.withheld(degc, outcome.confidence) or _unsure_of_levels(
-            online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids
+        unsure = self._cleansing.withheld(degc, outcome.confidence) or _unsure(
+            outcome, online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids
         )
         followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
@@ -279,7 +278,7 @@ class ThermalTask:
             confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),
             fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
-            inhibit=unsure or self.inhibit(),
+            inhibit=self.inhibit() or unsure,
             held_s=self._cleansing.held_s(degc, now_s, set(outcome.imputed)),
             model_id=model.model_id,
             reference_id=reference.reference_id,
@@ -380,20 +379,30 @@ def _probe_wander(model: ThermalModel) -> tuple[FloatArray, FloatArray] | None:
     return None if model.probing is None else (model.probing.um2_per_min, model.probing.correlation_min)
 
 
-def _unsure_of_levels(
-    online: ModelInUse, uncertainty_k: FloatArray, tool_um_per_k: FloatArray, sensor_ids: tuple[int, ...]
+def _unsure(
+    outcome: Estimation,
+    online: ModelInUse,
+    uncertainty_k: FloatArray,
+    tool_um_per_k: FloatArray,
+    sensor_ids: tuple[int, ...],
 ) -> str:
     """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
-    if not uncertainty_k.any():
+    level_um = 0.0
+    if uncertainty_k.any():
+        level_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ tool_um_per_k)
+    if level_um + outcome.imputed_um <= UNSURE_UM:
         return ""
-    unsure_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ tool_um_per_k)
-    if unsure_um <= UNSURE_UM:
-        return ""
+    if outcome.imputed_um > level_um:
+        named = ", ".join(f"sensor {sensor_id}" for sensor_id in outcome.imputed[:NAMED]) or "one that is back"
+        return (
+            f"what the other sensors say in place of {named} may be {outcome.imputed_um:.1f} um off since the "
+            "reference: bring it back, and position the work again"
+        )
     worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
     named = ", ".join(f"sensor {sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)
     return (
         f"the level of {named} has changed since the reference and nothing explains it, which may be "
-        f"{unsure_um:.1f} um: position the work again"
+        f"{level_um + outcome.imputed_um:.1f} um: position the work again"
     )
 
 

@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from models.records import FloatArray
 
+UNSURE_UM = 1.0
+"""An estimate that may be wrong by more since its reference is not followed [um]."""
 Samples = Iterable[tuple[float, FloatArray, float]]
 """Time [min], temperatures in the model's order [degC], spindle speed [1/min]; NaN where unknown."""
 
@@ -38,6 +40,8 @@ class Estimation:
     band_factor: FloatArray | float = 1.0
     """By how much the model's band is widened here, beyond the domain of training or while the past is not known, of
     each channel or of all; at least 1."""
+    imputed_um: float = 0.0
+    """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -207,6 +207,8 @@ class LinearEstimator:
         for time_min, degc, speed_rpm in samples:
             if state is None:
                 state = self.begin(time_min, degc, speed_rpm)
+                if bridged:  # what a history does not reach back to is unknown of the lags, and is no absence
+                    state = replace(state, since_min=np.where(state.missing, state.since_min, -np.inf))
             else:
                 state = self.advance(state, time_min, degc, speed_rpm, find_faults=False, bridged=bridged)
         return state
@@ -238,17 +240,20 @@ class LinearEstimator:
         counted[list(excluded)] = False
         seen = change[:sensors] if self.model.domain.of_increments else state.degc
         outside = counted & ((seen < self._lowest) | (seen > self._highest))
-        distance, unknown_share = self.left_out.distance(change, excluded)
+        distance, unknown_share, imputed_um = self.left_out.distance(change, excluded)
         near = far_confidence(distance, unknown_share)
         near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
         known, past_factor = self._past.since(state, reference)
+        band_um = self.model.band_um
+        relative = np.divide(imputed_um, band_um, out=np.zeros_like(imputed_um), where=band_um > 0.0)
         return Estimation(
             thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
             confidence=known * near * self.left_out.share(excluded),
             in_domain=not outside.any() and near > 0.0,
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),
-            band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor),
+            band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor + np.square(relative)),
+            imputed_um=float(imputed_um.max()),
         )
 
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:

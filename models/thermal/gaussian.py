@@ -167,6 +167,11 @@ class GaussianModel(LinearModel):
         return self.mixture.coefficients(self.solutions, without, beside)
 
     @property
+    def shares(self) -> FloatArray:
+        """How much the linear part of each solution counts, shape (n_solutions,)."""
+        return self.mixture.shares
+
+    @property
     def test_tolerance_um(self) -> float:
         """Within what its test vectors are met [um]: the deviation is a difference of sums in single precision."""
         return TEST_TOLERANCE_UM

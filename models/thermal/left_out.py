@@ -9,6 +9,7 @@ from models.records import FloatArray
 from models.thermal.features import IntArray
 from models.thermal.model import LinearParameters
 from models.thermal.solution import imputed_mean, leverage_and_size
+from models.thermal.start import NORMAL_95
 
 MOST_EXCLUSIONS_KEPT = 64
 """So many sets of excluded sensors keep their coefficients at hand."""
@@ -29,6 +30,7 @@ class LeftOut:
         self._weight = np.abs(model.coefficients()[: model.layout.sensors])
         self._coefficients: dict[tuple[int, ...], FloatArray] = {}
         self._shares: dict[tuple[int, ...], float] = {}
+        self._variances: dict[tuple[int, ...], list[FloatArray]] = {}
 
     def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
         """Return the coefficients of the features without some sensors, kept at hand, shape (d, n_channels)."""
@@ -38,23 +40,36 @@ class LeftOut:
             self._coefficients[excluded] = self.model.coefficients(excluded, self.beside)
         return self._coefficients[excluded]
 
-    def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> tuple[float, float]:
-        """Return how far the features have gone since the reference, and how much of that training says nothing of.
+    def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> tuple[float, float, FloatArray]:
+        """Return how far the features have gone, how much of that training says nothing of, and what is in doubt.
 
         Each solution takes sensors that do not count for what it expects of them itself: what another one expects of
         a temperature and of its lags may differ by more than the two ever did in training.
 
-        Result: 1 at the farthest that training went, and a share of 0..1.
+        Result: 1 at the farthest that training went, a share of 0..1, and by how much what is imputed may be off [um],
+        shape (n_channels,): of ridges 90 % of the time.
         """
-        limit = self.model.domain.leverage_limit
-        if limit is None:
-            return 0.0, 0.0
+        limit, imputed_um = self.model.domain.leverage_limit, np.zeros(len(self.model.channels))
         total, whole = 0.0, 0.0
-        for one in self.model.solutions:
+        for place, (share, one) in enumerate(zip(self.model.shares, self.model.solutions, strict=True)):
+            if one.directions is None:
+                imputed_um += share * one.departure_um(change, excluded, self.beside)
+                continue
             known = one.imputed(change, excluded, self.beside) if excluded else change
             found, size = leverage_and_size([one], known[None])
             total, whole = total + float(found[0]), whole + float(size[0])
-        return float(np.sqrt(total / limit)), total / whole if whole > 0.0 else 0.0
+            if excluded:
+                imputed_um += share * NORMAL_95 * np.sqrt(self._imputed_variances(excluded)[place] * float(found[0]))
+        if limit is None:
+            return 0.0, 0.0, imputed_um
+        return float(np.sqrt(total / limit)), total / whole if whole > 0.0 else 0.0, imputed_um
+
+    def _imputed_variances(self, excluded: tuple[int, ...]) -> list[FloatArray]:
+        if excluded not in self._variances:
+            ridges = [one if one.directions is not None else None for one in self.model.solutions]
+            none = np.zeros(len(self.model.channels))
+            self._variances = {excluded: [none if one is None else one.imputed_variance(excluded) for one in ridges]}
+        return self._variances[excluded]
 
     def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return by how much the thermal error may be wrong, of the worst channel [um].

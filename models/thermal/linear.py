@@ -93,7 +93,7 @@ class LinearOnline:
         if self.history_min <= 0.0:
             state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
         elif reference.history is not None:
-            state = self._estimator.rebuild(reference.history, bridged=True)
+            state = _as_held(self._estimator.rebuild(reference.history, bridged=True), reference)
         else:
             state = self._now(reference.now_min, reference.degc)
         self._reference = None if state is None else state_reference(self._estimator, state)
@@ -135,6 +135,7 @@ class LinearOnline:
             },
             "shift_degc": self._reference.shift_degc.tolist(),
             "rest_um": self._reference.rest_um.tolist(),
+            "imputed_um": self._reference.imputed_um,
             "rest_after_min": self._reference.rest_since_min - self._reference_min,
         }
 
@@ -194,6 +195,7 @@ class LinearOnline:
             rest_um=np.array(kept["rest_um"]),
             shift_degc=np.array(kept["shift_degc"]),
             rest_since_min=self._reference_min + kept["rest_after_min"],
+            imputed_um=float(kept.get("imputed_um", 0.0)),
         )
         self._anew = set(columns)
         self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
@@ -211,6 +213,23 @@ class LinearOnline:
             state = self._estimator.reinitialised(self._estimator.begun(state, here), here)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
+
+
+def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:
+    """Return the states at a reference that lies back with the temperatures that the reference holds.
+
+    The last sample of its history may lack a sensor that its mean holds: set anew when it counts next, that would count
+    from a level which may be doubted then. One that the history does not know at all has no lags, and stays missing.
+    """
+    if state is None:
+        return None
+    held = np.isfinite(reference.degc) & np.isfinite(state.known_min)
+    return replace(
+        state,
+        degc=np.where(held, reference.degc, state.degc),
+        missing=~held,
+        known_min=np.where(held, reference.time_min, state.known_min),
+    )
 
 
 def contributions_um(estimator: LinearEstimator, state: ModelState, reference: ModelState) -> FloatArray:

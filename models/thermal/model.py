@@ -124,6 +124,11 @@ class LinearParameters:
         """Return [um per unit of the feature], fitted without some sensors (indices), shape (d, n_channels)."""
         return np.asarray(np.mean([one.coefficients(without, beside) for one in self.solutions], axis=0))
 
+    @property
+    def shares(self) -> FloatArray:
+        """How much each of its solutions counts, shape (n_solutions,)."""
+        return np.full(len(self.solutions), 1.0 / len(self.solutions))
+
     def thermal_error_um(self, change: FloatArray, elapsed_min: float | FloatArray) -> FloatArray:
         """Return the thermal error since the reference.
 

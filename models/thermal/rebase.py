@@ -24,6 +24,8 @@ class StateReference:
     """What the lags of now were moved by at returns [degC], shape (n_lags, n_sensors); a history does not tell it."""
     rest_since_min: float
     """Time of the latest return [min]; from there on `rest_um` fades with the longest lag, a shift with its own."""
+    imputed_um: float = 0.0
+    """By how much what they were imputed with until the latest return may have been off, of the worst channel [um]."""
 
 
 def state_reference(estimator: LinearEstimator, state: ModelState) -> StateReference:
@@ -64,7 +66,11 @@ def estimate_since(estimator: LinearEstimator, state: ModelState, reference: Sta
 
     """
     found = estimator.estimate(state, reference.state)
-    if found is None or not reference.rest_um.any():
+    if found is None:
+        return None
+    if reference.imputed_um > 0.0:
+        found = replace(found, imputed_um=float(np.hypot(found.imputed_um, reference.imputed_um)))
+    if not reference.rest_um.any():
         return found
     rest_um = _rest_um(estimator, reference, state.time_min)
     return replace(found, thermal_error_um=found.thermal_error_um + rest_um)
@@ -150,6 +156,7 @@ def rebased(
         rest_um=before.thermal_error_um - after.thermal_error_um,
         shift_degc=_faded_shift(estimator, reference, state.time_min) + (begun.lagged - state.lagged),
         rest_since_min=state.time_min,
+        imputed_um=before.imputed_um,
     )
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
-from models.thermal.features import Design, IntArray, Layout, canonical, design_columns
+from models.thermal.features import BoolArray, Design, IntArray, Layout, canonical, design_columns
 
 FULL_DISTANCE = 8.0
 """Up to so many times the farthest that training went, distance alone takes nothing from confidence ..."""
@@ -94,15 +94,50 @@ class Solution:
         `without`: indices of the sensors, from 0, with all their lags.
         """
         assert self.directions is not None and self.remaining is not None
-        out = self.layout.of_sensors(without)
-        out = out[self.gain[out] > 0.0]
-        if not len(out):
-            return 0.0
         known = self.remaining / np.maximum(1.0 - self.remaining, 1e-12)
         explained = (np.square(self.directions.T @ self.weights) / known[:, None]).sum(axis=0)
+        return float(np.clip(self._lost(without) / np.maximum(explained, 1e-300), 0.0, 1.0).max())
+
+    def _lost(self, without: Sequence[int]) -> FloatArray:
+        """Return ``w[S]^T Q[S, S]^-1 w[S]`` of each channel, Q but for the same factor as in `leverage`."""
+        out = self.layout.of_sensors(without)
+        out = out[self.gain[out] > 0.0]
         removed = self.weights[out]
-        lost = (removed * np.linalg.solve(self._inverse(out)[out], removed)).sum(axis=0)
-        return float(np.clip(lost / np.maximum(explained, 1e-300), 0.0, 1.0).max())
+        if not len(out):
+            return np.zeros(removed.shape[1])
+        return np.asarray((removed * np.linalg.solve(self._inverse(out)[out], removed)).sum(axis=0))
+
+    def imputed_variance(self, without: Sequence[int]) -> FloatArray:
+        """Return how far what a ridge takes some sensors for may be off: variance over leverage, shape (n_channels,).
+
+        With Gaussian columns of precision Q the columns S deviate from what the others R let be expected of them by
+        ``Q[S, S]^-1``, so the estimate by ``w[S]^T Q[S, S]^-1 w[S]``. How large all of it is since the reference says
+        what the others have done: ``x[R]^T Q x[R]`` is the leverage, and in training it is as large as there are
+        directions that training knows, ``sum(eigenvalue / (eigenvalue + penalty))``.
+
+        `without`: indices of the sensors, from 0, with all their lags.
+        """
+        assert self.remaining is not None
+        return self._lost(without) / max(float((1.0 - self.remaining).sum()), 1e-12)
+
+    def departure_um(self, change: FloatArray, without: Sequence[int], beside: IntArray | None = None) -> FloatArray:
+        """Return how far means taken for some sensors may be off [um], shape (n_channels,); of a fit that is no ridge.
+
+        Each may have departed from the mean as far as that of those beside it which has departed farthest; the mean
+        itself is as sure as there are many. With one alone all of its change is in doubt.
+
+        `change`, shape (layout.columns,): change of the features. `without`, `beside`: see `coefficients`.
+        """
+        weights = self.weights * self.gain[:, None]
+        group = np.zeros(self.layout.sensors, dtype=np.intp) if beside is None else beside
+        found = np.zeros(weights.shape[1])
+        for number in {int(group[sensor]) for sensor in without}:
+            of_group = [sensor for sensor in without if group[sensor] == number]
+            others = change[np.flatnonzero(self._others(of_group[0], without, group))]
+            farthest = float(np.abs(others - others.mean()).max()) if len(others) > 1 else float(np.abs(others).sum())
+            of_mean = np.square(weights[of_group].sum(axis=0)) / max(len(others), 1)
+            found += farthest**2 * (np.square(weights[of_group]).sum(axis=0) + of_mean)
+        return np.sqrt(found)
 
     def imputed(self, change: FloatArray, without: Sequence[int], beside: IntArray | None = None) -> FloatArray:
         """Return a change of the features with what the fit without some sensors takes theirs for.
@@ -148,17 +183,20 @@ class Solution:
 
     def _means(self, without: Sequence[int], beside: IntArray | None) -> FloatArray:
         """Return the matrix that puts means for the sensors left out: of those beside them, else of all others."""
-        count = self.layout.sensors
-        group = np.zeros(count, dtype=np.intp) if beside is None else beside
-        used = np.ones(count, dtype=np.bool_)
-        used[list(without)] = False
+        group = np.zeros(self.layout.sensors, dtype=np.intp) if beside is None else beside
         found = np.eye(self.layout.columns)
         for sensor in without:
-            near = used & (group == group[sensor])
-            others = near if near.any() else used
+            others = self._others(sensor, without, group)
             found[sensor] = 0.0
             found[sensor, np.flatnonzero(others)] = 1.0 / max(int(others.sum()), 1)
         return found
+
+    def _others(self, sensor: int, without: Sequence[int], group: IntArray) -> BoolArray:
+        """Return of which sensors the mean is taken for one that is left out."""
+        used = np.ones(self.layout.sensors, dtype=np.bool_)
+        used[list(without)] = False
+        near = used & (group == group[sensor])
+        return near if near.any() else used
 
 
 def imputed_mean(

@@ -319,3 +319,18 @@ async def test_with_a_new_reference_a_released_model_waits_no_longer(task):
     assert task.estimates[-1].model_id == "made-up"
     await task.ask("r2")
     assert task.estimates[-1].model_id == "next"
+
+
+async def test_what_the_others_say_of_a_missing_sensor_holds_when_it_may_be_off(task):
+    await task.minutes(2, spindle=[20.0, 20.0, 20.0])
+    await task.ask()
+    await task.minutes(5, spindle=[20.2, 20.1, 20.2])
+    await task.minutes(2, spindle=[np.nan, 20.1, 20.2])
+    alike = task.estimates[-1]
+    assert (alike.imputed, alike.inhibit) == ((1,), ""), "those beside it have hardly departed from each other"
+    await task.minutes(10, spindle=[np.nan, 20.1, 24.0])
+    apart = task.estimates[-1]
+    assert (apart.imputed, apart.confidence) == ((1,), 0.0)
+    assert "what the other sensors say in place of sensor 1 may be 4.8 um off since the reference" in apart.inhibit
+    await task.ask("r2")
+    assert task.estimates[-1].inhibit == "", "nothing has moved since"

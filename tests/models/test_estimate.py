@@ -69,6 +69,16 @@ def test_a_component_without_any_sensor_takes_the_mean_of_all() -> None:
     assert outcome.confidence == pytest.approx(0.5)  # half of Z1's weight, nothing of Y1's
 
 
+def test_a_mean_may_be_as_far_off_as_the_one_beside_it_that_departs_farthest() -> None:
+    assert at([1.0, 2.0, 3.0, 0.5]).imputed_um == 0.0
+    known = at([1.0, np.nan, 3.0, 0.5])
+    assert known.imputed_um == pytest.approx(2.0 * 1.0 * np.sqrt(1.0 + 1.0 / 2.0)), "2 um/K, and 1 K from the mean"
+    assert at([2.0, np.nan, 2.0, 0.5]).imputed_um == 0.0, "those beside it agree"
+    alone = at([np.nan, 2.0, np.nan, 0.5])
+    assert alone.imputed_um == pytest.approx(2.0 * np.sqrt(1.0 + 1.0 + 0.0)), "all of the change of the only one"
+    np.testing.assert_allclose(known.band_factor, [np.sqrt(1.0 + 6.0), 1.0])
+
+
 def test_a_sensor_without_a_value_at_the_reference_is_imputed_as_well() -> None:
     reference = REFERENCE.copy()
     reference[0] = np.nan

@@ -123,6 +123,21 @@ def test_a_sensor_that_returns_moves_nothing_and_then_counts(
     assert np.abs(run.run(1, offset_k=frame + np.eye(SENSORS)[1])[-1] - estimation).max() > 0.05, "it counts"
 
 
+def test_what_a_sensor_was_imputed_with_until_it_was_set_anew_stays_in_doubt(model: LinearModel) -> None:
+    """It goes on from there: what that was off is off from then on."""
+    before = Run(model)
+    blind = replace(before.state, missing=np.arange(SENSORS) == 1)
+    run = Run(model, blind)
+    run.run(100, gone=(1,))
+    unsure_um = run.latest.imputed_um
+    assert unsure_um > 0.0
+    run.run(1)
+    assert (run.latest.imputed, run.latest.imputed_um) == ((), pytest.approx(unsure_um, rel=0.3))
+    settled_um = run.latest.imputed_um
+    run.run(50)
+    assert run.latest.imputed_um == settled_um
+
+
 def test_a_return_leaves_the_estimate_as_good_as_it_is_without_an_absence(model: LinearModel) -> None:
     undisturbed, disturbed = Run(model), Run(model)
     frame = np.where(np.arange(SENSORS) == 1, 5.0, 0.0)
@@ -265,3 +280,49 @@ def test_a_sensor_that_is_right_again_leaves_nothing_behind_once_the_work_is_pos
     after, excluded = after_a_drift(watching, 12.0)
     np.testing.assert_allclose(after, clean, atol=0.1)
     assert excluded == []
+
+
+def taken_up(
+    model: LinearModel, *, gone_at_reference: bool = False, begins: int = 0
+) -> tuple[list[FloatArray], list[tuple[int, ...]], float]:
+    """Restart five hours after the work was positioned.
+
+    Returns the thermal error of every minute [um], who was set anew, and what is in doubt in the end [um].
+    """
+    of, none, now = machine(5), np.zeros(SENSORS, dtype=bool), REFERENCE + 300
+    assert of.speed_rpm is not None
+    table, speed = of.temperatures_degc, of.speed_rpm
+    before = [(float(i), table[i].copy(), float(speed[i])) for i in range(REFERENCE + 1)]
+    if gone_at_reference:
+        before[-1][1][1] = np.nan
+    online = model.runtime(Machine(components={}))
+    online.rebuild((float(i), table[i], float(speed[i])) for i in range(begins, now))
+    then = OnlineReference(
+        time_min=float(REFERENCE), now_min=float(now), degc=table[REFERENCE], history=before, excluded={}
+    )
+    online.set_reference(then)
+    errors, anew = [], []
+    for minute in range(now, now + 20):
+        degc = table[minute]
+        online.on_sample(float(minute), degc, float(speed[minute]))
+        estimation, found = online.estimate(float(minute), degc, none)
+        assert estimation is not None, "every sensor counts"
+        assert estimation.imputed == ()
+        errors.append(estimation.thermal_error_um)
+        anew.append(found)
+    return errors, anew, estimation.imputed_um
+
+
+def test_a_sensor_that_a_reference_holds_is_not_set_anew_when_it_is_taken_up(model: LinearModel) -> None:
+    as_held, _, _ = taken_up(model)
+    found, anew, unsure_um = taken_up(model, gone_at_reference=True)
+    assert not any(anew) and unsure_um == 0.0
+    np.testing.assert_allclose(found, as_held, atol=0.02)
+
+
+def test_a_reference_that_is_older_than_the_history_of_now_is_counted_from(model: LinearModel) -> None:
+    clean, _, _ = taken_up(model)
+    later, anew, _ = taken_up(model, begins=REFERENCE + 20)
+    assert not any(anew)
+    assert np.isfinite(later).all()
+    np.testing.assert_allclose(later[-1], clean[-1], atol=6.0)  # a lag of four hours has not forgotten how it began

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.control.probing import BiasFilter, full_reset
 from models.records import FloatArray
-from models.thermal.estimation import Machine, OnlineReference
+from models.thermal.estimation import UNSURE_UM, Machine, OnlineReference
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.training.inputs import Inputs
@@ -71,7 +71,8 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         if found is None:
             continue
         absent = np.isin(ids, found.imputed)
-        estimate_um[place], confidence[place] = found.thermal_error_um, found.confidence
+        estimate_um[place] = found.thermal_error_um
+        confidence[place] = found.confidence if found.imputed_um <= UNSURE_UM else 0.0
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
     return Followed(estimate_um=estimate_um, band_um=band_um, confidence=confidence, in_domain=in_domain)
 
