@@ -221,16 +221,10 @@ class CncConfig(CncDriverConfig):
 
     @model_validator(mode="after")
     def _guard_of_the_control(self) -> "CncConfig":
-        if self.is_sinumerik != (self.guard.dialect == "sinumerik"):
-            raise KeyProblems(
-                [
-                    (
-                        ("guard", "dialect"),
-                        "must be sinumerik with cnc.opcua.preset sinumerik, and only with it: a guard in the other "
-                        "language cannot run on this control",
-                    )
-                ]
-            )
+        wanted = "sinumerik" if self.is_sinumerik else "linuxcnc" if self.driver == "linuxcnc" else "fanuc"
+        if self.guard.dialect != wanted:
+            sentence = f"must be {wanted} for this control (cnc.driver, cnc.opcua.preset): it runs no guard in another"
+            raise KeyProblems([(("guard", "dialect"), f"{sentence} language")])
         return self
 
     @model_validator(mode="after")

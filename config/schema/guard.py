@@ -31,8 +31,9 @@ class GuardAxisConfig(Section):
 class GuardConfig(Section):
     """The guard macro that the CNC runs at safe points; `toolpoint guard` prints it."""
 
-    dialect: Literal["fanuc", "sinumerik"] = Field(
-        "fanuc", description="language of the programs: custom macro B, or SINUMERIK with R parameters and SD43900"
+    dialect: Literal["fanuc", "sinumerik", "linuxcnc"] = Field(
+        "fanuc",
+        description="language of the programs: custom macro B, SINUMERIK with R parameters and SD43900, or LinuxCNC",
     )
     program: int = Field(
         9010, ge=1, le=9999 - PROGRAMS + 1, description=f"O number of the guard; {PROGRAMS} numbers from here are used"

@@ -26,10 +26,10 @@ UNVERIFIED = (
 
 def guard_sheet(configuration: Configuration) -> tuple[Section, ...]:
     """Return the sheet for this machine; raises GuardTextError where the programs cannot be made."""
-    if configuration.cnc.guard.dialect == "sinumerik":
+    if configuration.cnc.guard.dialect != "fanuc":
         raise GuardTextError(
-            "the sheet is for custom macro programs; for a SINUMERIK go through the tests of "
-            "docs/how-to/install-the-guard-macro.md, section 7"
+            "the sheet is for custom macro programs; for another control go through the tests of "
+            "docs/how-to/install-the-guard-macro.md, sections 7 and 8"
         )
     text = guard_program(configuration)
     return (

@@ -43,9 +43,9 @@ def speed_program(configuration: Configuration) -> str:
     tuning, guard = configuration.spindle_speed, configuration.cnc.guard
     if tuning is None:
         raise GuardTextError("there is no section spindle_speed, so the machine has no speed program")
-    if guard.dialect == "sinumerik":
+    if guard.dialect != "fanuc":
         raise GuardTextError(
-            "spindle_speed: the speed program is custom macro text, which a SINUMERIK does not run; "
+            "spindle_speed: the speed program is custom macro text, which this control does not run; "
             "leave the section out"
         )
     if guard.program <= tuning.program < guard.program + PROGRAMS:

@@ -96,6 +96,10 @@ def guard_program(configuration: Configuration) -> str:
     cnc = configuration.cnc
     if cnc.macros.check is None:
         raise GuardTextError(f"cnc.macros.check {CHECK_MISSING}")
+    if cnc.guard.dialect == "linuxcnc":
+        from drivers.guard.linuxcnc import linuxcnc_text
+
+        return linuxcnc_text(cnc, configuration.compensation.axes, machine=configuration.machine)
     return guard_text(cnc.macros, configuration.compensation.axes, cnc.guard, machine=configuration.machine)
 
 
@@ -132,6 +136,8 @@ def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, 
 
 def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
     """Return the text of all NC programs: guard, initialise, and where the map has macros for them the others."""
+    if guard.dialect == "linuxcnc":
+        raise GuardTextError("the guard for LinuxCNC needs the pins of cnc.linuxcnc, and is run by LinuxCNC alone")
     if guard.dialect == "sinumerik":
         from drivers.guard.sinumerik import sinumerik_text
 

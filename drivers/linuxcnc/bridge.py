@@ -8,9 +8,13 @@ inputs and outputs, `write` with pairs of input and value. It ends when its inpu
 import json
 import os
 import sys
+import time
 import zlib
 from pathlib import Path
 from typing import Any
+
+START_S = 0.5
+"""LinuxCNC's status is empty for so long at most after its start [s]."""
 
 
 def milltask() -> int:
@@ -48,6 +52,12 @@ class Bridge:
         self.component.ready()
         self.stat = linuxcnc.stat()
         self.stat.poll()
+        begun = time.monotonic()
+        while not self.stat.ini_filename and time.monotonic() < begun + START_S:
+            time.sleep(0.02)
+            self.stat.poll()
+        if not self.stat.ini_filename:
+            raise RuntimeError("LinuxCNC has not begun yet")
         self.clock = first["clock"]
         self.machine = linuxcnc.ini(self.stat.ini_filename).find("EMC", "MACHINE") or self.stat.ini_filename
 

@@ -17,7 +17,7 @@ from drivers.clock import Clock
 from drivers.contract import Capability, FatalDriverError, NotSentError
 from drivers.linked_cnc import LinkedCnc
 from drivers.linuxcnc.link import BridgeError, BridgeLink
-from drivers.linuxcnc.pins import VACANT, Pins
+from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun, CncSample
 
 NAME = "LinuxCNC"

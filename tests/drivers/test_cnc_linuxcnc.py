@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 import pytest_asyncio
 from cnc_contract import CHECKS, Check, connected
-from real_linuxcnc import RealLinuxcnc, missing
+from real_linuxcnc import RealLinuxcnc, folder, missing
 from scripted_machine import cnc_config
 
 from drivers.clock import SystemClock
 from drivers.contract import Cnc, FatalDriverError, LinkError, NotSentError
 from drivers.linuxcnc.cnc import LinuxcncCnc
-from drivers.linuxcnc.pins import VACANT, Pins
+from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun
 
 REASON = missing()
@@ -68,10 +68,11 @@ class LinuxcncBench:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def started(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[LinuxcncBench]:
-    bench = LinuxcncBench(tmp_path_factory.mktemp("linuxcnc"))
-    yield bench
-    await bench.linuxcnc.stop()
+async def started() -> AsyncIterator[LinuxcncBench]:
+    with folder() as directory:
+        bench = LinuxcncBench(directory)
+        yield bench
+        await bench.linuxcnc.stop()
 
 
 @pytest_asyncio.fixture(loop_scope="module")

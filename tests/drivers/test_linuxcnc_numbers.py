@@ -1,9 +1,14 @@
-"""Numbers that LinuxCNC does not have itself: of programs, of work offsets, of pins."""
+"""Numbers that LinuxCNC does not have itself: of programs, of work offsets, of pins; and whose guard its text is."""
 
+import pytest
+from pydantic import ValidationError
 from scripted_machine import cnc_config
 
+from config.schema.compensation import AxisConfig
+from drivers.guard.linuxcnc import linuxcnc_text
+from drivers.guard.text import GuardTextError, guard_text
 from drivers.linuxcnc.cnc import program_number, work_offset
-from drivers.linuxcnc.pins import Pins
+from drivers.linuxcnc_pins import Pins
 
 
 def test_programs_and_offsets_have_numbers() -> None:
@@ -18,3 +23,15 @@ def test_every_macro_of_the_map_has_a_pin_of_its_own_behind_the_clock() -> None:
     assert pins.clock == 4 and list(pins.inputs.values()) == list(range(5, 13)) and len(pins) == 16
     assert {**pins.inputs, **pins.outputs}.keys() == set(config.macros.block)
     assert list(pins.outputs.values()) == list(range(10, 16)) and set(pins.outputs) == set(range(510, 516))
+
+
+def test_the_guard_of_linuxcnc_is_for_linuxcnc_and_no_other_is() -> None:
+    axes = {"Z": AxisConfig(absolute_bound_um=50.0, slew_um_per_min=2.0, step_um=2.0)}
+    for changes in ({"focas": {"host": "x"}, "guard": {"dialect": "linuxcnc"}}, {"linuxcnc": {}, "guard": {}}):
+        with pytest.raises(ValidationError, match=r"must be (linuxcnc|fanuc) for this control"):
+            cnc_config(**changes)
+    with pytest.raises(GuardTextError, match=r"is for cnc\.driver linuxcnc"):
+        linuxcnc_text(cnc_config(focas={"host": "x"}), axes)
+    config = cnc_config(linuxcnc={})
+    with pytest.raises(GuardTextError, match="needs the pins of"):
+        guard_text(config.macros, axes, config.guard)

@@ -11,7 +11,8 @@ import os
 import shutil
 import signal
 import subprocess
-from collections.abc import AsyncIterator, Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +86,24 @@ for line in sys.stdin:
         elif what == "messages":
             while message := errors.poll():
                 done.append(message[1])
-        elif what == "stand":
-            stat.poll()
-            while not stat.inpos or stat.interp_state != linuxcnc.INTERP_IDLE or stat.queue:
-                time.sleep(0.01)
+        elif what == "pass":
+            seen = 0
+            while seen < 5:
                 stat.poll()
+                taken = stat.echo_serial_number == command.serial and not stat.queued_mdi_commands
+                idle = stat.interp_state == linuxcnc.INTERP_IDLE and stat.exec_state == linuxcnc.EXEC_DONE
+                seen = seen + 1 if taken and idle else 0
+                if stat.interp_state == linuxcnc.INTERP_PAUSED:
+                    command.auto(linuxcnc.AUTO_RESUME)
+                time.sleep(0.01)
+        elif what == "stand":
+            seen = 0
+            while seen < 5:
+                stat.poll()
+                idle = stat.interp_state == linuxcnc.INTERP_IDLE and stat.exec_state == linuxcnc.EXEC_DONE
+                still = stat.inpos and not stat.queue and stat.position[:3] == stat.actual_position[:3]
+                seen = seen + 1 if idle and still else 0
+                time.sleep(0.02)
             done.append(list(stat.actual_position[:3]))
         else:
             getattr(command, what)(*[getattr(linuxcnc, str(word), word) for word in words])
@@ -163,9 +177,9 @@ class RealLinuxcnc:
         await self.do(["state", "STATE_ON"], ["wait"], ["mode", "MODE_MDI"], ["wait"])
 
     async def mdi(self, *blocks: str) -> None:
-        """Type blocks, each after the one before is done."""
+        """Type blocks, each after the one before is done; press cycle start where one stops."""
         for block in blocks:
-            await self.do(["mdi", block], ["wait", 20.0])
+            await self.do(["mdi", block], ["pass"])
 
     async def position_mm(self) -> list[float]:
         """Return where LinuxCNC says that the axes are, once they stand [mm]."""
@@ -199,17 +213,11 @@ class RealLinuxcnc:
         (self.directory / "mill.var").touch()
         for path in (self.directory, *self.directory.iterdir()):
             shutil.chown(path, USER, GROUP)
-        for parent in (self.directory, *self.directory.parents):
-            if parent.stat().st_uid == os.geteuid() and not parent.stat().st_mode & 0o001:
-                parent.chmod(parent.stat().st_mode | 0o011)
 
 
-@contextlib.asynccontextmanager
-async def running(directory: Path, hal: str = "") -> AsyncIterator[RealLinuxcnc]:
-    """Run LinuxCNC."""
-    linuxcnc = RealLinuxcnc(directory, hal)
-    try:
-        await linuxcnc.start()
-        yield linuxcnc
-    finally:
-        await linuxcnc.stop()
+@contextlib.contextmanager
+def folder() -> Iterator[Path]:
+    """Yield a folder that an ordinary user reaches, which those of pytest are not."""
+    with tempfile.TemporaryDirectory(prefix="linuxcnc-", dir="/tmp") as name:
+        Path(name).chmod(0o755)
+        yield Path(name)

@@ -122,6 +122,8 @@ def cnc_config(endpoint: str = "opc.tcp://127.0.0.1:0/cnc", **changes: Any) -> C
         changes["guard"] = {"dialect": "sinumerik"} | changes.get("guard", {})
     if other := next((driver for driver in drivers_of(CncConfig) if driver in changes), None):
         changes["driver"] = other
+        if other == "linuxcnc":
+            changes.setdefault("guard", {"dialect": "linuxcnc"})
     else:
         changes["opcua"] = OpcUaConfig(**({"endpoint": endpoint, "namespace_uri": NAMESPACE} | opcua))
     changes.setdefault("timeout_s", 10.0)

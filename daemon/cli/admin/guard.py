@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @option("--program", metavar="NUMBER", type=int, help="O number of the guard (default: cnc.guard.program).")
 @option(
     "--dialect",
-    type=click.Choice(["fanuc", "sinumerik"]),
+    type=click.Choice(["fanuc", "sinumerik", "linuxcnc"]),
     help="Language of the programs: custom macro B, or SINUMERIK with R parameters (default: cnc.guard.dialect).",
 )
 @output_option

@@ -1,0 +1,221 @@
+o<toolpoint> sub
+(TOOLPOINT GUARD V{version} FOR LINUXCNC, FILE toolpoint.ngc IN [RS274NGC]SUBROUTINE_PATH)
+(o<toolpoint> call [1] AT SAFE POINTS ONLY, TOOL CLEAR OF THE WORK, G21 G40 G80 G54)
+@request
+(o<toolpoint> call [2] [1] REFERENCE, [2] [2] [AXIS] [MM] PROBE, [2] [3] [0] [TOOL] TOOL CHANGE)
+@end
+@flag
+(o<toolpoint> call [3] SAFE POINT BEGINS, [4] SAFE POINT ENDS)
+@end
+(o<toolpoint> call [5] INITIALISES, [5] [1] FORGETS WHAT IS APPLIED)
+(LIST #{first} TO #{last} IN THE PARAMETER FILE, OR THEY ARE LOST WITH EVERY START)
+#<what>=#1
+#<status>=0
+#<trouble>=0
+#<tries>=0
+@flag
+o1 if [#<what> EQ 3]
+M68 E{safe_flag} Q1
+#<what>=1
+o1 endif
+o2 if [#<what> EQ 4]
+M66 E{clock} L0
+M68 E{safe_flag} Q0
+o<toolpoint> return
+o2 endif
+@end
+(READ THE BLOCK, LAST WORD FIRST. M66 ENDS THE READING AHEAD. AGAIN WHILE IT IS BEING WRITTEN)
+o10 do
+M66 E{sequence_b} L0
+#<b>=#5399
+@axes
+M66 E{value} L0
+#<v{number}>=#5399
+@end
+M66 E{valid_until} L0
+#<until>=#5399
+M66 E{enable} L0
+#<enable>=#5399
+M66 E{check} L0
+#<check>=#5399
+M66 E{sequence_a} L0
+#<a>=#5399
+#<tries>=[#<tries>+1]
+o11 if [[ABS[#<a>-#<b>] GT 0.5] AND [#<tries> LE {tries}]]
+G4 P{retry_s}
+o11 endif
+o10 while [[ABS[#<a>-#<b>] GT 0.5] AND [#<tries> LE {tries}]]
+M66 E{clock} L0
+#<now>=#5399
+o20 if [#<what> EQ 5]
+o21 if [#<enable> GT 0]
+(ABORT, TOOLPOINT SWITCH OFF FIRST)
+o21 endif
+o22 if [[#2 NE 1] AND [#{magic} EQ {magic_value}]]
+@axes
+o23{number} if [ABS[#{mirror}] GE {half}]
+(ABORT, TOOLPOINT OFFSET APPLIED)
+o23{number} endif
+@end
+o22 endif
+#{pending}=0
+#{planned}=0
+#{before}=0
+#{after}=0
+@axes
+#{mirror}=0
+@end
+#{magic}={magic_value}
+o20 endif
+(SETTLE WHAT AN ABORT INTERRUPTED. IS THE MEMORY WHOLE)
+o30 if [#{magic} NE {magic_value}]
+#<trouble>=8
+o30 elseif [#<_metric> EQ 1]
+@axes
+o31{number} if [#{pending} EQ {number}]
+o32{number} if [ABS[#{offset}-#{after}] LT {half}]
+#{mirror}=#{planned}
+#{pending}=0
+o32{number} elseif [ABS[#{offset}-#{before}] LT {half}]
+#{pending}=0
+o32{number} else
+#<trouble>=9
+o32{number} endif
+o31{number} endif
+o33{number} if [ABS[#{mirror}] GT {bound_slack}]
+#<trouble>=8
+o33{number} endif
+@end
+o30 endif
+(JUDGE THE BLOCK)
+#<old>=[[#<until> LE #<now>] OR [#<until> GT #<now>+{look_ahead}]]
+o40 if [[ABS[#<a>-#<b>] GT 0.5] OR [#<a> LT {vacant}]]
+#<status>=2
+o41 if [[#<enable> GT 0] AND [#<until> NE 0] AND [#<old>] AND [#<_metric> EQ 1] AND [#<trouble> EQ 0]]
+#<status>=3
+o41 endif
+o40 elseif [#<enable> EQ 0]
+#<status>=1
+o40 elseif [#<enable> LT {vacant}]
+#<status>=4
+o40 elseif [[#<enable> LT 0] OR [#<enable> GT {all_bits}] OR [FIX[#<enable>] NE #<enable>]]
+#<status>=5
+o40 elseif [#<_metric> NE 1]
+#<status>=6
+o40 elseif [[#<_ccomp> NE 400] OR [[#<_motion_mode> GE 810] AND [#<_motion_mode> LE 890]] OR [#<_coord_system> NE 540]]
+#<status>=7
+o40 elseif [#<trouble> NE 0]
+#<status>=#<trouble>
+o40 elseif [#<old>]
+#<status>=3
+o40 else
+#<sum>=[#<b>+#<enable>+ROUND[#<until>*{per_second}]]
+@axes
+o42{number} if [#<v{number}> LT {vacant}]
+o43{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
+#<status>=4
+o43{number} endif
+#<v{number}>=0
+o42{number} endif
+o44{number} if [[[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [ABS[#<v{number}>{to_mm}] GT {bound_tolerance}]]
+#<status>=5
+o44{number} endif
+#<sum>=[#<sum>+{number}*ROUND[#<v{number}>{to_mm}*{nm_per_mm}]]
+@end
+o45 if [[#<status> EQ 0] AND [ABS[#<check>-#<sum>] GT 0.5]]
+#<status>=10
+o45 endif
+o40 endif
+@zero
+(POLICY ZERO, STEP BY STEP. EVERY AXIS, BITS MAY BE FOREIGN)
+o50 if [#<status> EQ 3]
+#<enable>={all_bits}
+@end
+@zero_axes
+#<v{number}>=0
+@end
+@zero
+o50 endif
+@end
+(APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
+o60 if [[#<what> EQ 1] AND [[#<status> EQ 0] OR [[#<status> EQ 3] AND [{zero}]]]]
+@axes
+o61{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
+#<d>=[ROUND[#<v{number}>{to_mm}/{increment}]*{increment}]
+o62{number} if [#<d> GT {bound}]
+#<d>={bound}
+o62{number} endif
+o63{number} if [#<d> LT -{bound}]
+#<d>=-{bound}
+o63{number} endif
+#<d>=[#<d>-#{mirror}]
+o64{number} if [#<d> GT {step}]
+#<d>={step}
+o64{number} endif
+o65{number} if [#<d> LT -{step}]
+#<d>=-{step}
+o65{number} endif
+o66{number} if [ABS[#<d>] GE {half}]
+#{planned}=[ROUND[[#{mirror}+#<d>]/{increment}]*{increment}]
+#{before}=#{offset}
+#{after}=[#{offset}+#{planned}-#{mirror}]
+#{pending}={number}
+G10 L2 P1 {letter}[#{after}]
+#{mirror}=#{planned}
+#{pending}=0
+o66{number} endif
+o61{number} endif
+@end
+o60 endif
+(ECHO)
+o70 if [#{magic} EQ {magic_value}]
+@axes
+M68 E{echo} Q[#{mirror}{per_unit}]
+@end
+M68 E{echo_guard_version} Q{version}
+o71 if [#<what> NE 2]
+M68 E{echo_status} Q[#<status>]
+M68 E{echo_time} Q[#<now>]
+o71 endif
+o70 endif
+@request
+o80 if [#<what> EQ 2]
+o81 if [[#2 LT 1] OR [#2 GT 3] OR [FIX[#2] NE #2] OR [#3 LT 0] OR [#3 GT {axis_count}] OR [FIX[#3] NE #3]]
+(ABORT, TOOLPOINT REQUEST WRONG)
+o81 endif
+o82 if [[[#2 EQ 2] AND [#3 LT 1]] OR [[#2 EQ 3] AND [[#4 LT 0] OR [FIX[#4] NE #4]]]]
+(ABORT, TOOLPOINT REQUEST WRONG)
+o82 endif
+o83 if [#<_metric> NE 1]
+(ABORT, TOOLPOINT REQUEST IN INCH)
+o83 endif
+#{counted}=[[#{counted} MOD 999998]+1]
+M66 E{acknowledge} L0
+o84 if [ABS[#5399] EQ #{counted}]
+#{counted}=[#{counted}+1]
+o84 endif
+M68 E{kind} Q[#2]
+M68 E{axis} Q[#3]
+M68 E{value_mm} Q[#4]
+M68 E{counter} Q[#{counted}]
+#<begun>=#<now>
+o85 do
+G4 P0.05
+M66 E{clock} L0
+#<now>=#5399
+M66 E{acknowledge} L0
+#<ack>=#5399
+o85 while [[ABS[#<ack>] NE #{counted}] AND [#<now>-#<begun> LT {timeout_s}]]
+o86 if [ABS[#<ack>] NE #{counted}]
+M68 E{kind} Q0
+{timed_out}
+o86 elseif [#<ack> LT 0]
+{refused}
+o86 endif
+o80 endif
+@end
+o90 if [#<what> EQ 1]
+{alarms}
+o90 endif
+o<toolpoint> endsub
+M2

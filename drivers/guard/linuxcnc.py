@@ -1,0 +1,108 @@
+"""The guard as a subroutine for LinuxCNC: M66 reads the daemon's pins, M68 sets the echo, G10 L2 P1 moves G54."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from config.records.commissioning import macro_map_digest
+from config.schema.cnc import CncConfig
+from config.schema.compensation import AxisConfig
+from config.schema.guard import SHARED_MEMORY, GuardConfig
+from drivers.guard import text as fanuc
+from drivers.guard.check import PER_SECOND
+from drivers.guard.text import GuardStatus, GuardTextError, decimal
+from drivers.linuxcnc_pins import VACANT, Pins
+
+FIRST_OFFSET = 5220
+"""#5221.. hold G54 of axis 1.. [mm]."""
+MAGIC = 20_261
+"""Stands in the memory once it has been initialised: a parameter that was never written is 0."""
+WORDS: Mapping[GuardStatus, str] = {
+    GuardStatus.EXPIRED: "TOOLPOINT EXPIRED",
+    GuardStatus.VACANT: "TOOLPOINT VACANT MACRO",
+    GuardStatus.OVERSIZE: "TOOLPOINT OVERSIZE VALUE",
+    GuardStatus.INCH: "TOOLPOINT INCH MODE",
+    GuardStatus.MODAL: "TOOLPOINT NOT G40 G80 G54",
+    GuardStatus.MEMORY: "TOOLPOINT MEMORY DAMAGED",
+    GuardStatus.UNSETTLED: "TOOLPOINT OFFSET UNSETTLED",
+    GuardStatus.CHECK: "TOOLPOINT CHECK DIFFERS",
+}
+
+
+def memory_of(guard: GuardConfig, axes: int) -> range:
+    """Return the parameters that the guard keeps: as elsewhere, then the magic number and the count of requests."""
+    return range(guard.memory, guard.memory + SHARED_MEMORY + axes + 2)
+
+
+def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: str = "") -> str:
+    """Return the text of toolpoint.ngc; raises GuardTextError."""
+    if cnc.driver != "linuxcnc":
+        raise GuardTextError("cnc.guard.dialect linuxcnc is for cnc.driver linuxcnc")
+    macros, guard, pins = cnc.macros, cnc.guard, Pins.of(cnc)
+    pin = {**pins.inputs, **pins.outputs}
+    memory = memory_of(guard, len(axes))
+    rows = [
+        row
+        | {
+            "value": str(pin[macros.values[name]]),
+            "echo": str(pin[macros.echo_applied[name]]),
+            "offset": str(FIRST_OFFSET + int(row["offset"]) - 5200),
+        }
+        for name, row in zip(axes, fanuc.axis_rows(macros, axes, guard), strict=True)
+    ]
+    block = ("sequence_a", "sequence_b", "valid_until", "enable", "check")
+    named = (*block, "echo_time", "echo_status", "echo_guard_version")
+    fields = {
+        **{name: str(pin[getattr(macros, name)]) for name in named},
+        **{name: str(pin[number]) for name, number in macros.request_macros.items()},
+        **({} if macros.safe_flag is None else {"safe_flag": str(pin[macros.safe_flag])}),
+        **{name: str(memory[place]) for place, name in enumerate(("pending", "planned", "before", "after"))},
+        "magic": str(memory[-2]),
+        "counted": str(memory[-1]),
+        "first": str(memory[0]),
+        "last": str(memory[-1]),
+        "magic_value": str(MAGIC),
+        "version": str(fanuc.GUARD_VERSION),
+        "clock": str(pins.clock),
+        "tries": str(fanuc.RETRIES),
+        "retry_s": decimal(fanuc.RETRY_MS / 1000.0),
+        "vacant": decimal(VACANT * 0.9),
+        "look_ahead": decimal(guard.max_validity_s),
+        "increment": decimal(guard.increment_mm),
+        "half": decimal(guard.increment_mm / 2.0),
+        "per_second": str(PER_SECOND),
+        "nm_per_mm": str(fanuc.NM_PER_MM),
+        "all_bits": str((1 << len(rows)) - 1),
+        "axis_count": str(len(rows)),
+        "zero": str(int(guard.on_expiry == "zero")),
+        "timeout_s": decimal(guard.request_timeout_s),
+        "timed_out": _stop(guard.on_timeout, "TOOLPOINT GIVES NO ANSWER"),
+        "refused": _stop(guard.alarm, "TOOLPOINT REFUSES REQUEST"),
+        "alarms": "\n".join(
+            f"o9{status:d} if [#<status> EQ {status:d}]\n{_stop(guard.alarm, words)}\no9{status:d} endif"
+            for status, words in WORDS.items()
+        ),
+    }
+    one: Sequence[Mapping[str, str]] = [{}]
+    sections: dict[str, Sequence[Mapping[str, str]]] = {
+        "@axes": rows,
+        "@zero": one if guard.on_expiry == "zero" else [],
+        "@zero_axes": rows if guard.on_expiry == "zero" else [],
+        "@request": one if macros.request is not None else [],
+        "@flag": one if macros.safe_flag is not None else [],
+    }
+    body = "\n".join(fanuc.filled("linuxcnc", fields, sections)) + "\n"
+    return "\n".join(_head(cnc, axes, machine, body)) + "\n" + body
+
+
+def _head(cnc: CncConfig, axes: Mapping[str, AxisConfig], machine: str, body: str) -> Iterator[str]:
+    """Yield the comments that say which machine, map and limits the text was made for."""
+    yield f"(MACHINE {fanuc.comment(machine)})" if machine else "(MACHINE NOT NAMED)"
+    yield f"(TEXT {fanuc.guard_digest(body)[:16].upper()} MAP {macro_map_digest(cnc.macros)[:16].upper()})"
+    for name, axis in axes.items():
+        bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
+        yield f"(AXIS {fanuc.comment(name)} BOUND {bound} STEP {step} MM)"
+    yield f"(EXPIRED {cnc.guard.on_expiry.upper()}, AHEAD AT MOST {decimal(cnc.guard.max_validity_s)} S)"
+
+
+def _stop(means: str, words: str) -> str:
+    """Return the lines of a stop with a message, of an end of the program, or of neither."""
+    return {"message": f"(MSG, {words})\nM0", "stop": f"(ABORT, {words})", "continue": f"(MSG, {words})"}[means]

@@ -1,0 +1,191 @@
+"""The guard's text for LinuxCNC, run by LinuxCNC itself: what is written by the driver is where the axis stands."""
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+
+import pytest
+import pytest_asyncio
+from real_linuxcnc import RealLinuxcnc, folder, missing
+from scripted_machine import cnc_config
+
+from config.schema.compensation import AxisConfig
+from drivers.clock import SystemClock
+from drivers.guard.check import block_check
+from drivers.guard.linuxcnc import linuxcnc_text, memory_of
+from drivers.guard.text import GuardStatus
+from drivers.linuxcnc.cnc import LinuxcncCnc
+from drivers.linuxcnc_pins import Pins
+
+REASON = missing()
+pytestmark = [
+    pytest.mark.wires,
+    pytest.mark.skipif(bool(REASON), reason=REASON),
+    pytest.mark.asyncio(loop_scope="module"),
+]
+GUARD = {"dialect": "linuxcnc", "increment_mm": 0.0001}
+AXES = {axis: AxisConfig(absolute_bound_um=50.0, slew_um_per_min=2.0, step_um=2.0) for axis in "XYZ"}
+CONFIG = cnc_config(linuxcnc={}, guard=GUARD)
+CLOCK = "loadrt integ names=since-start\nsetp since-start.in 1\naddf since-start servo-thread\n"
+CLOCK += f"net since-start since-start.out => motion.analog-in-{Pins.of(CONFIG).clock:02d}\n"
+WORK_MM = 10.0
+
+
+class Mill:
+    """LinuxCNC with the guard's text, the driver, and a person who positions and calls the guard."""
+
+    def __init__(self, directory: Path) -> None:
+        self.linuxcnc = RealLinuxcnc(directory, CLOCK)
+        self.cnc = LinuxcncCnc(CONFIG, SystemClock())
+        self.sequence = 0.0
+
+    async def start(self) -> None:
+        """Start it, connect, switch on, and position the work."""
+        await self.linuxcnc.start()
+        section = {"command": self.linuxcnc.python()}
+        self.cnc = LinuxcncCnc(cnc_config(linuxcnc=section, guard=GUARD), SystemClock())
+        await self.cnc.connect()
+        await self.linuxcnc.switch_on()
+        await self.linuxcnc.mdi("G21 G90 G40 G80 G54", f"G0 X0 Y0 Z{WORK_MM}")
+
+    async def stop(self) -> None:
+        """End LinuxCNC as it is ended, so that it keeps its parameters."""
+        await self.cnc.close()
+        await self.linuxcnc.stop()
+
+    async def write(
+        self, um: Mapping[str, float], *, enable: float = 7.0, valid_s: float = 60.0, wrong: float = 0
+    ) -> None:
+        """Write a block as the daemon does."""
+        self.sequence += 1.0
+        until_s = round((await self.cnc.read([])).clock_s + valid_s, 1)
+        macros = CONFIG.macros
+        held: dict[int, float | None] = {macros.values[axis]: um.get(axis, 0.0) / 1000.0 for axis in AXES}
+        held |= {macros.valid_until: until_s, macros.enable: enable, macros.sequence_b: self.sequence}
+        check = block_check(macros, AXES, held) + wrong
+        block = [(number, float(held[number] or 0.0)) for number in held if number != macros.sequence_b]
+        assert macros.check is not None
+        await self.cnc.write_macros(
+            [[(500, self.sequence)], [*block, (macros.check, check)], [(macros.sequence_b, self.sequence)]]
+        )
+
+    async def guard(self) -> GuardStatus:
+        """Call it, let a stop for the operator go on, and return its status once its echo has another time."""
+        before = (await self.cnc.read_macros([513]))[513]
+        await self.linuxcnc.mdi("o<toolpoint> call [1]")
+        async with asyncio.timeout(10):
+            while (echo := await self.cnc.read_macros([513, 514]))[513] in (None, before):
+                await asyncio.sleep(0.01)
+        assert echo[514] is not None
+        return GuardStatus(int(echo[514]))
+
+    async def stands_mm(self) -> float:
+        """Position again, and return where LinuxCNC says that Z is."""
+        await self.linuxcnc.mdi(f"G0 Z{WORK_MM}")
+        return (await self.linuxcnc.position_mm())[2]
+
+    async def applied_um(self) -> float | None:
+        applied = (await self.cnc.read_macros([512]))[512]
+        return None if applied is None else applied * 1000.0
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def mill() -> AsyncIterator[Mill]:
+    with folder() as directory:
+        (directory / "toolpoint.ngc").write_text(linuxcnc_text(CONFIG, AXES, machine="mill"), encoding="ascii")
+        memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, len(AXES)))
+        (directory / "mill.var").write_text(memory, encoding="ascii")
+        mill = Mill(directory)
+        try:
+            await mill.start()
+            yield mill
+        finally:
+            await mill.stop()
+
+
+async def test_a_day_at_the_machine(mill: Mill) -> None:
+    assert await mill.applied_um() is None, "the guard has not run since the start"
+    await mill.linuxcnc.mdi("o<toolpoint> call [5]")
+    assert await mill.stands_mm() == pytest.approx(WORK_MM)
+
+    await mill.write({"Z": 3.0})
+    assert await mill.guard() is GuardStatus.APPLIED
+    assert await mill.stands_mm() == pytest.approx(WORK_MM + 0.002, abs=1e-7), "one step"
+    assert await mill.guard() is GuardStatus.APPLIED
+    assert await mill.stands_mm() == pytest.approx(WORK_MM + 0.003, abs=1e-7)
+    assert await mill.applied_um() == pytest.approx(3.0)
+    await mill.write({"X": 1.0, "Y": -2.0, "Z": 3.0})
+    assert await mill.guard() is GuardStatus.APPLIED
+    await mill.linuxcnc.mdi("G0 X0 Y0")
+    assert await mill.linuxcnc.position_mm() == pytest.approx([0.001, -0.002, WORK_MM + 0.003], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("block", "status"),
+    [
+        ({"um": {"Z": 1.0}, "wrong": 1.0}, GuardStatus.CHECK),
+        ({"um": {"Z": 51.0}}, GuardStatus.OVERSIZE),
+        ({"um": {"Z": 1.0}, "enable": 8.0}, GuardStatus.OVERSIZE),
+        ({"um": {"Z": 1.0}, "enable": 0.0}, GuardStatus.DISABLED),
+        ({"um": {"Z": 1.0}, "valid_s": 300.0}, GuardStatus.EXPIRED),
+        ({"um": {"Z": 1.0}, "valid_s": -1.0}, GuardStatus.EXPIRED),
+    ],
+)
+async def test_what_does_not_count_moves_nothing(mill: Mill, block: dict[str, float], status: GuardStatus) -> None:
+    before = await mill.stands_mm()
+    await mill.write(**block)  # type: ignore[arg-type]
+    assert await mill.guard() is status
+    assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
+
+
+async def test_a_block_that_is_being_written_and_another_coordinate_system_move_nothing(mill: Mill) -> None:
+    await mill.write({"Z": 1.0})
+    before = await mill.stands_mm()
+    await mill.linuxcnc.mdi("G55")
+    assert await mill.guard() is GuardStatus.MODAL
+    await mill.linuxcnc.mdi("G54")
+    await mill.cnc.write_macros([[(500, 77.0)]])
+    assert await mill.guard() is GuardStatus.TORN
+    assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
+
+
+async def test_an_operators_own_offset_stays_and_the_retreat_leaves_it(mill: Mill) -> None:
+    await mill.write({"Z": 3.0})
+    before = await mill.stands_mm()
+    await mill.linuxcnc.mdi("G10 L2 P1 Z[#5223+0.5]")
+    assert await mill.guard() is GuardStatus.APPLIED
+    assert await mill.stands_mm() == pytest.approx(before + 0.5, abs=1e-7)
+    for _ in range(2):
+        await mill.write({})
+        assert await mill.guard() is GuardStatus.APPLIED
+    assert await mill.applied_um() == pytest.approx(0.0)
+    assert await mill.stands_mm() == pytest.approx(WORK_MM + 0.5, abs=1e-7)
+
+
+async def test_an_emergency_stop_is_an_alarm_and_a_restart_keeps_what_is_applied(mill: Mill) -> None:
+    await mill.write({"Z": 2.0})
+    assert await mill.guard() is GuardStatus.APPLIED
+    applied = await mill.stands_mm()
+    before = await mill.cnc.read([])
+    await mill.linuxcnc.do(["state", "STATE_ESTOP"], ["wait"])
+    assert (await mill.cnc.read([])).alarm
+    await mill.linuxcnc.switch_on()
+    assert await mill.stands_mm() == pytest.approx(applied, abs=1e-9)
+    await mill.linuxcnc.mdi("M2")  # LinuxCNC writes its parameters
+    await mill.stop()
+    await mill.start()
+    after = await mill.cnc.read([500, 512])
+    assert after.power_on_count != before.power_on_count and after.macros == {500: 0.0, 512: None}
+    assert await mill.guard() is GuardStatus.DISABLED
+    assert await mill.applied_um() == pytest.approx(2.0)
+    assert await mill.stands_mm() == pytest.approx(applied, abs=1e-6)
+
+
+async def test_without_its_memory_it_moves_nothing(mill: Mill) -> None:
+    before = await mill.stands_mm()
+    await mill.linuxcnc.mdi(f"#{memory_of(CONFIG.guard, len(AXES))[-2]}=0")
+    await mill.write({"Z": 4.0})
+    echo_before = (await mill.cnc.read_macros([513]))[513]
+    await mill.linuxcnc.mdi("o<toolpoint> call [1]")
+    assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
+    assert (await mill.cnc.read_macros([513]))[513] == echo_before, "it echoes nothing that it does not know"
