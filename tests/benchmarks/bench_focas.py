@@ -58,6 +58,10 @@ class LoopTransport(asyncio.Transport):
             self._link.connection_lost(None)
 
 
+MOST_EXACT = 2_000_000
+"""Up to here a number with three decimals fits the 31 bits of a FOCAS2 value; a larger one comes back rounded."""
+
+
 class Fuzz:
     """A control behind a disturbed wire; each macro variable holds its number and the count of the exchange."""
 
@@ -107,7 +111,7 @@ class Fuzz:
         bad = self._random.randrange(UNTIL_BAD)
         for k in range(UNTIL_BAD + 1):
             self.disturb = k >= bad
-            stamp = float(count * 100 + k)
+            stamp = float((count * 100 + k) % MOST_EXACT)
             for number in NUMBERS:
                 self.nc.macros.values[number] = stamp + number / 1000.0
             try:
