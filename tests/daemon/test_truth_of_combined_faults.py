@@ -37,8 +37,8 @@ def quiet() -> Iterator[None]:
     structlog.reset_defaults()
 
 
-def played(directory: Path, seed: int) -> Attack:
-    shop = Attack(directory / str(seed), seed, "bare" if seed % 2 else "checked")
+def played(directory: Path, seed: int, *, wider: bool = False) -> Attack:
+    shop = Attack(directory / str(seed), seed, "bare" if seed % 2 else "checked", wider=wider)
     asyncio.run(shop.history(MOMENTS))
     return shop
 
@@ -49,10 +49,10 @@ def test_a_history_that_once_ended_wrong_ends_at_the_truth_or_holds(tmp_path: Pa
     assert not shop.findings, "\n".join([*shop.findings[:3], *shop.said])
 
 
-def judge(directory: Path, seeds: range) -> None:
+def judge(directory: Path, seeds: range, *, wider: bool = False) -> None:
     followed, wrong = 0, []
     for seed in seeds:
-        shop = played(directory, seed)
+        shop = played(directory, seed, wider=wider)
         followed += shop.followed > 0
         if shop.findings:
             wrong.append("\n".join([f"seed {seed}", shop.findings[0], *shop.said]))
@@ -67,3 +67,12 @@ def test_some_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_many_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
     judge(tmp_path, range(2000, 2200))
+
+
+def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
+    judge(tmp_path, range(1100, 1106), wider=True)
+
+
+@pytest.mark.slow
+def test_many_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
+    judge(tmp_path, range(2200, 2350), wider=True)

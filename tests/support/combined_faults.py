@@ -7,7 +7,7 @@ restart or a probe that measures what is really there changes nothing of the tru
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,8 +16,9 @@ from control_rig import EPOCH_S, SENSOR_IDS, HandClock
 from nc_requests import ACKNOWLEDGE, PROBE, REFERENCE, TOOL_CHANGE, Z_AXIS, ask
 from small_model import model
 from twin_loop import CHAIN, Frames, TwinLoop, some_places
-from whole_loop import MOMENT_S
+from whole_loop import MOMENT_S, WholeLoop
 
+from drivers.sim.nc.safe_point import SafePointApplication, simulated_guard
 from models.control.state import OperatorRequest
 from models.records import CncRun, FloatArray, Instant, OutputState
 from models.thermal.features import BoolArray
@@ -32,6 +33,8 @@ OWN_AXES = slice(1, 3)
 """y and z among x, y and z."""
 COUNTER = 560
 """Macro that the program raises before every positioning."""
+HELD_MOMENTS = 3
+"""A hold may take so many moments until the guard has what was written last."""
 PRELUDE = 96
 """Moments until the output follows."""
 
@@ -84,9 +87,12 @@ class Truth:
 
 
 class Attack(TwinLoop):
-    """A shop in which several things go wrong at the same time."""
+    """A shop in which several things go wrong at the same time.
 
-    def __init__(self, directory: Path, seed: int, profile: str) -> None:
+    `wider`: faults also meet restarts, and a guard that takes an expired offset out.
+    """
+
+    def __init__(self, directory: Path, seed: int, profile: str, *, wider: bool = False) -> None:
         rng = np.random.default_rng(seed)
         super().__init__(directory, MODELS["first"], some_places(rng), profile, seed=seed)
         self.loop.clock = self.loop.nc.clock = SteppedClock()
@@ -96,6 +102,12 @@ class Attack(TwinLoop):
             update={"compensation": compensation.model_copy(update={"reference": counted})}
         )
         self.loop.nc.macros.set(COUNTER, 0.0)
+        self.events = EVENTS | WIDER if wider else EVENTS
+        if wider:
+            expires_to_zero(self.loop)
+        self.soon: dict[int, list[Callable[[Attack], Awaitable[None]]]] = {}
+        self.held = 0
+        self.held_um: FloatArray = np.zeros(len(WEIGHTS))
         self.truth = Truth()
         self.said: list[str] = []
         """What happened, for a person who looks for the cause."""
@@ -159,6 +171,9 @@ class Attack(TwinLoop):
                     self.ask_for(OperatorRequest(enable=frozenset({"y", "z"})))
                 for undo in self.undo.pop(self.moment, ()):
                     undo()
+                for follows in self.soon.pop(self.moment, ()):
+                    if not self.down_left and not self.righted:
+                        await follows(self)
                 if PRELUDE <= self.moment < PRELUDE + length and self.rng.random() < 0.25:
                     await self.something()
                 if self.moment == PRELUDE + length:
@@ -217,6 +232,7 @@ class Attack(TwinLoop):
     def judge(self) -> None:
         control = self.loop.rig.control
         memory = control.memory
+        self.judge_hold()
         if memory is None or self.moment < PRELUDE or memory.state is not OutputState.ACTIVE:
             return
         wanted_um = self.truth.request_um(self.loop.nc.tool_number)
@@ -236,6 +252,21 @@ class Attack(TwinLoop):
                 f"{self.moment - PRELUDE}: applied {self.applied_now_um.round(2)} um, true {wanted_um.round(2)} um, "
                 f"weight {memory.weight:.2f}, tools {sorted(memory.tools)}"
             )
+
+    def judge_hold(self) -> None:
+        """A hold moves nothing away from zero; what the guard takes out of an expired block stays out."""
+        memory, now_um = self.loop.rig.control.memory, self.applied_now_um
+        if memory is None or memory.state is not OutputState.HOLD:
+            self.held = 0
+            return
+        if self.loop.nc.sequence_number != 900:  # the guard is not called, and what was written last waits
+            self.held = 0
+        self.held += 1
+        if self.held > HELD_MOMENTS:
+            away_um = (np.abs(now_um) - np.abs(self.held_um))[np.array(memory.wanted[OWN_AXES])]
+            if away_um.max(initial=0.0) > 0.3:
+                self.findings.append(f"{self.moment - PRELUDE}: HOLD moved {self.held_um} to {now_um} um")
+        self.held_um = now_um.copy()
 
     # --- what the shop does ------------------------------------------------------------------
 
@@ -267,9 +298,9 @@ class Attack(TwinLoop):
         """One thing that happens, good or bad; most bad things last."""
         if self.down_left:
             return
-        name = str(self.rng.choice(sorted(EVENTS)))
+        name = str(self.rng.choice(sorted(self.events)))
         if name not in ENDING or self.rng.random() < 0.15:
-            await EVENTS[name](self)
+            await self.events[name](self)
 
     def set_right(self) -> None:
         """What a person does at the end: everything mended, acknowledged, switched on, nothing positioned."""
@@ -531,6 +562,67 @@ async def another_offset(shop: Attack) -> None:
     shop.truth.ended("the work offset is another one")
     shop.bad(1)
 
+
+async def fault_and_restart(shop: Attack) -> None:
+    """The daemon dies moments after something else has begun, whatever that is."""
+    name = str(shop.rng.choice(sorted(EVENTS.keys() - {"killed", *ENDING})))
+    await EVENTS[name](shop)
+    shop.soon.setdefault(shop.moment + int(shop.rng.integers(1, 4)), []).append(killed)
+
+
+async def probe_at_a_restart(shop: Attack) -> None:
+    """The program probes while the daemon is away, and the next one finds the request."""
+    await killed(shop)
+    await probe(shop)
+
+
+async def release_while_away(shop: Attack) -> None:
+    """The CNC is away for so long that the guard takes the offset out; meanwhile, or soon after, a model comes."""
+    if not shop.loop.nc.reachable:
+        return
+    moments = int(shop.rng.integers(4, 14))
+    shop.loop.nc.reachable = False
+    shop.say(f"the CNC is away for {moments}, and a model is released")
+
+    def back() -> None:
+        shop.loop.nc.reachable = True
+
+    shop.later(moments, back)
+    shop.soon.setdefault(shop.moment + int(shop.rng.integers(1, moments + 3)), []).append(release)
+
+
+async def hold_while_away(shop: Attack) -> None:
+    """So many sensors are silent that the output holds, and then the CNC is away until the block has expired."""
+    gone, moments = shop.rng.choice(len(SENSOR_IDS), 4, replace=False), int(shop.rng.integers(12, 24))
+    shop.mute[gone] = True
+    shop.say(f"sensors {gone.tolist()} silent for {moments}, and the CNC away")
+
+    def back() -> None:
+        shop.mute[gone] = False
+
+    def reached() -> None:
+        shop.loop.nc.reachable = True
+
+    async def away(_shop: Attack) -> None:
+        shop.loop.nc.reachable = False
+
+    shop.later(moments, back)
+    shop.soon.setdefault(shop.moment + 8, []).append(away)
+    shop.later(int(shop.rng.integers(9, moments)), reached)
+
+
+def expires_to_zero(loop: WholeLoop) -> None:
+    """Load a guard that takes the offset of an expired block out."""
+    axes, macros = loop.configuration.compensation.axes, loop.configuration.cnc.macros
+    guard = simulated_guard(axes).model_copy(update={"on_expiry": "zero"})
+    cnc = loop.configuration.cnc.model_copy(update={"guard": guard})
+    loop.configuration = loop.configuration.model_copy(update={"cnc": cnc})
+    loop.nc.guard = SafePointApplication(macros, axes, guard)
+    loop.nc.guard.initialise(loop.nc.macros, loop.nc.clock_s)
+
+
+WIDER = {one.__name__: one for one in (fault_and_restart, probe_at_a_restart, release_while_away, hold_while_away)}
+"""Beside the others, in histories of their own: what is drawn for the others stays as it was."""
 
 EVENTS = {
     one.__name__: one
