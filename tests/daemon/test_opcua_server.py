@@ -145,6 +145,12 @@ async def test_methods_take_the_operators_right_and_name_the_person_in_the_audit
                 await call(operator, "disable", [[], "yes"])
             with pytest.raises(UaError, match="BadArgumentsMissing"):
                 await call(operator, "disable", [[]])
+            absent = ua.CallMethodRequest(
+                (await node(operator, "machine")).nodeid, (await node(operator, "acknowledge")).nodeid
+            )
+            absent.InputArguments = None
+            (answered,) = await moved(bench, operator.uaclient.call([absent]))
+            assert answered.StatusCode.name in ("Good", "BadInvalidState"), "no list of arguments is an empty one"
             assert (await moved(bench, call(operator, "disable", [[], True])))[0] is True
             assert not any(rig.control.memory.wanted)
         await rig.history.flushed()

@@ -108,7 +108,7 @@ class Views:
         node: Node | None = self._space.nodes.get(key_of(path.StartingNode))
         if node is None:
             return status_bytes(StatusCodes.BadNodeIdUnknown) + listed([])
-        for step in path.RelativePath.Elements:
+        for step in path.RelativePath.Elements or ():
             name = step.TargetName.NamespaceIndex, step.TargetName.Name
             kind, inverse, subtypes = key_of(step.ReferenceTypeId), bool(step.IsInverse), bool(step.IncludeSubtypes)
             node = self._space.followed(node, kind, inverse=inverse, subtypes=subtypes, name=name)
@@ -131,7 +131,7 @@ class Views:
             return _not_called(StatusCodes.BadMethodInvalid), ""
         if not any(key_of(wanted.ObjectId) == node.key for _, forward, node in method.references if not forward):
             return _not_called(StatusCodes.BadNodeIdUnknown), ""
-        values = [argument.Value for argument in wanted.InputArguments]
+        values = [argument.Value for argument in wanted.InputArguments or ()]
         if len(values) != len(method.inputs):
             missing = len(values) < len(method.inputs)
             return _not_called(StatusCodes.BadArgumentsMissing if missing else StatusCodes.BadTooManyArguments), ""
