@@ -32,7 +32,7 @@ def invoke(*arguments: object) -> Result:
 
 def test_a_model_is_written_and_the_outcome_is_json_alone(tmp_path: Path) -> None:
     output = tmp_path / "m.json"
-    result = invoke(day(tmp_path, 1), day(tmp_path, 2), "-o", output, "--json", "-")
+    result = invoke(day(tmp_path, 1), day(tmp_path, 2), "--interval-min", 1, "-o", output, "--json", "-")
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["held_out"]["folds"] == ["day1.csv", "day2.csv"]

@@ -98,11 +98,13 @@ def test_what_cannot_be_left_out_is_said(tmp_path: Path, arguments: tuple[str, .
     assert (result.exit_code, sentence in result.stderr) == (2, True), result.output
 
 
-def test_who_names_no_family_is_told_what_was_fitted_and_what_chooses(tmp_path: Path) -> None:
+def test_who_names_no_family_gets_the_one_that_the_recordings_support_best(tmp_path: Path) -> None:
     paths = [str(run(tmp_path, number)) for number in range(1, 4)]
-    arguments = ["thermal", "train", *paths, "-o", str(tmp_path / "model.json")]
-    told = "this is the model of increments; --model default takes the family that the recordings support best"
-    for options, expected in (((), True), (("--b0",), False), (("--model", "ridge"), False)):
+    arguments = ["thermal", "train", *paths, "-o", str(tmp_path / "model.json"), "--json", "-"]
+    of_increments = "this is the model of increments; without its options the family is taken that"
+    for options, increments in (((), False), (("--b0",), True), (("--model", "ridge"), False)):
         result = CliRunner().invoke(main, [*arguments, *options])
         assert result.exit_code == 0, result.output
-        assert (told in result.stderr) is expected
+        found = json.loads(result.stdout)
+        assert (of_increments in result.stderr) is ("increments" in found) is increments
+        assert (found["chosen"] is not None) is (not options)

@@ -55,7 +55,7 @@ def parse_fault(text: str) -> "Fault":
 @click.command()
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
 @option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
-@option("--model", type=click.Choice(MODELS), default="default", help="Family of models.")
+@option("--model", type=click.Choice(MODELS), default=MODELS[0], help="Family of models.")
 @hours_option("--train-hours", help="Train on these hours of each recording.")
 @hours_option("--test-hours", help="Test these hours of each recording, as one run with one reference at its start.")
 @option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")

@@ -62,10 +62,11 @@ thermal.add_command(sensors)
     "--model",
     "family",
     type=click.Choice(MODELS),
-    help="Family of models. Without: increments, as the options below say.",
+    help="Family of models. Without: default, which takes the one that the recordings support best; or the model of "
+    "increments as --interval-min, --ridge, --b0 and --split-at-speed say, where one of them is given.",
 )
 @hours_option("--hours", help="Train on these hours of each recording only.")
-@option("--interval-min", type=POSITIVE, default=1.0, help="Interval of the increments [min].")
+@option("--interval-min", type=POSITIVE, help="Interval of the increments [min]. Without: 1.")
 @option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
 @option("--b0/--no-b0", "intercept", default=False, help="Fit a drift with time.")
 @option("--channels", help="Displacement channels, separated by commas. Without: all.")
@@ -81,7 +82,7 @@ def train(
     map_path: Path | None,
     family: str | None,
     hours: tuple[float, float] | None,
-    interval_min: float,
+    interval_min: float | None,
     ridge: float | Literal["auto"] | None,
     intercept: bool,
     channels: str | None,
@@ -112,10 +113,13 @@ def train(
 
     if not output.parent.is_dir():
         refuse(f"{output}: there is no folder {output.parent}")
-    if family is not None and (ridge is not None or intercept or split_at_speed or interval_min != 1.0):
+    of_increments = interval_min is not None or ridge is not None or intercept or split_at_speed
+    if family is not None and of_increments:
         raise click.UsageError("--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed")
+    if family is None and not of_increments:
+        family = MODELS[0]
     choices = IncrementChoices(
-        interval_min=interval_min, intercept=intercept, ridge_k2=ridge, split_at_speed_changes=split_at_speed
+        interval_min=interval_min or 1.0, intercept=intercept, ridge_k2=ridge, split_at_speed_changes=split_at_speed
     )
     try:
         recording_map = load_recording_map(map_path) if map_path is not None else _proposed(recordings[0], map_out)
@@ -132,8 +136,8 @@ def train(
     kept = kept_paths(recordings, selection)
     found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
     _show(found)
-    if family is None and choices == IncrementChoices(interval_min=1.0, split_at_speed_changes=False):
-        say("next: this is the model of increments; --model default takes the family that the recordings support best")
+    if family is None:
+        say("this is the model of increments; without its options the family is taken that the recordings support best")
     write_json(json_path, found)
 
 
