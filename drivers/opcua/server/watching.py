@@ -164,7 +164,9 @@ class Watching:
 
 def _trigger(wanted: Any) -> tuple[int, int]:
     """Return what an item tells, and the status of its filter: bands and events are not served."""
-    if isinstance(wanted, ua.DataChangeFilter):
+    if (
+        type(wanted).__name__ == "DataChangeFilter"
+    ):  # the library has two classes of this name, and decodes to the other
         if wanted.DeadbandType:
             return TRIGGER_VALUE, int(StatusCodes.BadMonitoredItemFilterUnsupported)
         return int(wanted.Trigger), int(StatusCodes.Good)
