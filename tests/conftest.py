@@ -67,6 +67,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or config.option.basetemp is not None or not fit(IN_MEMORY):
         return
     config.stash[_folder] = tempfile.tempdir = os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="tests-", dir=IN_MEMORY)
+    Path(tempfile.tempdir).chmod(0o755)  # a test reads the store as another user
     config.option.basetemp = f"{tempfile.tempdir}/t"
 
 
