@@ -67,15 +67,20 @@ class Passwords:
     async def check(self, accounts: Mapping[str, Account], name: str, password: str, address: str) -> Account:
         """Return the account whose password this is; raises WrongPasswordError, or TooManyWrongError."""
         keys = (f"address {address}", f"account {name}")
-        if (wait_s := self._limit.wait_s(*keys)) > 0.0:
-            raise TooManyWrongError(wait_s)
+        self._refuse_guessing(keys)
         async with self._one_at_a_time:
+            self._refuse_guessing(keys)  # those before it in the queue may have been wrong
             self._decoy = self._decoy or await asyncio.to_thread(hashed, secrets.token_urlsafe(16))
             known = accounts.get(name)
             right = await asyncio.to_thread(verified, known.password_hash if known else self._decoy, password)
+            if known is None or not right:
+                self._limit.failed(*keys)
         if known is None or not right:
-            self._limit.failed(*keys)
             raise WrongPasswordError(
                 "name or password is wrong; `toolpoint users list` on the computer shows the names"
             )
         return known
+
+    def _refuse_guessing(self, keys: tuple[str, str]) -> None:
+        if (wait_s := self._limit.wait_s(*keys)) > 0.0:
+            raise TooManyWrongError(wait_s)

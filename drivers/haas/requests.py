@@ -50,7 +50,7 @@ class ProgramState:
     @classmethod
     def of(cls, answer: Answer) -> "ProgramState":
         """Return what the fields say."""
-        words = [field for field in answer.fields[1:] if field != "STATUS"]
+        words = [field for field in answer.fields[1:] if field != "STATUS"] or [""]
         named = _PROGRAM.fullmatch(words[0])
         state = words[0] if answer.fields[0] == "STATUS" else "".join(words[1:2])
         return cls(RUNS.get(state, CncRun.UNKNOWN), state == "ALARM ON", int(named[1]) if named else None)

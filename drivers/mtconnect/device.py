@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from drivers.contract import Capability, FatalDriverError
-from drivers.mtconnect.xml import Element
+from drivers.mtconnect.xml import Element, XmlError
 from models.records import CncMode, CncRun
 
 UNAVAILABLE = "UNAVAILABLE"
@@ -52,6 +52,10 @@ NO_ITEM = "the agent's device has no data item of type {}"
 NOT_TOLD = "MTConnect does not tell it"
 
 
+MOST_FAULTS = 1000
+"""Of one condition at a time."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataItem:
     """One data item of the device."""
@@ -89,6 +93,7 @@ class Device:
         if self._chosen["execution"] is None:
             sentence = "nothing says whether a program runs; choose another device (cnc.mtconnect.device)"
             raise FatalDriverError(f"the agent's device {self.name} has no data item of type EXECUTION: {sentence}")
+        self._known = {item.item_id for item in self.items}
         self.cannot = {Capability.READ_MACROS: READS_ONLY, Capability.WRITE_MACROS: READS_ONLY}
         self.cannot |= {Capability.CLOCK: NOT_TOLD, Capability.POWER_ON_COUNT: NOT_TOLD}
         for role in (Capability.PROGRAM, Capability.SPINDLE_SPEED, Capability.WORK_OFFSET, Capability.TOOL_NUMBER):
@@ -130,6 +135,8 @@ class Device:
         for part in component.children:
             for observation in part.children:
                 item = observation.attributes.get("dataItemId", "")
+                if item not in self._known:
+                    continue  # or an agent that invents some would fill the memory
                 if part.name in ("Samples", "Events"):
                     self.values[item] = observation.text.strip()
                 elif part.name == "Condition":
@@ -141,6 +148,8 @@ class Device:
         active = self.faults.setdefault(item, set())
         if observation.name == "Fault":
             active.add(code)
+            if len(active) > MOST_FAULTS:
+                raise XmlError(f"its condition {item} has more than {MOST_FAULTS} faults at a time")
         elif observation.name == "Normal" and not code:
             active.clear()
         else:

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from daemon.history.reader import HistoryReader
 from daemon.monitor import passwords
 from daemon.monitor.accounts import Accounts
-from daemon.monitor.passwords import LoginLimit
+from daemon.monitor.passwords import LoginLimit, Passwords, TooManyWrongError, WrongPasswordError
 from daemon.monitor.web import access
 from daemon.monitor.web.access import Access
 
@@ -201,3 +201,11 @@ def test_no_token_that_was_not_handed_out_is_a_session(tmp_path, token):
     found = Access(accounts=Accounts(tmp_path / "users"), session_s=1.0, secure=False, report=lambda *_: None)
     scope = {"type": "http", "headers": [(b"cookie", f"toolpoint={token}".encode("latin-1"))]}
     assert found.by_session(Request(scope)) is None
+
+
+async def test_who_guesses_with_many_connections_at_once_gets_no_more_tries():
+    checking = Passwords(lambda: 0.0)
+    tries = [checking.check({}, "anna", f"guess {number}", "192.0.2.1") for number in range(12)]
+    ended = await asyncio.gather(*tries, return_exceptions=True)
+    checked = [error for error in ended if type(error) is WrongPasswordError]
+    assert len(checked) == passwords.MOST_FAILURES and sum(isinstance(error, TooManyWrongError) for error in ended) == 7

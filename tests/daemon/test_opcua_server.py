@@ -3,10 +3,13 @@
 import asyncio
 import contextlib
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from asyncua import Client, ua
 from asyncua.common.utils import Buffer
+from asyncua.ua.ua_binary import struct_from_binary
 from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from control_rig import SENSOR_IDS
 from hypothesis import given, settings
@@ -17,9 +20,13 @@ from scripted_machine import Keys
 from daemon.history.reader import HistoryReader
 from drivers.opcua.server import subscriptions
 from drivers.opcua.server.encoding import Kind, variant
+from drivers.opcua.server.received import Received
 from drivers.opcua.server.requests import Request, ServiceError
+from drivers.opcua.server.session import MOST_SESSION_S
 from drivers.opcua.server.space import Variable
 from drivers.opcua.server.subscriptions import Item, Publisher, PublishRequest
+from drivers.opcua.server.wire import WireError, _decoded
+from models.quality import Quality
 
 METHODS = {"reference": [], "enable": [[]], "disable": [[], False], "acknowledge": []}
 
@@ -308,6 +315,84 @@ async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody()
     assert len(newest) == 1, "of all that was missed the newest alone"
     assert not any(variant(Kind.DOUBLE, 28.0) in body for _, body in sent)
     assert len(made.kept) <= subscriptions.MOST_KEPT
+
+
+async def test_a_filter_without_a_dead_band_is_taken_and_any_other_is_refused(tmp_path, keys):
+    class Heard:
+        def __init__(self):
+            self.statuses = asyncio.Queue()
+
+        def datachange_notification(self, node, value, data):
+            self.statuses.put_nowait(data.monitored_item.Value.StatusCode.name)
+
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        tell(bench)
+        heard = Heard()
+        subscription = await client.create_subscription(250, heard)
+        tag = await node(client, "temperature.1")
+
+        async def watched(wanted):
+            item = ua.MonitoredItemCreateRequest(
+                ItemToMonitor=ua.ReadValueId(NodeId=tag.nodeid, AttributeId=ua.AttributeIds.Value),
+                MonitoringMode=ua.MonitoringMode.Reporting,
+                RequestedParameters=ua.MonitoringParameters(ClientHandle=ua.UInt32(7), Filter=wanted),
+            )
+            parameters = ua.CreateMonitoredItemsParameters(subscription.subscription_id, ItemsToCreate=[item])
+            (created,) = await client.uaclient.create_monitored_items(parameters)
+            return created.StatusCode.name
+
+        for trigger in ua.DataChangeTrigger:
+            assert await watched(ua.DataChangeFilter(Trigger=trigger)) == "Good"
+        for refused in (ua.DataChangeFilter(DeadbandType=ua.UInt32(1), DeadbandValue=0.5), ua.EventFilter()):
+            assert await watched(refused) == "BadMonitoredItemFilterUnsupported"
+        plain = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.Status)
+        await subscription._subscribe(tag, mfilter=plain)
+        assert await asyncio.wait_for(heard.statuses.get(), 20.0) == "Good"
+        tell(bench, first_degc=23.0)
+        board = bench.rig.snapshots
+        bad = replace(board.thermal.temperatures, quality=np.full(5, Quality.MISSING, dtype=np.uint8))
+        board.thermal = replace(board.thermal, temperatures=bad)
+        news = await asyncio.wait_for(heard.statuses.get(), 20.0)
+        assert news != "Good", "a changed value alone is no news to who asked for the status"
+
+
+async def test_a_session_cannot_be_asked_for_without_an_end(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        client = await bench.client("otto")
+        client.session_timeout = math.nan
+        async with client:
+            assert client.session_timeout == MOST_SESSION_S * 1000.0, "a timer at no time would upset the loop's others"
+
+
+NO_HEADER = bytes(2) + bytes(8) + (9).to_bytes(4, "little") + bytes(4) + b"\xff" * 4 + bytes(4)
+ENDLESS = (2_000_000).to_bytes(4, "little")
+
+
+def test_decoding_ends_with_the_bytes_whatever_lengths_they_name():
+    literal = b"\x01\x00\x55\x02\x01" + (5).to_bytes(4, "little") + b"\x80" + ENDLESS
+    request = Request(1, Buffer(b"\x01\x00\xac\x01" + NO_HEADER + literal + b"rest"))
+    assert (request.service, request.handle) == (428, 9)
+    assert request.body.read(4) == b"rest", "an additional header is passed over, and not decoded"
+    back = b"\xff" * 4 + ENDLESS + b"\xfc\xff\xff\xff"
+    request = Request(1, Buffer(b"\x01\x00\xac\x01" + NO_HEADER + bytes(3) + back))
+    with pytest.raises(ServiceError):
+        request.structure(ua.GetEndpointsParameters)
+    for value in (b"\x80" + ENDLESS, b"\xc6" + bytes(4) + (2).to_bytes(4, "little") + b"\xff\xff\x00\x00" * 2):
+        call = bytes(4) + (1).to_bytes(4, "little") + value
+        request = Request(1, Buffer(b"\x01\x00\xc8\x02" + NO_HEADER + bytes(3) + call))
+        with pytest.raises(ServiceError):
+            request.structure(ua.CallMethodRequest)
+    with pytest.raises(WireError):
+        _decoded(lambda: struct_from_binary(ua.RequestHeader, Received(NO_HEADER + literal)))
+
+
+async def test_who_is_not_known_yet_sends_one_chunk(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        reader, writer = await asyncio.open_connection("127.0.0.1", bench.configuration.opcua_server.port)
+        writer.write(b"MSGC" + (32).to_bytes(4, "little") + bytes(24))
+        answer = await asyncio.wait_for(reader.read(), 20.0)
+        assert answer[:4] == b"ERRF" and b"more than one chunk" in answer
+        writer.close()
 
 
 @settings(max_examples=300, deadline=None)

@@ -106,3 +106,5 @@ def test_the_words_of_the_state() -> None:
     assert ProgramState.of(read("PROGRAM, O0100, STATUS, FEED HOLD, PARTS, 9")).run is CncRun.HOLD
     assert ProgramState.of(read("PROGRAM, MDI, ALARM ON, PARTS, 143")) == ProgramState(CncRun.STOP, True, None)
     assert ProgramState.of(read("PROGRAM, O1")).run is CncRun.UNKNOWN
+    for line in ("STATUS, STATUS", "PROGRAM, STATUS", "PROGRAM, "):
+        assert ProgramState.of(read(line)) == ProgramState(CncRun.UNKNOWN, False, None), line

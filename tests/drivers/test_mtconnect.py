@@ -25,7 +25,7 @@ from daemon.cnc.interlocks import Interlocks
 from drivers.clock import SystemClock
 from drivers.contract import Capability, FatalDriverError, LinkError, NotSentError
 from drivers.mtconnect.cnc import MtconnectCnc
-from drivers.mtconnect.device import DataItem, Device
+from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device
 from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
 from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
 from models.records import CncMode, CncRun
@@ -165,6 +165,23 @@ def test_names_of_programs_and_blocks_become_numbers():
     for offset, number in (("G54", 54), ("54", 54), ("G54.1 P3", 541003), ("-", 0)):
         device.values["WORK_OFFSET"] = offset
         assert device.work_offset == number, offset
+
+
+def test_an_agent_that_invents_items_or_faults_does_not_fill_the_memory():
+    items = tuple(DataItem(item_id=kind, name="", kind=kind, subtype="") for kind in ("EXECUTION", "SYSTEM"))
+    device = Device(name="x", uuid="y", items=items)
+
+    def tell(events, conditions):
+        text = f"<Events>{events}</Events><Condition>{conditions}</Condition>"
+        text = f"<a><DeviceStream><ComponentStream>{text}</ComponentStream></DeviceStream></a>"
+        device.observe(parsed(text.encode()), anew=False)
+
+    tell('<E dataItemId="other">1</E><E dataItemId="EXECUTION">ACTIVE</E>', '<Fault dataItemId="none"/>')
+    assert device.values == {"EXECUTION": "ACTIVE"} and not device.alarm and not device.faults
+    tell("", '<Fault dataItemId="SYSTEM" nativeCode="7"/>')
+    assert device.alarm
+    with pytest.raises(XmlError, match="SYSTEM has more than 1000 faults"):
+        tell("", "".join(f'<Fault dataItemId="SYSTEM" nativeCode="c{number}"/>' for number in range(MOST_FAULTS)))
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary
 
 from drivers.opcua.server.encoding import NodeKey, node_id, string, time_100ns
+from drivers.opcua.server.received import Received
 from drivers.opcua.server.standard import MOST_NODES
 
 AT_ONCE = 8
@@ -36,16 +36,17 @@ class Request:
 
     def __init__(self, number: int, body: Buffer) -> None:
         """`number` is that of the message; raises ServiceError when the beginning cannot be read."""
-        try:
-            self.service = int(nodeid_from_binary(body).Identifier)
-            header: Any = struct_from_binary(ua.RequestHeader, body)
-        except Exception as error:
-            raise ServiceError(StatusCodes.BadDecodingError) from error
-        self.number, self.body = number, body
-        self.token: NodeKey | bytes = header.AuthenticationToken.Identifier
-        self.handle: int = header.RequestHandle
-        self.timeout_s: float = header.TimeoutHint / 1000.0
-        self.wants_words = bool(header.ReturnDiagnostics & OPERATION_TEXT)
+        self.number, self.body = number, Received.of(body)
+        self.service: int = self._read(lambda: int(nodeid_from_binary(self.body).Identifier))
+        self.token: Any = self._read(lambda: nodeid_from_binary(self.body).Identifier)
+        _, self.handle, diagnostics = self.unpacked("<qII")
+        self._pass_over()  # name of an entry in the client's own log
+        (timeout_ms,) = self.unpacked("<I")
+        self.timeout_s: float = timeout_ms / 1000.0
+        self.wants_words = bool(diagnostics & OPERATION_TEXT)
+        self._read(lambda: nodeid_from_binary(self.body))  # an additional header, which nothing here needs
+        if self.unpacked("<B")[0]:
+            self._pass_over()
 
     def unpacked(self, form: str) -> tuple[Any, ...]:
         """Return the next numbers."""
@@ -55,6 +56,15 @@ class Request:
     def structure(self, kind: Any) -> Any:
         """Return the next structure."""
         return self._read(lambda: struct_from_binary(kind, self.body))
+
+    def count(self, most: int = MOST_NODES) -> int:
+        """Return how many entries the list that begins here has; raises ServiceError where none, or too many."""
+        (count,) = self.unpacked("<i")
+        if count <= 0:
+            raise ServiceError(StatusCodes.BadNothingToDo)
+        if count > most:
+            raise ServiceError(StatusCodes.BadTooManyOperations)
+        return int(count)
 
     def numbers(self) -> AsyncIterator[int]:
         """Yield the numbers of a list."""
@@ -73,16 +83,15 @@ class Request:
         return self._listed(lambda: self.structure(kind), most)
 
     async def _listed(self, read: Callable[[], Any], most: int) -> AsyncIterator[Any]:
-        """Yield the entries of a list; raises ServiceError where there are none, or too many."""
-        (count,) = self.unpacked("<i")
-        if count <= 0:
-            raise ServiceError(StatusCodes.BadNothingToDo)
-        if count > most:
-            raise ServiceError(StatusCodes.BadTooManyOperations)
-        for place in range(count):
+        """Yield the entries of a list; raises ServiceError as `count` does."""
+        for place in range(self.count(most)):
             if place % AT_ONCE == AT_ONCE - 1:
                 await asyncio.sleep(0)
             yield read()
+
+    def _pass_over(self) -> None:
+        (count,) = self.unpacked("<i")
+        self._read(lambda: self.body.skip(max(count, 0)))
 
     def _read(self, read: Any) -> Any:
         try:

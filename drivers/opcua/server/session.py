@@ -1,6 +1,7 @@
 """Who is at the other end: the session of a connection, bound to a channel and to a person."""
 
 import hmac
+import math
 import secrets
 import struct
 import uuid
@@ -89,7 +90,8 @@ class Session:
         if len(wanted.ClientNonce or b"") < NONCE:
             raise ServiceError(StatusCodes.BadNonceInvalid)
         self._token, self._nonce = TYPES.NodeId(uuid.uuid4(), 0, ua.NodeIdType.Guid), secrets.token_bytes(NONCE)
-        self.idle_s = min(max(float(wanted.RequestedSessionTimeout) / 1000.0, LEAST_SESSION_S), MOST_SESSION_S)
+        asked_s = float(wanted.RequestedSessionTimeout) / 1000.0
+        self.idle_s = min(max(asked_s, LEAST_SESSION_S), MOST_SESSION_S) if math.isfinite(asked_s) else MOST_SESSION_S
         signature = self._wire.policy.asymmetric_cryptography.signature(sent + wanted.ClientNonce)
         made = ua.CreateSessionResult(
             SessionId=TYPES.NodeId(uuid.uuid4(), 1, ua.NodeIdType.Guid),

@@ -48,12 +48,8 @@ class Views:
         return _no_value(StatusCodes.BadAttributeIdInvalid) if found is None else b"\x01" + found
 
     async def write(self, request: Request) -> bytes:
-        """Answer Write: nothing that is served can be written."""
-        statuses = []
-        async for each in request.each(ua.WriteValue):
-            known = key_of(each.NodeId) in self._space.nodes
-            statuses.append(status_bytes(StatusCodes.BadNotWritable if known else StatusCodes.BadNodeIdUnknown))
-        return results(statuses)
+        """Answer Write: nothing that is served can be written, so nothing of it is decoded."""
+        return results([status_bytes(StatusCodes.BadNotWritable)] * request.count())
 
     async def browse(self, request: Request) -> bytes:
         """Answer Browse."""

@@ -19,6 +19,7 @@ from asyncua.crypto import security_policies
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import header_from_binary, struct_from_binary, struct_to_binary, uatcp_to_binary
 
+from drivers.opcua.server.received import Received
 from drivers.opcua.server.settings import Identity, Trusted
 
 LONGEST_CHUNK = 65_535
@@ -122,11 +123,13 @@ class Wire:
         while True:
             async with asyncio.timeout(patience_s):
                 head = await self._reader.readexactly(HEAD.size)
-            kind, _, size = HEAD.unpack(head)
+            kind, part, size = HEAD.unpack(head)
             if not HEAD.size < size <= LONGEST_CHUNK:
                 raise WireError(StatusCodes.BadTcpMessageTooLarge, f"a chunk of {size} bytes")
             async with asyncio.timeout(PART_S):
                 data = head + await self._reader.readexactly(size - HEAD.size)
+            if part != b"F" and not self.secured:
+                raise WireError(StatusCodes.BadTcpMessageTooLarge, "more than one chunk, by whom nobody knows yet")
             if kind == b"HEL":
                 self._greet(data)
             elif kind == b"OPN":
@@ -155,7 +158,7 @@ class Wire:
         self._writer.transport.abort()
 
     def _greet(self, data: bytes) -> None:
-        hello = _decoded(lambda: struct_from_binary(ua.Hello, Buffer(data[HEAD.size :])))
+        hello = _decoded(lambda: struct_from_binary(ua.Hello, Received(data[HEAD.size :])))
         if self._greeted or min(hello.ReceiveBufferSize, hello.SendBufferSize) < LEAST_CHUNK:
             raise WireError(StatusCodes.BadConnectionRejected, "this is no hello")
         self._greeted = True
@@ -178,7 +181,7 @@ class Wire:
         """Open the channel, or renew its keys."""
         if not self._greeted:
             raise WireError(StatusCodes.BadConnectionRejected, "a channel before the hello")
-        header = _decoded(lambda: struct_from_binary(ua.AsymmetricAlgorithmHeader, Buffer(data[HEAD.size + 4 :])))
+        header = _decoded(lambda: struct_from_binary(ua.AsymmetricAlgorithmHeader, Received(data[HEAD.size + 4 :])))
         secured = header.SecurityPolicyURI != POLICIES.SecurityPolicyNone.URI
         if secured:
             self._check(header)
@@ -188,7 +191,7 @@ class Wire:
             message = _decoded(lambda: self._taken(data))
             if message is None:
                 raise WireError(StatusCodes.BadTcpMessageTypeInvalid, "a channel is opened by one chunk")
-            request = _decoded(lambda: struct_from_binary(ua.OpenSecureChannelRequest, message.body()))
+            request = _decoded(lambda: struct_from_binary(ua.OpenSecureChannelRequest, Received.of(message.body())))
             wanted = request.Parameters
             if secured and len(wanted.ClientNonce or b"") != NONCE:
                 raise WireError(StatusCodes.BadNonceInvalid, f"the nonce must have {NONCE} bytes")
