@@ -9,6 +9,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Coroutine, Sequence
+from dataclasses import replace
 from typing import Any, NoReturn, TypeVar
 
 from asyncua import ua
@@ -19,13 +20,13 @@ from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import OpcUaConfig
+from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.clock import Clock
 from drivers.contract import ClockWatch, DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import Services
-from drivers.opcua.variables import Variables, node_map
+from drivers.opcua.variables import FANUC_NODES, NodeMap, Variables
 from models.records import CncSample
 
 T = TypeVar("T")
@@ -50,6 +51,19 @@ REFUSALS = {
     StatusCodes.BadSecurityModeRejected: "does not accept signed and encrypted messages",
 }
 """What a server answers when trying again cannot help."""
+
+
+def node_map(config: CncConfig) -> NodeMap:
+    """Return the preset's map with the identifiers that the configuration gives."""
+    opcua = config.connection_as(OpcUaConfig)
+    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {})
+    if opcua.preset == "sinumerik":
+        from drivers.opcua.sinumerik import sinumerik_map
+
+        found = sinumerik_map(config.guard.shown)
+    given = {} if opcua.nodes is None else opcua.nodes.model_dump(exclude_none=True)
+    nodes = {**found.nodes, **given}
+    return replace(found, nodes={key: text for key, text in nodes.items() if text != NO_NODE})
 
 
 class OpcUaCnc:

@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
-from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.contract import MODES, RUNS, FatalDriverError, LinkError
 from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
@@ -73,19 +71,6 @@ class NodeMap:
     """Value of a macro variable that is vacant, where the control always gives one."""
     texts: Mapping[str, Reading] = field(default_factory=dict)
     """Number of a variable that is a text; raises ValueError for a text that means nothing."""
-
-
-def node_map(config: CncConfig) -> NodeMap:
-    """Return the preset's map with the identifiers that the configuration gives."""
-    opcua = config.connection_as(OpcUaConfig)
-    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {})
-    if opcua.preset == "sinumerik":
-        from drivers.opcua.sinumerik import sinumerik_map
-
-        found = sinumerik_map(config.guard.shown)
-    given = {} if opcua.nodes is None else opcua.nodes.model_dump(exclude_none=True)
-    nodes = {**found.nodes, **given}
-    return replace(found, nodes={key: text for key, text in nodes.items() if text != NO_NODE})
 
 
 class Variables:

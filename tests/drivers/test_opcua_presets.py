@@ -16,9 +16,9 @@ from config.schema.cnc_drivers import OpcUaConfig, OpcUaNodesConfig
 from config.schema.guard import VACANT_R
 from drivers.clock import SystemClock
 from drivers.contract import Capability, LinkError
-from drivers.opcua.cnc import OpcUaCnc
+from drivers.opcua.cnc import OpcUaCnc, node_map
 from drivers.opcua.sinumerik import FIRST_NAMED, block_number, offset_number, program_number
-from drivers.opcua.variables import FANUC_NODES, node_map
+from drivers.opcua.variables import FANUC_NODES
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun
 

@@ -1,12 +1,10 @@
 """Logger files, the kernel's sensors, programs, MQTT and OPC UA as sources: what each alone can do wrong."""
 
 import asyncio
-import contextlib
 import json
 import math
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -21,11 +19,11 @@ import pytest
 from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
+from mosquitto import mosquitto
 
 from config.schema.source_drivers import SourceConfig
 from config.schema.source_sections import KernelSensorConfig
 from config.schema.sources import SourceSensorConfig
-from daemon.simulation.processes import free_port
 from drivers import displacement, kernel, process, pushing
 from drivers.clock import SystemClock
 from drivers.contract import FatalDriverError, LinkError
@@ -370,27 +368,15 @@ def test_messages_of_devices() -> None:
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
-    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-    if program is None:
-        pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
-    port, passwords = free_port(), tmp_path / "passwords"
     maker = shutil.which("mosquitto_passwd", path=f"{os.environ.get('PATH', '')}:/usr/bin")
-    assert maker is not None
+    if maker is None:
+        pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
+    passwords = tmp_path / "passwords"
     subprocess.run([maker, "-b", "-c", str(passwords), "toolpoint", "right"], check=True)
     passwords.chmod(0o644)
     tmp_path.chmod(0o755)
-    (tmp_path / "m.conf").write_text(
-        f"listener {port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nuser root\n"
-    )
-    process = subprocess.Popen([program, "-c", str(tmp_path / "m.conf")], stderr=subprocess.DEVNULL)
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-            break
-        time.sleep(0.02)
-    yield port
-    process.kill()
-    process.wait()
+    with mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}") as port:
+        yield port
 
 
 def subscribed(port: int, folder: Path, password: str) -> MqttSource:

@@ -1,13 +1,7 @@
 """MQTT over TLS and OPC UA tags with security, on real wires: what is let in, and what is said when it is not."""
 
 import asyncio
-import contextlib
-import os
-import shutil
-import socket
 import ssl
-import subprocess
-import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import aclosing
 from datetime import UTC, datetime, timedelta
@@ -25,6 +19,7 @@ from asyncua.server.user_managers import UserManager
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from mosquitto import mosquitto
 from scripted_machine import PASSWORD, SERVER_URI, USER, Keys
 
 from config.schema.source_drivers import SourceConfig
@@ -78,28 +73,10 @@ def certificates(folder: Path) -> None:
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
-    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-    if program is None:
-        pytest.skip("mosquitto is not installed (apt-get install mosquitto)")
     certificates(tmp_path)
-    port = free_port()
-    lines = [
-        f"listener {port} 127.0.0.1",
-        "allow_anonymous true",
-        f"certfile {tmp_path / 'broker.pem'}",
-        f"keyfile {tmp_path / 'broker.key'}",
-        "user root",
-    ]
-    (tmp_path / "m.conf").write_text("\n".join(lines) + "\n")
-    process = subprocess.Popen([program, "-c", str(tmp_path / "m.conf")], stderr=subprocess.DEVNULL)
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-            break
-        time.sleep(0.02)
-    yield port
-    process.kill()
-    process.wait()
+    tls = [f"certfile {tmp_path / 'broker.pem'}", f"keyfile {tmp_path / 'broker.key'}"]
+    with mosquitto(tmp_path, "allow_anonymous true", *tls) as port:
+        yield port
 
 
 def subscribed(port: int, **section: Any) -> MqttSource:

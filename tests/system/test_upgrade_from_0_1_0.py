@@ -32,7 +32,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.model_release.bearing_loading import load_released_bearings
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released, read_model
-from drivers.opcua.variables import node_map
+from drivers.opcua.cnc import node_map
 from models.control.state import OperatorRequest
 from models.records import Instant, Reference
 from models.thermal.family import model_from_json as thermal_model_from_json

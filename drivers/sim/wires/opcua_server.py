@@ -35,8 +35,8 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import OpcUaConfig
 from config.schema.guard import SHOWN, VACANT_R
 from drivers.opcua.certificates import load_certificate, load_private_key
+from drivers.opcua.cnc import node_map
 from drivers.opcua.log import limit_library_log
-from drivers.opcua.variables import node_map
 from drivers.sim.contract import SimulatedNc
 
 APPLICATION_URI = "urn:toolpoint:simulated-cnc"
