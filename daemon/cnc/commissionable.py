@@ -2,8 +2,9 @@
 
 from config.schema import Configuration
 from config.schema.cnc import CHECK_MISSING
+from drivers.guard.programs import guard_program
 from drivers.guard.speed_text import speed_text_number
-from drivers.guard.text import GuardTextError, guard_program
+from drivers.guard.text import GuardTextError
 
 
 def insecure(configuration: Configuration) -> str:

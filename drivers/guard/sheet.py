@@ -6,6 +6,7 @@ from config.html_page import Section, html_page
 from config.schema import Configuration
 from config.schema.guard import SHARED_MEMORY
 from drivers.guard.check import PER_SECOND
+from drivers.guard.programs import guard_program
 from drivers.guard.text import (
     GUARD_VERSION,
     GuardPrograms,
@@ -14,7 +15,6 @@ from drivers.guard.text import (
     decimal,
     guard_axes,
     guard_digest,
-    guard_program,
 )
 
 SIGNATURES = ("Loaded and compared by", "Tested by", "Released for production by")

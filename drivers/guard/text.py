@@ -9,8 +9,7 @@ from importlib.resources import files
 
 from config.files import sha256_of
 from config.records.commissioning import CHECKING_GUARD, macro_map_digest
-from config.schema import Configuration
-from config.schema.cnc import CHECK_MISSING, MacroMapConfig
+from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, PROGRAMS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
 from drivers.guard.check import PER_SECOND
@@ -91,18 +90,6 @@ class GuardPrograms:
         )
 
 
-def guard_program(configuration: Configuration) -> str:
-    """Return the text of all NC programs for this machine; raises GuardTextError."""
-    cnc = configuration.cnc
-    if cnc.macros.check is None:
-        raise GuardTextError(f"cnc.macros.check {CHECK_MISSING}")
-    if cnc.guard.dialect == "linuxcnc":
-        from drivers.guard.linuxcnc import linuxcnc_text
-
-        return linuxcnc_text(cnc, configuration.compensation.axes, machine=configuration.machine)
-    return guard_text(cnc.macros, configuration.compensation.axes, cnc.guard, machine=configuration.machine)
-
-
 def guard_digest(text: str) -> str:
     """Return the SHA-256 of a text of NC programs, as the commissioning record names it."""
     return sha256_of(text.encode("ascii"))
@@ -134,14 +121,8 @@ def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, 
     return found
 
 
-def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
-    """Return the text of all NC programs: guard, initialise, and where the map has macros for them the others."""
-    if guard.dialect == "linuxcnc":
-        raise GuardTextError("the guard for LinuxCNC needs the pins of cnc.linuxcnc, and is run by LinuxCNC alone")
-    if guard.dialect == "sinumerik":
-        from drivers.guard.sinumerik import sinumerik_text
-
-        return sinumerik_text(macros, axes, guard, machine=machine)
+def fanuc_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
+    """Return the text of all NC programs in custom macro B that the map has macros for; raises GuardTextError."""
     programs = GuardPrograms.of(macros, guard)
     rows = list(axis_rows(macros, axes, guard))
     fields = common_fields(macros, guard, len(rows))

@@ -15,8 +15,9 @@ from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.guard import PROGRAM_LABELS, GuardConfig
 from drivers.guard.check import block_check
+from drivers.guard.programs import guard_program, guard_text
 from drivers.guard.sheet import guard_sheet, sheet_html, sheet_markdown
-from drivers.guard.text import GuardPrograms, GuardStatus, GuardTextError, guard_digest, guard_program, guard_text
+from drivers.guard.text import GuardPrograms, GuardStatus, GuardTextError, guard_digest
 from drivers.sim.nc.custom_macro import compile_programs
 
 GUARD = GuardConfig(increment_mm=0.0001)

@@ -12,7 +12,8 @@ from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.base import FORMS
 from config.schema.temperatures import expand_ranges
-from drivers.guard.text import GuardTextError, guard_program
+from drivers.guard.programs import guard_program
+from drivers.guard.text import GuardTextError
 
 
 def changed(path: str, value: Any) -> str:

@@ -33,7 +33,8 @@ from daemon.commissioning.movement import GUARD_SAYS
 from daemon.commissioning.readings import Instruments, Moment, Reading
 from daemon.commissioning.report import record_digest, report_html
 from daemon.commissioning.session import hand_over, with_secrets
-from drivers.guard.text import GuardStatus, guard_program
+from drivers.guard.programs import guard_program
+from drivers.guard.text import GuardStatus
 
 CONFIGURATION = load_configuration(shipped_file("cfrpmt.yaml"))
 

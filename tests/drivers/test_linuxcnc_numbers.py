@@ -6,7 +6,8 @@ from scripted_machine import cnc_config
 
 from config.schema.compensation import AxisConfig
 from drivers.guard.linuxcnc import linuxcnc_text
-from drivers.guard.text import GuardTextError, guard_text
+from drivers.guard.programs import guard_text
+from drivers.guard.text import GuardTextError
 from drivers.linuxcnc.cnc import program_number, work_offset
 from drivers.linuxcnc_pins import Pins
 

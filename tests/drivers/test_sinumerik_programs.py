@@ -5,7 +5,8 @@ from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
 from config.schema.cnc import RequestMacrosConfig
 from config.schema.guard import VACANT_R, GuardConfig
-from drivers.guard.text import GuardPrograms, GuardStatus, guard_text
+from drivers.guard.programs import guard_text
+from drivers.guard.text import GuardPrograms, GuardStatus
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import SafePointApplication
 from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikError, SinumerikInterpreter, compile_archive

@@ -245,7 +245,8 @@ def _commission(
 
 def _compare_guard(configuration: "Configuration", path: Path) -> None:
     """Say when the guard that is loaded is not the one that this configuration makes."""
-    from drivers.guard.text import GuardTextError, guard_program
+    from drivers.guard.programs import guard_program
+    from drivers.guard.text import GuardTextError
 
     try:
         same = path.read_bytes() == guard_program(configuration).encode("ascii")

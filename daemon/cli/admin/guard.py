@@ -47,9 +47,10 @@ def guard(
     control as it is; it is the very text that the simulated CNC runs. With --sheet the sheet that
     goes with it is written: what to load, check and try, with lines to sign.
     """
+    from drivers.guard.programs import guard_program
     from drivers.guard.sheet import sheet_html, sheet_markdown
     from drivers.guard.speed_text import speed_program
-    from drivers.guard.text import GuardTextError, guard_program
+    from drivers.guard.text import GuardTextError
 
     unchanged = read_configuration(config_path)
     configuration = _with_changes(unchanged, policy, program, dialect)

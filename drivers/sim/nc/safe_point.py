@@ -10,7 +10,8 @@ from functools import lru_cache
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import AxisLetter, GuardAxisConfig, GuardConfig
-from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes, guard_text
+from drivers.guard.programs import guard_text
+from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes
 from drivers.sim.contract import Macros
 from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroProgram, compile_programs
 from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikInterpreter, SinumerikProgram, compile_archive
