@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 import structlog
 
 from config.schema import Configuration
+from daemon.monitor.arrival import too_old
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.snapshots import SnapshotBoard
 from models.quality import Quality
@@ -81,9 +82,9 @@ class ShdrAdapter:
         """Return key -> time and text of everything; a value that may not be used is UNAVAILABLE."""
         thermal, control = self._board.thermal, self._board.control
         found: dict[str, tuple[str, str]] = {}
-        latest = thermal.temperatures
+        latest, old = thermal.temperatures, too_old(thermal, self._configuration)
         for i, sensor in enumerate(self._configuration.temperatures.every_sensor):
-            usable = latest is not None and latest.quality[i] == Quality.GOOD
+            usable = latest is not None and latest.quality[i] == Quality.GOOD and not old
             time_s = math.nan if latest is None else latest.trace.last_byte.utc_s - float(latest.age_s[i])
             degc = float(latest.degc[i]) if latest is not None and usable else math.nan
             found[f"temperature_{sensor.id}"] = (_time(time_s), _number(degc))
@@ -91,8 +92,11 @@ class ShdrAdapter:
         if estimate is not None:
             at = _time(estimate.trace.last_byte.utc_s)
             for i, channel in enumerate(estimate.channels):
-                found[f"estimate_{_key(channel)}_um"] = (at, _number(float(estimate.thermal_error_um[i])))
-            found["confidence"] = (at, _number(estimate.confidence))
+                found[f"estimate_{_key(channel)}_um"] = (
+                    at,
+                    _number(math.nan if old else float(estimate.thermal_error_um[i])),
+                )
+            found["confidence"] = (at, _number(math.nan if old else estimate.confidence))
         now = _time(math.nan)
         columns = (control.thermal_error_um, control.requested_um, control.written_um, control.applied_um)
         for name, column in zip(NUMBERS, columns, strict=True):

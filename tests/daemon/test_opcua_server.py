@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import math
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from opcua_bench import NOW, ROLES, TAGS, OpcUaBench, tag_server, tell
 from scripted_machine import Keys
 
 from daemon.history.reader import HistoryReader
+from daemon.monitor import arrival
 from drivers.opcua.server import subscriptions
 from drivers.opcua.server.encoding import Kind, variant
 from drivers.opcua.server.received import Received
@@ -67,6 +70,25 @@ async def test_every_sensor_is_a_tag_with_quality_source_time_and_where_it_sits(
         sensor = bench.configuration.temperatures.sensors[0]
         assert facts.pop("EngineeringUnits").DisplayName.Text == "°C"
         assert facts == {"Component": sensor.component, "Part": sensor.part, "Label": sensor.label or ""}
+
+
+async def test_no_sensor_is_good_when_every_line_has_gone_silent(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        stale_after_s = bench.configuration.temperatures.cleansing.stale_after_s
+        for ago_s, status in ((0.0, "Good"), (stale_after_s + 1.0, "BadNoData"), (0.0, "Good")):
+            tell(bench, ago_s=ago_s)
+            value = await (await node(client, "temperature.1")).read_data_value(raise_on_bad_status=False)
+            assert value.StatusCode.name == status and (value.Value.Value is not None) is (status == "Good")
+
+
+async def test_time_alone_makes_a_value_too_old(tmp_path, keys, monkeypatch):
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        tell(bench)
+        tag = await node(client, "temperature.1")
+        assert (await tag.read_data_value()).StatusCode.name == "Good"
+        later = bench.configuration.temperatures.cleansing.stale_after_s + 1.0
+        monkeypatch.setattr(arrival, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later))
+        assert (await tag.read_data_value(raise_on_bad_status=False)).StatusCode.name == "BadNoData"
 
 
 async def test_estimate_compensation_and_state_are_tags_and_a_subscriber_hears_of_changes(tmp_path, keys):

@@ -62,6 +62,9 @@ async def test_an_agent_gets_everything_then_what_has_changed_and_its_ping_is_an
             rig.snapshots.thermal, temperatures=temperatures(first_degc=21.75, utc_s=NOW.utc_s + 10.0)
         )
         assert (await heard(reader, "temperature_1")) == {"temperature_1": ("2025-10-09T09:00:10.000Z", "21.750")}
+        old = temperatures(ago_s=rig.configuration.temperatures.cleansing.stale_after_s + 1.0)
+        rig.snapshots.thermal = replace(rig.snapshots.thermal, temperatures=old)
+        assert (await heard(reader, "temperature_1"))["temperature_1"][1] == "UNAVAILABLE", "every line is silent"
         rig.snapshots.control = replace(
             rig.snapshots.control, state=OutputState.FAULT, reason="foreign | value", alarm="look\nat it"
         )

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import shutil
+import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -113,8 +114,9 @@ async def tag_server(directory: Path, keys: Keys, **changes: Any) -> AsyncIterat
             await asyncio.gather(task, waiting, return_exceptions=True)
 
 
-def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s) -> MachineTemperatures:
-    """Five sensors: good, held, out of range, not received, good."""
+def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s, ago_s: float = 0.0) -> MachineTemperatures:
+    """Five sensors: good, held, out of range, not received, good; the cycle ended so long ago."""
+    at = replace(NOW, real_s=time.monotonic() - ago_s)
     return MachineTemperatures(
         line="spindle",
         measured_degc=np.array([first_degc, 99.0, 300.0, np.nan, 20.0]),
@@ -124,7 +126,7 @@ def temperatures(first_degc: float = 21.5, utc_s: float = NOW.utc_s) -> MachineT
             [Reason.NONE, Reason.RATE, Reason.OUT_OF_RANGE, Reason.NOT_RECEIVED, Reason.NONE], dtype=np.uint8
         ),
         age_s=np.array([0.0, 12.0, np.inf, np.inf, 4.0]),
-        trace=Trace(first_byte=NOW, last_byte=replace(NOW, utc_s=utc_s)),
+        trace=Trace(first_byte=at, last_byte=replace(at, utc_s=utc_s)),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from asyncua.ua.status_codes import StatusCodes
 
 from config.schema import Configuration
+from daemon.monitor.arrival import too_old
 from daemon.snapshots import ControlSnapshot, SnapshotBoard, ThermalSnapshot
 from drivers.opcua.server.encoding import NULL, Encoded, Kind, strings, variant
 from drivers.opcua.server.space import (
@@ -63,6 +64,7 @@ class Tags:
         self._values: dict[str, Variable] = {}
         self._channels: dict[str, tuple[Variable, Variable]] = {}
         self._thermal: ThermalSnapshot | None = None
+        self._old = False
         self._control: ControlSnapshot | None = None
         self._text("state.last_refusal", self.machine, "why the latest method call was refused")
 
@@ -116,8 +118,9 @@ class Tags:
     def refresh(self) -> None:
         """Bring every tag up to the latest snapshots."""
         thermal, control = self._board.thermal, self._board.control
-        if thermal is not self._thermal:
-            self._thermal = thermal
+        old = too_old(thermal, self._configuration)
+        if thermal is not self._thermal or old is not self._old:
+            self._thermal, self._old = thermal, old
             self._tell_temperatures(thermal)
             self._tell_estimate(thermal)
         if control is not self._control:
@@ -141,7 +144,9 @@ class Tags:
             self._sensors, latest.degc.tolist(), latest.quality.tolist(), latest.reason.tolist(), times, strict=True
         )
         for tag, degc, quality, reason, time_s in columns:
-            if quality == Quality.GOOD:
+            if self._old:
+                tag.set(NULL, int(STATUSES[Reason.STALE]), time_s)
+            elif quality == Quality.GOOD:
                 tag.set(variant(Kind.DOUBLE, degc), FRESH, time_s)
             elif quality == Quality.HELD and math.isfinite(degc):
                 tag.set(variant(Kind.DOUBLE, degc), HELD, time_s)
@@ -158,11 +163,11 @@ class Tags:
             return
         time_s = estimate.trace.last_byte.utc_s
         for channel, (error, band) in self._channels.items():
-            known = channel in estimate.channels
+            known = channel in estimate.channels and not self._old
             place = estimate.channels.index(channel) if known else 0
             _tell(error, float(estimate.thermal_error_um[place]) if known else math.nan, time_s)
             _tell(band, float(estimate.band_um[place]) if known else math.nan, time_s)
-        _tell(self._values["estimate.confidence"], estimate.confidence, time_s)
+        _tell(self._values["estimate.confidence"], math.nan if self._old else estimate.confidence, time_s)
         self._say("estimate.model", variant(Kind.STRING, estimate.model_id), time_s)
 
     def _tell_control(self, control: ControlSnapshot) -> None:
