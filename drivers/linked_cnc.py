@@ -153,5 +153,7 @@ class LinkedCnc(ABC):
             self._lose(f"{self._name} did not answer within {self._config.timeout_s:g} s while {what}", error)
         except self.wrong_answers as error:
             self._lose(f"{self._name} gave an answer that does not fit while {what}: {error}", error)
+        except UnicodeError as error:  # of a host's name, before anything is sent
+            self._lose(f"{self._name} is no address that can be looked up: see that no dot stands twice", error)
         except OSError as error:
             self._lose(f"{self._name} was lost while {what}: {error}", error)

@@ -59,7 +59,7 @@ class MqttSource(PushedSource):
                 await client.subscribe([(topic, 0) for topic in self._topics])
                 async for message in client.messages:
                     self._take(message)
-        except (aiomqtt.MqttError, OSError, TimeoutError) as error:
+        except (aiomqtt.MqttError, OSError, TimeoutError, UnicodeError) as error:
             raise LinkError(f"{self._where}: {self._why(error)}") from error
         finally:
             with contextlib.suppress(Exception):  # else its pair of sockets stays open until the garbage is collected

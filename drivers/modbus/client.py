@@ -96,7 +96,7 @@ class ModbusClient:
         try:
             async with asyncio.timeout(self._config.timeout_s):
                 connected = await self._client.connect()
-        except (TimeoutError, OSError, ModbusException):
+        except (TimeoutError, OSError, ModbusException, UnicodeError):  # the last of a host's name that is none
             connected = False
         if not connected:
             raise LinkError(f"{self._where} {self._why_not_connected()}")

@@ -270,7 +270,7 @@ class OpcUaCnc:
                 name = ua.StatusCode(error.code).name
                 raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
             self._lose(f"{self._endpoint} reported {ua.StatusCode(error.code).name} while {what}", error)
-        except (OSError, UaError) as error:
+        except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
             self._lose(
                 f"{self._endpoint} was lost while {what}: {error or type(error).__name__}{self._suspicion()}", error
             )

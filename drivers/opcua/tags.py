@@ -60,7 +60,7 @@ class TagSession:
         except TimeoutError as error:
             words = f"{self._where} did not answer within {self._config.timeout_s:g} s while {what}"
             raise LinkError(f"{words}: check address, network, and that the server runs") from error
-        except (OSError, UaError) as error:
+        except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
             raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
 
     async def close(self) -> None:

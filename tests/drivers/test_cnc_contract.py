@@ -28,7 +28,7 @@ from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from drivers import registry
 from drivers.clock import SystemClock
-from drivers.contract import Cnc
+from drivers.contract import Cnc, LinkError
 from drivers.focas.cnc import FocasCnc
 from drivers.haas.cnc import HaasCnc
 from drivers.opcua.cnc import OpcUaCnc
@@ -251,3 +251,14 @@ def test_every_section_with_a_driver_is_the_one_of_its_name() -> None:
     for driver in drivers_of(SourceConfig):
         (section, _) = SourceConfig.model_fields[driver].annotation.__args__  # type: ignore[union-attr]
         assert section.driver == driver
+
+
+@pytest.mark.parametrize("driver", ["opcua", "focas", "haas", "mtconnect"])
+async def test_a_host_that_is_no_address_is_a_lost_link(driver: str) -> None:
+    host = "192.168..1"
+    sections: dict[str, dict[str, str]] = {"mtconnect": {"url": f"http://{host}:5000"}}
+    section = {} if driver == "opcua" else {driver: sections.get(driver, {"host": host})}
+    cnc = registry.CNC_DRIVERS[driver]()(cnc_config(f"opc.tcp://{host}:4840/cnc", **section), SystemClock())
+    with pytest.raises(LinkError, match=re.escape(f"{host}:")):
+        await cnc.connect()
+    await cnc.close()
