@@ -16,8 +16,9 @@ import random
 import sys
 import time
 from collections import Counter, deque
+from collections.abc import Callable, Coroutine, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -27,7 +28,7 @@ sys.path.insert(0, str(SUPPORT))
 from scripted_machine import GROUPS, ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
-from drivers.contract import DriverError  # noqa: E402
+from drivers.contract import Cnc, DriverError  # noqa: E402
 from drivers.focas.cnc import FocasCnc  # noqa: E402
 from drivers.focas.codec import Direction, FocasFormatError, Frame, FrameBuffer, Kind, encode_frame  # noqa: E402
 from drivers.focas.link import FocasLink  # noqa: E402
@@ -38,6 +39,22 @@ NUMBERS = (500, 501, 502, 503, 505)
 KINDS = ("right", "late", "twice", "swapped", "cut", "bits", "tail")
 UNTIL_BAD = 20
 """A link lives for so many exchanges at most before it is disturbed, so that every request is met."""
+
+
+class Counted(Protocol):
+    """What a fuzz counts."""
+
+    frames: Counter[str]
+    taken: int
+    wrong: int
+    nc: ScriptedNc
+
+    async def one_link(self, count: int) -> None: ...
+
+    def spoil_requests(self, count: int) -> None: ...
+
+
+AnyFuzz = TypeVar("AnyFuzz", bound=Counted)
 
 
 class LoopTransport(asyncio.Transport):
@@ -138,9 +155,8 @@ class Fuzz:
                 self._responder.answer(bytes(body))
 
 
-async def fuzz(frames: int, seed: int) -> Fuzz:
-    """Exchange so many frames; returns what was counted."""
-    state = Fuzz(seed)
+async def exchange(state: AnyFuzz, frames: int) -> AnyFuzz:
+    """Exchange so many frames; returns the state with what was counted."""
     count = 0
     while sum(state.frames.values()) < frames:
         count += 1
@@ -150,26 +166,32 @@ async def fuzz(frames: int, seed: int) -> Fuzz:
     return state
 
 
-async def bench_block(writes: int) -> None:
+async def fuzz(frames: int, seed: int) -> Fuzz:
+    """Exchange so many frames; returns what was counted."""
+    return await exchange(Fuzz(seed), frames)
+
+
+async def time_blocks(cnc: Cnc, block: Sequence[int], writes: int) -> None:
     """Print how long a block takes that is written and read back."""
-    server = SimulatedFocasServer(ScriptedNc(), cnc_config(focas={"host": "127.0.0.1"}), port=0)
-    await server.start()
-    config = cnc_config(focas={"host": "127.0.0.1", "port": server.port})
-    cnc = FocasCnc(config, SystemClock())
     await cnc.connect()
     durations_ms = np.empty(writes)
     for index in range(writes):
         started_s = time.perf_counter()
         await cnc.write_macros(GROUPS)
-        await cnc.read_macros(config.macros.block)
+        await cnc.read_macros(block)
         durations_ms[index] = (time.perf_counter() - started_s) * 1e3
-    quantiles = np.quantile(durations_ms, [0.5, 0.99, 0.999])
-    print(
-        "block written and read back  p50 {:.2f}  p99 {:.2f}  p99.9 {:.2f}  max {:.2f} ms".format(
-            *quantiles, durations_ms.max()
-        )
-    )
+    p50, p99, p999 = np.quantile(durations_ms, [0.5, 0.99, 0.999])
+    longest = durations_ms.max()
+    print(f"block written and read back  p50 {p50:.2f}  p99 {p99:.2f}  p99.9 {p999:.2f}  max {longest:.2f} ms")
     await cnc.close()
+
+
+async def bench_block(writes: int) -> None:
+    """Time the blocks over FOCAS2."""
+    server = SimulatedFocasServer(ScriptedNc(), cnc_config(focas={"host": "127.0.0.1"}), port=0)
+    await server.start()
+    config = cnc_config(focas={"host": "127.0.0.1", "port": server.port})
+    await time_blocks(FocasCnc(config, SystemClock()), config.macros.block, writes)
     await server.stop()
 
 
@@ -178,19 +200,24 @@ def _resident_kb() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1024
 
 
-def main() -> None:
-    """Run both."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--writes", type=int, default=5000)
+def main(
+    text: str | None,
+    blocks: Callable[[int], Coroutine[Any, Any, None]],
+    fuzzed: Callable[[int, int], Coroutine[Any, Any, Counted]],
+    writes: int,
+) -> None:
+    """Run both, as the command line says."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--writes", type=int, default=writes)
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     if options.writes:
-        asyncio.run(bench_block(options.writes))
-    asyncio.run(fuzz(2000, options.seed))
+        asyncio.run(blocks(options.writes))
+    asyncio.run(fuzzed(2000, options.seed))
     before_kb = _resident_kb()
     started_s = time.process_time()
-    state = asyncio.run(fuzz(options.frames, options.seed + 1))
+    state = asyncio.run(fuzzed(options.frames, options.seed + 1))
     grown_kb = _resident_kb() - before_kb
     used_s = time.process_time() - started_s
     print(f"{sum(state.frames.values())} frames ({dict(state.frames)}) in {used_s:.0f} s of a core")
@@ -198,4 +225,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, bench_block, fuzz, writes=5000)

@@ -7,21 +7,17 @@ with those of another client, cut or with flipped bits, and requests reach the c
 that were taken for a macro variable that does not hold them.
 """
 
-import argparse
 import asyncio
 import random
 import sys
-import time
 from collections import Counter, deque
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parent.parent / "support")]
 
-from bench_focas import _resident_kb  # noqa: E402
-from scripted_machine import GROUPS, ScriptedNc, cnc_config  # noqa: E402
+from bench_focas import exchange, main, time_blocks  # noqa: E402
+from scripted_machine import ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
 from drivers.contract import DriverError  # noqa: E402
@@ -135,53 +131,17 @@ class Fuzz:
 
 async def fuzz(frames: int, seed: int) -> Fuzz:
     """Exchange so many lines; returns what was counted."""
-    state = Fuzz(seed)
-    count = 0
-    while sum(state.frames.values()) < frames:
-        count += 1
-        await state.one_link(count)
-        state.spoil_requests(10)
-        state.nc.macros.written.clear()
-    return state
+    return await exchange(Fuzz(seed), frames)
 
 
 async def bench_block(writes: int) -> None:
-    """Print how long a block takes that is written and read back."""
+    """Time the blocks over MDC."""
     server = SimulatedHaasServer(ScriptedNc(), cnc_config(haas={"host": "127.0.0.1"}), port=0)
     await server.start()
     config = cnc_config(haas={"host": "127.0.0.1", "port": server.port})
-    cnc = HaasCnc(config, SystemClock())
-    await cnc.connect()
-    durations_ms = np.empty(writes)
-    for index in range(writes):
-        started_s = time.perf_counter()
-        await cnc.write_macros(GROUPS)
-        await cnc.read_macros(config.macros.block)
-        durations_ms[index] = (time.perf_counter() - started_s) * 1e3
-    quantiles = np.quantile(durations_ms, [0.5, 0.99])
-    print("block written and read back  p50 {:.2f}  p99 {:.2f}  max {:.2f} ms".format(*quantiles, durations_ms.max()))
-    await cnc.close()
+    await time_blocks(HaasCnc(config, SystemClock()), config.macros.block, writes)
     await server.stop()
 
 
-def main() -> None:
-    """Run both."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--writes", type=int, default=1000)
-    parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    if options.writes:
-        asyncio.run(bench_block(options.writes))
-    asyncio.run(fuzz(2000, options.seed))
-    before_kb = _resident_kb()
-    started_s = time.process_time()
-    state = asyncio.run(fuzz(options.frames, options.seed + 1))
-    grown_kb = _resident_kb() - before_kb
-    used_s = time.process_time() - started_s
-    print(f"{sum(state.frames.values())} lines ({dict(state.frames)}) in {used_s:.0f} s of a core")
-    print(f"{state.taken} values taken, {state.wrong} for the wrong macro variable; memory grew by {grown_kb:.0f} kB")
-
-
 if __name__ == "__main__":
-    main()
+    main(__doc__, bench_block, fuzz, writes=1000)
