@@ -20,7 +20,7 @@ from models.errors import RefusedInputError
 COMMANDS: Mapping[str, str] = {
     "run": "Run the daemon until SIGTERM or Ctrl-C.",
     "demo": "See compensation at work on a simulated machine.",
-    "simulate": "Simulate one's own machine: any configuration, with a daemon beside it.",
+    "simulate": "Simulate one's own machine, any configuration.",
     "replay": "Play a recording on serial lines and OPC UA.",
     "faults": "Let everything go wrong on the simulated machine.",
     "latency": "Measure the delay from the sensor to the CNC.",

@@ -259,8 +259,8 @@ class Attack(TwinLoop):
         if memory is None or memory.state is not OutputState.HOLD:
             self.held = 0
             return
-        if self.loop.nc.sequence_number != 900:  # the guard is not called, and what was written last waits
-            self.held = 0
+        if self.loop.nc.sequence_number != 900 or not self.loop.nc.reachable:
+            self.held = 0  # the guard is not called, or its block is torn: what was decided before the hold waits
         self.held += 1
         if self.held > HELD_MOMENTS:
             away_um = (np.abs(now_um) - np.abs(self.held_um))[np.array(memory.wanted[OWN_AXES])]
