@@ -61,7 +61,7 @@ async def look(
         if SINUMERIK_NAMESPACE not in browsed.namespaces:
             return browsed, propose(browsed)
         nodes = dict(sinumerik_map((guard or GuardConfig()).shown).nodes)
-        nodes["macro"] = nodes["macro"].format(number=1)
+        nodes["macro"] = nodes["macro"].replace("{number}", "1")
         held = await browser.values_of(SINUMERIK_NAMESPACE, list(nodes.values()))
         values = dict(zip(nodes, held, strict=True))
         missing = tuple(key for key, value in values.items() if value is None)

@@ -146,7 +146,7 @@ class Variables:
         status = ua.StatusCode(ua.UInt32(answer.status))
         if status.value in VACANT:
             return None
-        name = f"macro variable #{number} ({self._macro_pattern.format(number=number)})"
+        name = f"macro variable #{number} ({self._macro_pattern.replace('{number}', str(number))})"
         if not status.is_good():
             raise _unreadable(name, status)
         value = _number(name, answer)
@@ -173,7 +173,7 @@ class Variables:
 
     def _macro_node_id(self, number: int) -> ua.NodeId:
         if number not in self._macros:
-            self._macros[number] = self._node_id("macro", self._macro_pattern.format(number=number))
+            self._macros[number] = self._node_id("macro", self._macro_pattern.replace("{number}", str(number)))
         return self._macros[number]
 
     def _node_id(self, key: str, text: str) -> ua.NodeId:

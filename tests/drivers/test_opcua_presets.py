@@ -18,7 +18,7 @@ from drivers.clock import SystemClock
 from drivers.contract import Capability, LinkError
 from drivers.opcua.cnc import OpcUaCnc, node_map
 from drivers.opcua.sinumerik import FIRST_NAMED, block_number, offset_number, program_number
-from drivers.opcua.variables import FANUC_NODES
+from drivers.opcua.variables import FANUC_NODES, NodeMap, Variables
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun
 
@@ -62,6 +62,11 @@ def test_generic_takes_nothing_for_granted() -> None:
     assert all(key in str(refused.value.errors()[0]["ctx"]["error"].problems) for key in ("mode", "run", "alarm"))
     nodes = OpcUaNodesConfig(mode="i=1", run="i=2", alarm="i=3", macro="i={number}")
     assert node_map(cnc_config(nodes=nodes, preset="generic")).nodes == nodes.model_dump(exclude_none=True)
+
+
+def test_a_name_with_other_braces_is_a_name() -> None:
+    variables = Variables(NodeMap(nodes={"macro": "s=/{unit}/R[{number}]"}), 2)
+    assert variables._macro_node_id(500).Identifier == "/{unit}/R[500]"
 
 
 def test_only_a_sinumerik_has_a_namespace_of_its_own() -> None:

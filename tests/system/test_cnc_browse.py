@@ -80,6 +80,7 @@ def test_the_namespace_with_most_of_them_is_taken() -> None:
         (("http://here",), "name the server"),
         (("opc.tcp://here:1", "-c", str(shipped_file("cfrpmt.yaml"))), "and not both"),
         (("opc.tcp://127.0.0.1:1/x",), "was lost while connecting"),
+        (("opc.tcp://127.0.0.1:1/x", "--timeout-s", "nan"), "nan is not a finite number"),
     ],
 )
 def test_what_cannot_be_browsed_is_refused_with_what_to_do(arguments: tuple[str, ...], words: str) -> None:

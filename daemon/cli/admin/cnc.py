@@ -11,7 +11,17 @@ import click
 import yaml
 
 from config.schema.base import ENDPOINT_PATTERN
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import (
+    FILE,
+    FiniteFloat,
+    config_option,
+    json_option,
+    option,
+    read_configuration,
+    refuse,
+    say,
+    write_json,
+)
 from models.json_values import printable
 
 FAILED = 1
@@ -46,7 +56,7 @@ def probe(config_path: Path, json_path: str | None) -> None:
 @cnc.command()
 @click.argument("url", required=False)
 @option("--config", "-c", "config_path", type=FILE, help="Ask the control of this configuration, as its user.")
-@option("--timeout-s", type=click.FloatRange(0.1), default=5.0, help="Wait so long for each answer [s].")
+@option("--timeout-s", type=FiniteFloat(min=0.1), default=5.0, help="Wait so long for each answer [s].")
 @json_option
 def browse(url: str | None, config_path: Path | None, timeout_s: float, json_path: str | None) -> None:
     """Show the variables of a control's OPC UA server, and propose the map of them to paste.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import yaml
 
-from daemon.cli.common import option, refuse, say
+from daemon.cli.common import FiniteFloat, option, refuse, say
 from drivers.contract import DriverError
 from models.json_values import printable
 
@@ -43,9 +43,9 @@ def units(text: str) -> range:
 @option("--registers", type=click.IntRange(1, 125), default=16, help="Modbus: registers from 0 on to look at.")
 @option("--baud", type=click.IntRange(min=1), default=9600, help="Modbus: baud rate of a serial port.")
 @option("--parity", type=click.Choice(["none", "even", "odd"]), default="none", help="Modbus: its parity.")
-@option("--timeout-s", type=click.FloatRange(0.01), default=0.5, help="Modbus: wait so long for each answer [s].")
+@option("--timeout-s", type=FiniteFloat(min=0.01), default=0.5, help="Modbus: wait so long for each answer [s].")
 @option("--topic", default="#", help="MQTT: listen to this topic; + and # are wildcards.")
-@option("--seconds", type=click.FloatRange(0.1), default=10.0, help="MQTT: listen for so long.")
+@option("--seconds", type=FiniteFloat(min=0.1), default=10.0, help="MQTT: listen for so long.")
 def scan(
     kind: str,
     place: str | None,

@@ -200,7 +200,7 @@ class SimulatedCncServer:
         echo = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
         writable: dict[ua.NodeId, int] = {}
         for number in sorted(macros.allowed.union(macros.block, self._readable)):
-            text = nodes["macro"].format(number=number)
+            text = nodes["macro"].replace("{number}", str(number))
             node_id = await add(text, f"Macro{number}", DOUBLE, _macro_reader(nc, number, self._vacant))
             if self._config.is_sinumerik:
                 await folder.delete_reference(node_id, ObjectIds.HasComponent)
