@@ -1,6 +1,6 @@
 """The reference page of spindle files, made from their schema: `python -m config.machine.spindle_reference`."""
 
-from config.machine.blank_test import BlankTest, ToolLibrary
+from config.machine.blank import BlankTest, ToolLibrary
 from config.machine.spindle import SpindleDescription, shipped_materials, shipped_spindles
 from config.reference import section_tables
 

@@ -16,7 +16,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "support"), str(Path(_
 
 from blank_in_holder import BLANK, HZ, SECOND_M, TOOL, blank_test, holder_on_spindle, noisy, tip  # noqa: E402
 
-from config.machine.blank_test import Blank, BlankResponses, BlankTest  # noqa: E402
+from config.machine.blank import Blank, BlankResponses, BlankTest  # noqa: E402
 from config.machine.spindle import SegmentDescription  # noqa: E402
 from daemon.workbench.dynamics.blanks import blank_summary  # noqa: E402
 from models.dynamics.inverse_coupling import held_stiffness, tool_point_receptance  # noqa: E402

@@ -28,7 +28,7 @@ def blank(
     json_path: str | None,
 ) -> None:
     """Responses at the tips of all TOOLS from one impact TEST on a plain cylinder in the same holder."""
-    from config.machine.blank_test import read_blank, read_tools
+    from config.machine.blank import read_blank, read_tools
     from daemon.workbench.dynamics.blanks import blank_summary, measured_blank
     from daemon.workbench.dynamics.identifying import Band
     from models.dynamics.measurement import MeasurementError

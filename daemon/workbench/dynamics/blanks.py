@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from config.machine.blank_test import Blank
+from config.machine.blank import Blank
 from daemon.workbench.dynamics.identifying import Band
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.beam import ComplexArray, Segment
