@@ -8,6 +8,7 @@ is passed over. Where the agent has forgotten some of them, its present state is
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import NoReturn
+from urllib.parse import quote
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import MtconnectConfig
@@ -153,9 +154,9 @@ class MtconnectCnc(LinkedCnc):
     async def _asked(self, target: str) -> Element:
         """Return the document at a target; raises AgentError for one that tells an error."""
         agent = self._agent
-        below = f"/{self._device.name}" if self._device is not None and self._device.name else ""
+        below = f"/{quote(self._device.name, safe='')}" if self._device is not None and self._device.name else ""
         try:
-            content = await fetch(agent.host, agent.port, f"{agent.path}{below}{target}")
+            content = await fetch(agent.host, agent.port, f"{quote(agent.path, safe='/%')}{below}{target}")
         except ConnectionRefusedError as error:
             sentence = "refuses the connection: check cnc.mtconnect.url, and that the agent runs"
             self._lose(f"{self._name} {sentence}", error)

@@ -27,6 +27,7 @@ from drivers.contract import Capability, FatalDriverError, LinkError, NotSentErr
 from drivers.mtconnect.cnc import MtconnectCnc
 from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device
 from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
+from drivers.sim.wires import mtconnect_agent
 from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
 from models.records import CncMode, CncRun
 
@@ -117,6 +118,15 @@ async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is
         await cnc.read([])
     with pytest.raises(LinkError):
         await cnc.read([])
+    await cnc.close()
+
+
+@pytest.mark.wires
+async def test_a_name_with_letters_that_no_address_has_is_asked_for(bench, monkeypatch):
+    monkeypatch.setattr(mtconnect_agent, "DEVICE", "Fräse 1")
+    cnc = bench.open(section={"device": "Fräse 1"})
+    await cnc.connect()
+    assert (await cnc.read([])).run is CncRun.START
     await cnc.close()
 
 
