@@ -29,6 +29,13 @@ def stranger(path: Path) -> Path:
     content["cnc"] |= {"driver": "focas", "focas": {"host": "192.168.10.20"}}
     del content["cnc"]["opcua"]
     content["compensation"]["axes"]["z"]["estimate"] = "Weg Z"
+    content["shdr"] = {"port": 7878}
+    content["opcua_server"] = {
+        "certificate": "/pki/c.der",
+        "private_key": "/pki/k.pem",
+        "trusted_clients": "/pki/clients",
+    }
+    content.setdefault("service", {})["users"] = "/etc/toolpoint/users"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
 
@@ -55,3 +62,5 @@ def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     assert numbers["error_um"]["z"]["verdict"] == "passed"
     written = yaml.safe_load((tmp_path / "folder" / "toolpoint.yaml").read_text(encoding="utf-8"))
     assert written["cnc"]["driver"] == "focas"
+    for section in ("shdr", "opcua_server"):
+        assert f"{section}: left out" in done.output and section not in written
