@@ -42,7 +42,7 @@ from daemon.spindle_speed.output import SpindleSpeedOutput, open_planner
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
 from daemon.telemetry.latency import line_timings
-from daemon.telemetry.metrics import Telemetry
+from daemon.telemetry.metrics import Telemetry, keep_one_heap
 from daemon.telemetry.sd_notify import ServiceManager
 from drivers.clock import Clock
 from drivers.contract import Cnc
@@ -236,6 +236,7 @@ class Daemon:
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""
+        keep_one_heap()
         self._history.start()
         try:
             with self._parts.hold_cnc(self._configuration.cnc):
@@ -244,10 +245,9 @@ class Daemon:
             await asyncio.to_thread(self._history.close)
 
     async def _run(self) -> None:
-        configuration = self._configuration
         self._report("daemon", "started")
         self._report("model", self._loaded.in_words())
-        scheduler = self._parts.housekeeping(self._history, configuration.history)
+        scheduler = self._parts.housekeeping(self._history, self._configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:
                 loop = asyncio.get_running_loop()
@@ -262,12 +262,12 @@ class Daemon:
                 for job in self._jobs:
                     job.start()
                 self._service_manager.ready("running")
-                log.info("daemon.ready", machine=configuration.machine)
+                log.info("daemon.ready", machine=self._configuration.machine)
                 _collect_what_comes_now()
                 await stop.wait()
                 self._service_manager.stopping()
                 self.control.stop()
-                await asyncio.wait([controlling], timeout=STOP_CALLS * configuration.cnc.timeout_s)
+                await asyncio.wait([controlling], timeout=STOP_CALLS * self._configuration.cnc.timeout_s)
                 for task in (controlling, *running):
                     task.cancel()
         finally:

@@ -269,6 +269,17 @@ def _rounded(series: DelaySeries) -> dict[str, float | int | None]:
     return {key: None if value is None else round(value, 5) for key, value in series.summary().items()}
 
 
+_M_ARENA_MAX = -8
+"""Of `mallopt`, from glibc's malloc.h."""
+
+
+def keep_one_heap() -> None:
+    """Let all threads share one heap (glibc); each would keep what it freed in one of its own. Call before threads."""
+    choose = getattr(ctypes.CDLL(None), "mallopt", None)
+    if choose is not None:
+        choose(_M_ARENA_MAX, 1)
+
+
 def give_memory_back() -> None:
     """Return freed memory to the system, where the C library keeps it and can be asked to (glibc)."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from heaps import thread_heaps
 from wires import EVER, FOREVER_S, check_audit, on_wires
 
 from config.machines import shipped_file
@@ -84,6 +85,7 @@ def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
         assert listed["active"] == 2 and [record["number"] for record in listed["releases"]] == [1, 2]
         back = toolpoint("rollback", "--to", "1", config=config)
         assert back["action"] == "rollback" and back["number"] == 3
+        assert thread_heaps(wires.running.daemon.pid) == 0, "what one thread has freed serves the others"
         wires.check_nothing_broke()
         check_audit(wires.writes(), wires.configuration, begun_s=wires.begun_s())
         said = said_of_models(wires.configuration.history.path, "refused: ")
