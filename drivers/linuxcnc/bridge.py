@@ -15,6 +15,8 @@ from typing import Any
 
 START_S = 0.5
 """LinuxCNC's status is empty for so long at most after its start [s]."""
+COORDINATE_SYSTEMS = (540, 550, 560, 570, 580, 590, 591, 592, 593)
+"""G54 to G59.3 as the status has them among the active codes."""
 
 
 def milltask() -> int:
@@ -33,6 +35,11 @@ def started(process: int) -> int:
     ticks = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19]
     boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     return zlib.crc32(f"{boot}:{ticks}".encode()) & 0x7FFFFFFF
+
+
+def active_system(codes: tuple[int, ...]) -> int:
+    """Return which coordinate system is active, 1 for G54; the status has 0 until it is set for the first time."""
+    return next((number for number, code in enumerate(COORDINATE_SYSTEMS, 1) if code in codes), 0)
 
 
 class Bridge:
@@ -59,6 +66,7 @@ class Bridge:
         if not self.stat.ini_filename:
             raise RuntimeError("LinuxCNC has not begun yet")
         self.clock = first["clock"]
+        self.program = self.stat.file
         self.machine = linuxcnc.ini(self.stat.ini_filename).find("EMC", "MACHINE") or self.stat.ini_filename
 
     def pin(self, kind: str, index: int) -> float:
@@ -75,6 +83,8 @@ class Bridge:
             if found == [self.pin("out", index) for index in outputs]:
                 break
         stat = self.stat
+        if stat.call_level == 0:  # else it is the file of the subroutine that is read, such as the guard's
+            self.program = stat.file
         return {
             "in": [self.pin("in", index) for index in inputs],
             "out": found,
@@ -83,8 +93,8 @@ class Bridge:
             "task_state": stat.task_state,
             "task_mode": stat.task_mode,
             "interp_state": stat.interp_state,
-            "file": stat.file,
-            "offset": stat.g5x_index,
+            "file": self.program,
+            "offset": stat.g5x_index or active_system(stat.gcodes),
             "tool": stat.tool_in_spindle,
             "speed": abs(stat.spindle[0]["speed"]) if stat.spindles else None,
             "position": list(stat.actual_position[:3]),

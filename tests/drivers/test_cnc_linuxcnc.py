@@ -100,6 +100,24 @@ async def test_what_linuxcnc_shows_is_what_a_poll_gives(bench: LinuxcncBench) ->
     await cnc.close()
 
 
+async def test_a_subroutine_in_a_file_of_its_own_is_no_other_program(bench: LinuxcncBench) -> None:
+    part, subroutine = (bench.linuxcnc.directory / name for name in ("o1000.ngc", "wait.ngc"))
+    part.write_text("G21 G90 G54\nG4 P0.1\no<wait> call\nG4 P0.1\nM2\n", encoding="ascii")
+    subroutine.write_text("o<wait> sub\nG4 P0.3\nM66 E0 L0\nG4 P0.1\no<wait> endsub\nM2\n", encoding="ascii")
+    cnc = await connected(bench)
+    await bench.linuxcnc.switch_on()
+    await bench.linuxcnc.do(["mode", "MODE_AUTO"], ["wait"], ["program_open", str(part)], ["wait"])
+    assert (await cnc.read([])).program == 1000
+    await bench.linuxcnc.do(["auto", "AUTO_RUN", 0])
+    samples = []
+    async with asyncio.timeout(20):
+        while not samples or samples[-1].run is not CncRun.RESET:
+            samples.append(await cnc.read([]))
+            await asyncio.sleep(0.01)
+    assert len(samples) > 3 and {(sample.program, sample.work_offset) for sample in samples} == {(1000, 54)}
+    await cnc.close()
+
+
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 async def test_it_does_what_the_daemon_relies_on(bench: LinuxcncBench, check: Check) -> None:
     await check(bench)

@@ -187,9 +187,9 @@ class RealLinuxcnc:
         assert isinstance(position, list)
         return position
 
-    def halcmd(self, *words: str) -> None:
-        """Run halcmd inside."""
-        subprocess.run([*self._inside(), "halcmd", *words], check=True, capture_output=True)
+    def halcmd(self, *words: str) -> str:
+        """Run halcmd inside; return what it prints."""
+        return subprocess.run([*self._inside(), "halcmd", *words], check=True, capture_output=True, text=True).stdout
 
     async def stop(self) -> None:
         """Kill everything."""
