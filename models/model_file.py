@@ -23,6 +23,9 @@ FORMAT_VERSION = 3
 """Version of the layout of a file with a header; older ones have the keys of the model beside the version."""
 HEADER = re.compile(rb'\s*\{\s*"format_version"\s*:\s*3\s*,\s*"family"\s*:\s*"([a-z0-9_-]+)"\s*,')
 
+UNSAID_WHEN_EMPTY = {"pivots_mm"}
+"""Keys that a file has only where they say something: versions before know nothing of them."""
+
 
 class ModelError(RefusedInputError, ValueError):
     """A model is refused; the text names the file, the key, what is wrong and what to do."""
@@ -116,6 +119,7 @@ def file_text(family: str, record: object) -> str:
     or `Packed`.
     """
     fields: dict[str, Any] = TypeAdapter(type(record)).dump_python(record)
+    fields = {key: value for key, value in fields.items() if value or key not in UNSAID_WHEN_EMPTY}
     lines = ",\n".join(f'"{key}": {compact(value)}' for key, value in fields.items())
     text = f'{{\n"format_version": {FORMAT_VERSION},\n"family": "{family}",\n"model": {{\n{lines}\n}},\n'
     return f'{text}"sha256": "{hashlib.sha256(text.encode("ascii")).hexdigest()}"\n}}\n'

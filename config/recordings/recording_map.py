@@ -4,15 +4,26 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import Field, model_validator
 
 from config.loader import load_yaml_model
 from config.schema.base import KeyProblems, Seconds, Section
+from models.recordings.slopes import SLOPE_SUFFIX
 
 UM_PER_UNIT = {"um": 1.0, "mm": 1000.0}
+
+
+class SlopeMap(Section):
+    """A displacement that was measured at several positions of its axis."""
+
+    position: str = Field(min_length=1, description="column that holds the axis position [mm]")
+    pivot_mm: float = Field(
+        allow_inf_nan=False, description="where the slope adds nothing [mm]: the displacement is told for here"
+    )
+    pass_s: Seconds = Field(600.0, description="the axis comes to all positions and back in this time [s]")
 
 
 class RecordingMap(Section):
@@ -49,6 +60,11 @@ class RecordingMap(Section):
     )
     axis_positions: list[str] | None = Field(
         None, min_length=1, description="columns that hold axis positions [mm], if there are any: names or patterns"
+    )
+    slopes: dict[str, SlopeMap] | None = Field(
+        None,
+        description="displacement channels that were measured at several axis positions: each becomes itself at the "
+        "pivot, and a slope along the axis [um/m]",
     )
     decimal: Literal[".", ","] | None = Field(
         None, description="decimal mark; none: a comma is one where it does not separate fields"
@@ -101,6 +117,8 @@ class Columns(Section):
     """Of each displacement."""
     channels: list[str]
     """What each displacement is called."""
+    slopes: dict[str, int]
+    """Column of the axis position by channel, of those that were measured at several positions."""
 
 
 def load_recording_map(path: Path) -> RecordingMap:
@@ -135,6 +153,7 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
             raise ColumnError(
                 key, f"{_listed(header[i] for i in both)} would be {meanings} at once; write narrower patterns"
             )
+    channels = _channels(recording_map.displacement_names or {}, header, displacements)
     return Columns(
         time=time,
         date=date,
@@ -143,8 +162,24 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
         axis_positions=positions,
         displacements=displacements,
         um_per_unit=_um_per_unit(recording_map.displacement_units or {}, header, displacements),
-        channels=_channels(recording_map.displacement_names or {}, header, displacements),
+        channels=channels,
+        slopes=_slopes(recording_map.slopes or {}, header, channels, {*temperatures, *displacements}),
     )
+
+
+def _slopes(
+    slopes: Mapping[str, SlopeMap], header: Sequence[str], channels: Sequence[str], taken: set[int]
+) -> dict[str, int]:
+    found = {}
+    for channel, one in slopes.items():
+        if channel not in channels:
+            raise ColumnError("slopes", f"{channel!r} is no displacement channel; there are {_listed(channels)}")
+        if (name := channel + SLOPE_SUFFIX) in channels:
+            raise ColumnError("slopes", f"{name!r} is what the slope is called; call that column otherwise")
+        found[channel] = _named("slopes", one.position, header)
+        if found[channel] in taken:
+            raise ColumnError("slopes", f"column {one.position!r} is a temperature or displacement already")
+    return found
 
 
 def _um_per_unit(units: Mapping[str, str], header: Sequence[str], displacements: Sequence[int]) -> list[float]:
@@ -199,12 +234,15 @@ def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[s
     return {"speed": present["speed"], **found}
 
 
-def of_displacements(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, dict[str, str] | None]:
-    """Return units and names of displacement columns as far as a file with this header has the columns."""
+def of_displacements(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, Any]:
+    """Return units, names and slopes of displacement columns as far as a file with this header has the columns."""
     units, names = recording_map.displacement_units or {}, recording_map.displacement_names or {}
+    called = {names.get(column, column) for column in header}
+    slopes = recording_map.slopes or {}
     return {
         "displacement_units": {pattern: unit for pattern, unit in units.items() if _matches(pattern, header)} or None,
         "displacement_names": {column: name for column, name in names.items() if column in header} or None,
+        "slopes": {channel: one for channel, one in slopes.items() if channel in called} or None,
     }
 
 

@@ -180,4 +180,9 @@ def model_from_text(
         return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):
         return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
+    if along := sorted(set(channels) & set(model.pivots_mm)):
+        return None, (
+            f"{source}: channel {', '.join(along)} is a slope along an axis [um/m], and the axis that takes it "
+            "(compensation.axes, `estimate`) takes an offset; name the channel of the offset"
+        )
     return model, ""

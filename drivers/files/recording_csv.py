@@ -10,7 +10,7 @@ recording is of.
 import csv
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from config.recordings.recording_map import ColumnError, Columns, RecordingMap, 
 from drivers.contract import FatalDriverError
 from drivers.files.recording_time import SECONDS, TimeReader, time_reader
 from models.recordings.dataset import DatasetError, Recording
+from models.recordings.slopes import SLOPE_SUFFIX, offset_and_slope
 from models.records import FloatArray
 
 __all__ = [
@@ -109,8 +110,9 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
     first_temperature = 0 if columns.speed is None else 1
     inputs = [*columns.temperatures, *columns.axis_positions]
     first_displacement = first_temperature + len(inputs)
+    first_position = first_displacement + len(columns.displacements)
     try:
-        return Recording(
+        recording = Recording(
             name=path.name,
             time_s=time_s,
             speed_rpm=None if columns.speed is None else table[:, 0].copy(),
@@ -118,10 +120,37 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             axis_positions=tuple(header[i] for i in columns.axis_positions),
             temperatures_degc=table[:, first_temperature:first_displacement].copy(),
             displacement_names=tuple(columns.channels),
-            displacements_um=table[:, first_displacement:] * columns.um_per_unit,
+            displacements_um=table[:, first_displacement:first_position] * columns.um_per_unit,
         )
+        return _with_slopes(recording, columns, recording_map, table[:, first_position:])
     except DatasetError as error:
         raise RecordingFileError(f"{path}: {error}") from error
+
+
+def _with_slopes(
+    recording: Recording, columns: Columns, recording_map: RecordingMap, positions_mm: FloatArray
+) -> Recording:
+    """Return the recording in which displacements that were measured along an axis are offset and slope."""
+    if not columns.slopes:
+        return recording
+    names, table = list(recording.displacement_names), recording.displacements_um.copy()
+    slopes: dict[str, FloatArray] = {}
+    pivots_mm = {}
+    for (channel, column), position_mm in zip(columns.slopes.items(), positions_mm.T, strict=True):
+        one, place = (recording_map.slopes or {})[channel], names.index(channel)
+        try:
+            table[:, place], slopes[channel + SLOPE_SUFFIX] = offset_and_slope(
+                recording.time_s, position_mm, table[:, place], pivot_mm=one.pivot_mm, pass_s=one.pass_s
+            )
+        except DatasetError as error:
+            raise DatasetError(f"slopes.{channel}: column {column + 1} ({one.position}): {error}") from error
+        pivots_mm[channel + SLOPE_SUFFIX] = one.pivot_mm
+    return replace(
+        recording,
+        displacement_names=(*names, *slopes),
+        displacements_um=np.column_stack([table, *slopes.values()]),
+        pivots_mm=pivots_mm,
+    )
 
 
 class _opened:
@@ -212,7 +241,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
     """Return times from the first row [s] and the table of speed, temperatures, displacements."""
     columns, header = form.columns, form.header
     speed = [] if columns.speed is None else [columns.speed]
-    wanted = [*speed, *columns.temperatures, *columns.axis_positions, *columns.displacements]
+    wanted = [*speed, *columns.temperatures, *columns.axis_positions, *columns.displacements, *columns.slopes.values()]
     decimal = form.recording_map.decimal or ("." if form.delimiter == "," else None)
     read_time = time_reader(form.recording_map)
     times: list[float] = []

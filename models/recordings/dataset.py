@@ -1,6 +1,7 @@
 """A recording of temperatures and displacements, what may be wrong with it, and its parts."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,6 +36,8 @@ class Recording:
     """Displacements [um], shape (n, n_channels), NaN where missing; raw, as measured."""
     axis_positions: tuple[str, ...] = ()
     """The last of `temperature_names`, when they are axis positions [mm]: inputs of models like temperatures."""
+    pivots_mm: Mapping[str, float] = field(default_factory=dict)
+    """Displacement channels that are slopes along an axis [um/m], and where each adds nothing [mm]."""
     rows_before: int = 0
     """Rows of the file that come before the first one, so that findings name the file's row."""
 
@@ -120,7 +123,12 @@ class Recording:
                 f"there are {', '.join(self.displacement_names)}"
             )
         columns = [self.displacement_names.index(name) for name in names]
-        return replace(self, displacement_names=names, displacements_um=self.displacements_um[:, columns])
+        return replace(
+            self,
+            displacement_names=names,
+            displacements_um=self.displacements_um[:, columns],
+            pivots_mm={name: mm for name, mm in self.pivots_mm.items() if name in names},
+        )
 
     def downsampled(self, period_s: float) -> "Recording":
         """Return block means over `period_s` [s] (see `models.align.block_means`).

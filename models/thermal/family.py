@@ -49,6 +49,11 @@ class ThermalModel(Protocol):
         ...
 
     @property
+    def pivots_mm(self) -> Mapping[str, float]:
+        """Channels that are slopes along an axis [um/m], and where each adds nothing [mm]."""
+        ...
+
+    @property
     def band_um(self) -> FloatArray:
         """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN: nothing was held out."""
         ...

@@ -4,7 +4,7 @@ Features are temperatures, their first-order lags and lagged spindle speed. The 
 reference, telescoped, is the one without lags.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -108,6 +108,8 @@ class LinearParameters:
     test_vectors: tuple[TestVector, ...]
     axis_positions: tuple[str, ...] = ()
     """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
+    pivots_mm: dict[str, float] = field(default_factory=dict)
+    """Channels that are slopes along an axis, so that their unit is um/m, and where each adds nothing [mm]."""
     start: StartDeviation | None = None
     """How wrong it may be while the past is not known; None without lags, and in files of versions before."""
     probing: Wander | None = None
@@ -168,6 +170,10 @@ def _check_names(model: LinearParameters) -> None:
             raise ModelError(key, "is empty; a model needs at least one")
         if twice := sorted({str(item) for item in items if items.count(item) > 1}):
             raise ModelError(key, f"{', '.join(twice)} appears twice")
+    if strange := sorted(set(model.pivots_mm) - set(model.channels)):
+        raise ModelError("pivots_mm", f"{strange[0]} is no channel")
+    if not np.isfinite(list(model.pivots_mm.values())).all():
+        raise ModelError("pivots_mm", "holds a number that is not finite")
     if min(model.sensor_ids) < 1:
         raise ModelError("sensor_ids", f"{min(model.sensor_ids)} is not a sensor ID; they count from 1")
     for key, count in (("sensor_names", len(model.sensor_names)), ("layout.sensors", model.layout.sensors)):

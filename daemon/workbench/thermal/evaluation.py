@@ -232,6 +232,7 @@ def _made(
             training=(),
             sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names),
             increments_k=increment_range_k(recordings),
+            pivots_mm=dict(recordings[0].pivots_mm),
             watch=watch,
         )
     )

@@ -238,6 +238,11 @@ def require_same_columns(recordings: Sequence[Recording]) -> None:
                 raise DatasetError(
                     f"{first.name} and {other.name} have different {kind.replace('_', ' ')}: {', '.join(differing[:8])}"
                 )
+        if first.pivots_mm != other.pivots_mm:
+            raise DatasetError(
+                f"{first.name} and {other.name} tell slopes about different pivots: {dict(first.pivots_mm)} and "
+                f"{dict(other.pivots_mm)}; give one pivot_mm in the map"
+            )
 
 
 def unusable_sensors(inputs: Inputs, rows: BoolArray) -> dict[str, str]:

@@ -42,6 +42,8 @@ class Fitted:
     sensor_ids: tuple[int, ...]
     increments_k: tuple[FloatArray, FloatArray]
     """Lowest and highest increment of each sensor since any earlier instant [K], shape (n_sensors,)."""
+    pivots_mm: dict[str, float]
+    """Channels that are slopes, and where each adds nothing [mm]."""
     watch: SensorWatch | None
     """Of its sensors, where the recipe works on lags, or found that they are not worth it."""
 
@@ -88,6 +90,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         training=fitted.training,
         created=fitted.created,
         axis_positions=inputs.axis_positions,
+        pivots_mm=fitted.pivots_mm,
         start=fit_start(inputs, rows, fit.coefficients) if inputs.layout.lags_min else None,
         test_vectors=tuple(
             TestVector(
@@ -131,6 +134,7 @@ def _telescoped(fitted: Fitted) -> LinearModel:
         period_min=inputs.period_min,
         refused=fitted.trust.refused,
         axis_positions=inputs.axis_positions,
+        pivots_mm=fitted.pivots_mm,
     )
 
 
@@ -154,6 +158,7 @@ def increment_model(
     refused: str | None = None,
     axis_positions: tuple[str, ...] = (),
     probing: Wander | None = None,
+    pivots_mm: dict[str, float] | None = None,
 ) -> LinearModel:
     """Return the telescoped model of increments since the reference: a linear model without lags.
 
@@ -168,7 +173,7 @@ def increment_model(
     test_pairs
         Temperatures now and at the reference [degC], of which test vectors are made, 1, 2 .. hours apart.
     model_id, kind, channels, sensor_ids, sensor_names, band_um, training, created, hyper_parameters, period_min, \
-refused, axis_positions
+refused, axis_positions, pivots_mm
         See `LinearParameters`.
 
     """
@@ -210,6 +215,7 @@ refused, axis_positions
             for hours, (now, then) in enumerate(test_pairs, start=1)
         ),
         axis_positions=axis_positions,
+        pivots_mm=pivots_mm or {},
     )
 
 

@@ -115,6 +115,7 @@ def train_family(
             ),
             sensor_ids=_ids(recordings[0].temperature_names, kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),
+            pivots_mm=dict(used[0].pivots_mm),
             watch=fit_watch(used, sample_s, rows, fold) if watched else None,
         )
     )
