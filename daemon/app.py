@@ -4,6 +4,7 @@ import asyncio
 import gc
 import signal
 from collections.abc import Callable, Coroutine, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +52,7 @@ from models.records import DisplacementSample
 from models.thermal.family import ThermalModel
 
 if TYPE_CHECKING:
+    from config.schema.sinks import SinkConfig
     from daemon.monitor.opcua.serving import OpcUaService
     from daemon.monitor.shdr import ShdrAdapter
     from daemon.spindle_speed.messages import OpenedModel
@@ -114,6 +116,13 @@ def _outlets(
     async def serve_shdr(came_up: Callable[[], None]) -> None:
         await _load_shdr_adapter()(configuration, board).serve(came_up)
 
+    async def watch_sink(sink: "SinkConfig", came_up: Callable[[], None]) -> None:
+        from daemon.sinks.watching import watch  # noqa: PLC0415 (loaded only where it is configured)
+
+        await watch(sink, configuration.history.path, came_up)
+
+    for sink in configuration.sinks or ():
+        yield links.own(f"sink {sink.name}", sink.place, partial(watch_sink, sink))
     if (tags := configuration.opcua_server) is not None:
         yield links.own("opcua_server", f"{tags.host}:{tags.port}", serve_tags)
     if (shdr := configuration.shdr) is not None:
@@ -147,6 +156,7 @@ class Daemon:
             machine=MachineLayout.from_configuration(configuration),
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
+            sinks=[sink.name for sink in configuration.sinks or ()],
         )
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
@@ -327,8 +337,7 @@ class Daemon:
         self._publish_output()
         self._publish_links()
         self.snapshots.jobs = tuple(job.snapshot() for job in self._jobs)
-        problem = self._history_problem
-        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=problem)
+        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
 
     def _publish_links(self) -> None:
         self.snapshots.links = self._links.snapshots()

@@ -53,9 +53,12 @@ class Links:
             "opcua_server": LinkHealth("OPC UA server"),
             "shdr": LinkHealth("SHDR adapter"),
         }
+        sinks = {name: LinkHealth(name) for name in (f"sink {sink.name}" for sink in configuration.sinks or ())}
+        self._own |= sinks
         self.shown = [*self._lines.values(), cnc.health]
-        """Those to the machine, and to the process that plans for it."""
+        """Those to the machine, to the sinks, and to the process that plans for it."""
         self.shown += [health for _, health in self._displacements]
+        self.shown += sinks.values()
         if configuration.spindle_speed is not None:
             self.shown.append(self.planner_health)
         for health in self.shown:

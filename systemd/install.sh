@@ -80,7 +80,7 @@ trap - EXIT
 if [ "$program_only" = no ]; then
     units="$root/etc/systemd/system"
     mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
-    for unit in toolpoint.service toolpoint-release.service toolpoint-release.path; do
+    for unit in toolpoint.service toolpoint-sink.service toolpoint-release.service toolpoint-release.path; do
         sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/$unit"
     done
     cp "$here/systemd/toolpoint.sysusers" "$root/usr/lib/sysusers.d/toolpoint.conf"

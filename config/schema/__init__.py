@@ -10,6 +10,7 @@ from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
 from config.schema.guard import PROGRAM_LABELS
 from config.schema.service import HistoryConfig, OpcUaServerConfig, ServiceConfig, ShdrConfig, SignaturesConfig
+from config.schema.sinks import SinkConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from config.schema.temperatures import TemperaturesConfig
 
@@ -33,6 +34,9 @@ class Configuration(Section):
         None, description="tags and methods over OPC UA for others; none: not served"
     )
     shdr: ShdrConfig | None = Field(None, description="temperatures and state for an MTConnect agent; none: not served")
+    sinks: list[SinkConfig] | None = Field(
+        None, min_length=1, description="systems of others to which the history goes (`toolpoint sink run`); none: off"
+    )
     signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 
     @model_validator(mode="after")
@@ -64,6 +68,10 @@ class Configuration(Section):
             problems.append((("compensation", "output", "validity_s"), sentence))
         problems += self._speed_macros()
         problems += self._positionings()
+        names = [sink.name for sink in self.sinks or ()]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                problems.append((("sinks", index, "name"), f"another sink is called {name} already"))
         if self.opcua_server is not None and self.service.users is None:
             sentence = "is required with opcua_server: nobody could log in (`toolpoint users add NAME` makes the file)"
             problems.append((("service", "users"), sentence))

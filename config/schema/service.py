@@ -34,6 +34,9 @@ class HistoryConfig(Section):
     keep_displacements_days: Days = Field(3650.0, description="displacements are kept this long [d]")
     keep_estimates_days: Days = Field(730.0, description="estimates are kept this long [d]")
     keep_writes_days: Days = Field(3650.0, description="the audit of writes is kept this long [d]")
+    keep_for_sinks_days: Days = Field(
+        30.0, description="what a sink has not taken yet (`sinks`) is kept so much longer, then the oldest goes [d]"
+    )
     backup: BackupConfig | None = Field(None, description="regular back-ups; none: only those that a person makes")
 
 

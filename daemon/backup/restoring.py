@@ -194,6 +194,7 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
             now_ms = time.time_ns() // 1_000_000
             connection.execute("BEGIN IMMEDIATE")
             connection.execute("DELETE FROM state")
+            connection.execute("UPDATE generation SET text = lower(hex(randomblob(16)))")  # sinks begin again
             fault = json.dumps(document_json(OutputFault(reasons=(said,))))
             connection.execute(
                 "INSERT INTO state (key, json, utc_ms) VALUES (?, ?, ?)", (KEYS[OutputFault], fault, now_ms)

@@ -40,6 +40,7 @@ COMMANDS: Mapping[str, str] = {
     "commission": "Prove sign and scale of each axis on the machine.",
     "history": "Show what the daemon has recorded.",
     "export": "Export records as CSV or Parquet.",
+    "sink": "Send the history to other systems; say how far it is.",
     "backup": "Back up history, configuration, models and records.",
     "restore": "Restore a back-up while the daemon is stopped.",
     "thermal": "Train and evaluate thermal models.",
@@ -117,6 +118,10 @@ def _module_of(command: str) -> ModuleType:
             from daemon.cli.operate import history
 
             return history
+        case "sink":
+            from daemon.cli.operate import sink
+
+            return sink
         case "thermal":
             from daemon.cli.thermal import group as thermal_group
 

@@ -1,10 +1,13 @@
 """Housekeeping on the writing connection: packs rows, deletes what is too old, frees pages, makes back-ups."""
 
 import sqlite3
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from config.schema.service import HistoryConfig
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
@@ -18,6 +21,9 @@ from daemon.history.columns.packing import (
 )
 from daemon.history.database import HOUR_MS, HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
+
+if TYPE_CHECKING:
+    from daemon.history.cursors import Position
 
 DAY_MS = 86_400_000
 SLICE_ROWS = 2000
@@ -36,6 +42,8 @@ class HousekeepingReport:
     removed_rows: int = 0
     removed_chunks: int = 0
     freed_pages: int = 0
+    untaken: Counter[str] = field(default_factory=Counter)
+    """Stream -> rows removed that a sink had not taken."""
 
 
 def store_hour(connection: sqlite3.Connection, hour: PackedHour) -> bool:
@@ -49,8 +57,9 @@ def store_hour(connection: sqlite3.Connection, hour: PackedHour) -> bool:
     table, _ = table_of(hour.kind)
     connection.execute("BEGIN IMMEDIATE")
     inserted = connection.execute(
-        "INSERT INTO chunks (kind, layout_id, start_ms, end_ms, row_count, data) VALUES (?, ?, ?, ?, ?, ?)",
-        (hour.kind, hour.layout_id, hour.start_ms, hour.end_ms, hour.row_count, hour.data),
+        "INSERT INTO chunks (kind, layout_id, start_ms, end_ms, row_count, data, last_row_id) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (hour.kind, hour.layout_id, hour.start_ms, hour.end_ms, hour.row_count, hour.data, hour.last_id),
     )
     assert inserted.lastrowid is not None
     _store_extremes(connection, hour, inserted.lastrowid)
@@ -85,30 +94,77 @@ def retention(config: HistoryConfig) -> list[tuple[str, str, float]]:
     ]
 
 
-def tidy(connection: sqlite3.Connection, config: HistoryConfig, now_utc_s: float, report: HousekeepingReport) -> bool:
-    """Remove one slice of what is too old, or give back one slice of free pages; True while there is more."""
+STREAMS_OF_TABLES = {"reference_points": "references"}
+"""Table -> its stream, where that is called otherwise."""
+
+
+def tidy(
+    connection: sqlite3.Connection,
+    config: HistoryConfig,
+    now_utc_s: float,
+    report: HousekeepingReport,
+    held: "Mapping[str, Position] | None" = None,
+) -> bool:
+    """Remove one slice of what is too old, or give back one slice of free pages; True while there is more.
+
+    `held`: what the sinks have taken. What they have not stays longer by `keep_for_sinks_days`; the oldest goes first.
+    """
     for table, kind, keep_days in retention(config):
         cutoff_ms = int(now_utc_s * 1e3 - keep_days * DAY_MS)
-        rows = _delete(connection, table, "utc_ms < ?", (cutoff_ms,), SLICE_ROWS)
-        chunks = _delete(
-            connection, "chunks", "kind = ? AND start_ms < ? AND end_ms < ?", (kind, cutoff_ms, cutoff_ms), SLICE_CHUNKS
-        )
+        stream = kind or STREAMS_OF_TABLES.get(table, table)
+        late_ms = cutoff_ms - int(config.keep_for_sinks_days * DAY_MS)
+        for too_old, untaken in _too_old(table, None if held is None else held.get(stream), cutoff_ms, late_ms):
+            rows = _delete(connection, table, too_old, SLICE_ROWS, "1")
+            chunks = _delete(connection, "chunks", too_old | {"kind": kind}, SLICE_CHUNKS, "row_count")
+            report.removed_rows += len(rows)
+            report.removed_chunks += len(chunks)
+            if untaken and rows + chunks:
+                report.untaken[stream] += sum(rows + chunks)
+            if len(rows) == SLICE_ROWS or len(chunks) == SLICE_CHUNKS:
+                return True
         connection.execute(
             "DELETE FROM extremes WHERE kind = ? AND layout_id IN (SELECT layout_id FROM layouts UNION SELECT 0) "
-            "AND hour_ms < ? AND hour_ms >= 0",
+            "AND hour_ms < ? AND hour_ms >= 0 AND NOT EXISTS (SELECT 1 FROM chunks AS c "
+            "WHERE c.chunk_id = extremes.chunk_id AND c.kind = extremes.kind)",
             (kind, cutoff_ms // HOUR_MS * HOUR_MS),
         )
-        report.removed_rows += rows
-        report.removed_chunks += chunks
-        if rows == SLICE_ROWS or chunks == SLICE_CHUNKS:
-            return True
     return _vacuum(connection, report)
 
 
-def _delete(connection: sqlite3.Connection, table: str, condition: str, parameters: tuple[object, ...], n: int) -> int:
-    return connection.execute(
-        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} WHERE {condition} LIMIT {n})", parameters
-    ).rowcount
+def _too_old(
+    table: str, held: "Position | None", cutoff_ms: int, late_ms: int
+) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Yield what may go, the values of `_delete`, and whether a sink has not taken it."""
+    everything = {"row": 2**62, "chunk": 2**62, "needed_ms": 2**62, "row_id": _row_id(table)}
+    if held is None:
+        yield everything | {"cutoff_ms": cutoff_ms}, False
+        return
+    needed_ms = 2**62 if held.needed_from_ms is None else held.needed_from_ms
+    taken = {"row": held.row, "chunk": held.chunk, "needed_ms": needed_ms}
+    yield everything | taken | {"cutoff_ms": cutoff_ms}, False
+    yield everything | {"cutoff_ms": late_ms}, True
+
+
+def _row_id(table: str) -> str:
+    return "write_id" if table == WRITES.table else "id"
+
+
+def _delete(
+    connection: sqlite3.Connection, table: str, too_old: Mapping[str, Any], limit: int, returning: str
+) -> list[int]:
+    """Delete a slice of rows or chunks; return a number for each."""
+    condition = f"utc_ms < :cutoff_ms AND utc_ms < :needed_ms AND {too_old['row_id']} <= :row"
+    if table == "chunks":
+        condition = (
+            "kind = :kind AND start_ms < :cutoff_ms AND end_ms < :cutoff_ms AND end_ms < :needed_ms "
+            "AND CASE WHEN last_row_id IS NULL THEN chunk_id <= :chunk ELSE last_row_id <= :row END"
+        )
+    found = connection.execute(
+        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} WHERE {condition} LIMIT {limit}) "
+        f"RETURNING {returning}",
+        too_old,
+    )
+    return [number for (number,) in found.fetchall()]
 
 
 def _vacuum(connection: sqlite3.Connection, report: HousekeepingReport) -> bool:

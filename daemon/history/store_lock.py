@@ -149,6 +149,8 @@ class StoreIdentity:
             states = [*(kept if lost else ()), (KEY, json.dumps(self._id), now_ms)]
             connection.execute("BEGIN IMMEDIATE")
             connection.executemany(PUT_STATE, states)
+            if lost:  # rows may get numbers once more that sinks have taken already
+                connection.execute("UPDATE generation SET text = lower(hex(randomblob(16)))")
             connection.execute("COMMIT")
         if not lost:
             return ""

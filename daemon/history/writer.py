@@ -4,11 +4,11 @@ import asyncio
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import aclosing
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from config.schema.service import HistoryConfig
 from daemon.history import rows
@@ -37,6 +37,11 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
+
+if TYPE_CHECKING:
+    from daemon.history.cursors import Position
+
+    Held = Mapping[str, Position] | None
 
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
@@ -73,7 +78,7 @@ class HistoryWriter:
 
     The callbacks run in the writer's thread: `on_acknowledged(line, number)` after the commit that
     holds the cycle has returned, `on_problem(sentence)` when the store cannot be written, and
-    `on_problem("")` when it works again.
+    `on_problem("")` when it works again. What one of the `sinks` has not taken yet is kept longer.
     """
 
     def __init__(
@@ -85,8 +90,9 @@ class HistoryWriter:
         on_acknowledged: Callable[[str, int], None] = lambda _line, _number: None,
         on_problem: Callable[[str], None] = lambda _problem: None,
         queue_limit: int = QUEUE_LIMIT,
+        sinks: Sequence[str] = (),
     ) -> None:
-        self.path = path
+        self.path, self._sinks = path, sinks
         self._clock = clock
         self._machine = machine
         self._intake = Intake(queue_limit)
@@ -308,16 +314,36 @@ class HistoryWriter:
             return None
         async with self._housekeeping:
             report = HousekeepingReport()
-            now_utc_s = self._clock.now().utc_s
             try:
-                async with aclosing(packed_hours(self.path, config, now_utc_s)) as hours:
-                    async for hour in hours:
-                        await self.submit(partial(_store, hour, report))
-                while await self.submit(partial(tidy, config=config, now_utc_s=now_utc_s, report=report)):
-                    pass
+                await _pack_and_prune(self, config, self._clock.now().utc_s, self._sinks, report)
             except (OSError, sqlite3.Error, ValueError) as error:
                 self._engine.report(f"{self.path}: housekeeping is put off: {cause_in_words(error)}")
             return report
+
+
+async def _pack_and_prune(
+    history: HistoryWriter, config: HistoryConfig, now_utc_s: float, sinks: Sequence[str], report: HousekeepingReport
+) -> None:
+    """Pack what is old enough, remove what is too old and waits for no sink, say what a sink has missed."""
+    async with aclosing(packed_hours(history.path, config, now_utc_s)) as hours:
+        async for hour in hours:
+            await history.submit(partial(_store, hour, report))
+    held: Held = None
+    if sinks:
+        from daemon.history.cursors import held_positions  # noqa: PLC0415 (loaded only where there are sinks)
+
+        held = await history.submit(partial(held_positions, history.path, sinks))
+    while await history.submit(partial(tidy, config=config, now_utc_s=now_utc_s, report=report, held=held)):
+        pass
+    for stream, count in report.untaken.items():
+        history.event("sinks", _untaken_in_words(stream, count), "daemon")
+
+
+def _untaken_in_words(stream: str, count: int) -> str:
+    return (
+        f"{count} rows of {stream} that a sink has not taken were deleted, the oldest first: they had waited for it "
+        "longer than history.keep_for_sinks_days; `toolpoint sink status` says what keeps the sink from taking more"
+    )
 
 
 def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Connection) -> None:

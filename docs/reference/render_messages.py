@@ -67,6 +67,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/opcua/server/settings.py",
         "drivers/opcua/server/wire.py",
     ),
+    "Sinks: the history in other systems": ("daemon/sinks/watching.py", "daemon/sinks/postgresql_refusals.py"),
     "The history store": (
         "daemon/history/engine.py",
         "daemon/history/writer.py",

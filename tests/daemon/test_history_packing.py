@@ -256,7 +256,7 @@ def test_file_gives_back_what_retention_freed(tmp_path: Path) -> None:
         connection.execute("BEGIN")
         blob = bytes(40_000)
         for k in range(600):
-            connection.execute("INSERT INTO chunks VALUES (NULL, 'cnc', 0, ?, ?, 1, ?)", (k, k, blob))
+            connection.execute("INSERT INTO chunks VALUES (NULL, 'cnc', 0, ?, ?, 1, ?, NULL)", (k, k, blob))
         connection.execute("COMMIT")
 
     writer.submit(fill_pages).result(FOREVER_S)

@@ -3,45 +3,13 @@
 import asyncio
 import contextlib
 import ssl
-from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
+from certificates import HOST, make_certificate
 from monitor_bench import accounts_file, monitor
 
 from daemon.monitor import passwords
 from daemon.monitor.web import access
-
-HOST = "mill-7.hall"
-
-
-def make_certificate(folder):
-    """Write a certificate of its own authority, and its key; return what trusts it."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, HOST)])
-    names = [x509.DNSName(HOST), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
-    now = datetime.now(UTC)
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - timedelta(days=1))
-        .not_valid_after(now + timedelta(days=1))
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .sign(key, hashes.SHA256())
-    )
-    (folder / "monitor.crt").write_bytes(made.public_bytes(serialization.Encoding.PEM))
-    secret = key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
-    (folder / "monitor.key").write_bytes(secret)
-    return ssl.create_default_context(cafile=str(folder / "monitor.crt"))
 
 
 @contextlib.asynccontextmanager

@@ -81,6 +81,7 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     placed = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
     assert placed == {
         "etc/systemd/system/toolpoint.service",
+        "etc/systemd/system/toolpoint-sink.service",
         "etc/systemd/system/toolpoint-release.service",
         "etc/systemd/system/toolpoint-release.path",
         "usr/lib/sysusers.d/toolpoint.conf",
@@ -88,7 +89,7 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
         "etc/udev/rules.d/60-toolpoint.rules",
     }
 
-    for unit in ("toolpoint.service", "toolpoint-release.service"):
+    for unit in ("toolpoint.service", "toolpoint-sink.service", "toolpoint-release.service"):
         text = (root / "etc/systemd/system" / unit).read_text("utf-8")
         assert f"ExecStart={prefix}/current/bin/toolpoint" in text and "/opt/toolpoint" not in text
 

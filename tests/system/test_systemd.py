@@ -12,6 +12,7 @@ import pytest
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNIT = SYSTEMD / "toolpoint.service"
 RELEASE = SYSTEMD / "toolpoint-release.service"
+SINK = SYSTEMD / "toolpoint-sink.service"
 MOST_EXPOSURE = 1.6
 
 
@@ -27,7 +28,9 @@ def settings(name: str, unit: Path = UNIT) -> list[str]:
     return [line.partition("=")[2] for line in lines if line.startswith(f"{name}=")]
 
 
-@pytest.mark.parametrize("name", ["toolpoint.service", "toolpoint-release.service", "toolpoint-release.path"])
+@pytest.mark.parametrize(
+    "name", ["toolpoint.service", "toolpoint-sink.service", "toolpoint-release.service", "toolpoint-release.path"]
+)
 def test_unit_is_understood(tmp_path: Path, name: str) -> None:
     program = Path(sys.executable).with_name("toolpoint")
     for path in SYSTEMD.glob("toolpoint*.*"):
@@ -44,7 +47,7 @@ def test_unit_is_understood(tmp_path: Path, name: str) -> None:
     assert (verified.returncode, own) == (0, [])
 
 
-@pytest.mark.parametrize("unit", [UNIT, RELEASE], ids=lambda unit: unit.stem)
+@pytest.mark.parametrize("unit", [UNIT, RELEASE, SINK], ids=lambda unit: unit.stem)
 def test_unit_is_hardened(unit: Path) -> None:
     judged = subprocess.run(
         [tool("systemd-analyze"), "security", "--offline=true", "--no-pager", str(unit)],
@@ -70,6 +73,12 @@ def test_the_daemon_has_a_user_of_its_own_and_the_release_another() -> None:
     assert settings("SystemCallFilter")[-1] == "setpriority", "packing and back-ups lower their priority"
     users = (SYSTEMD / "toolpoint.sysusers").read_text("utf-8").splitlines()
     assert not [line for line in users if line.split()[:2] in (["u", "toolpoint"], ["g", "toolpoint"])]
+
+
+def test_the_sinks_read_the_daemons_store_as_its_user_and_come_after_it() -> None:
+    assert settings("User", SINK) == settings("User") and settings("StateDirectory", SINK) == settings("StateDirectory")
+    assert int(settings("CPUWeight", SINK)[0]) < int(settings("CPUWeight")[0])
+    assert int(settings("OOMScoreAdjust", SINK)[0]) > 0 > int(settings("OOMScoreAdjust")[0])
 
 
 def test_secrets_reach_the_daemon_as_credentials() -> None:

@@ -1,0 +1,57 @@
+"""What a sink does, and how it says that it cannot."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from daemon.history.cursors import Cursor, Position
+from daemon.sinks.outbox import Batch, Outbox
+
+
+class SinkError(Exception):
+    """Nothing can be sent now; the text says why and what to do. It is tried again."""
+
+
+class Sink(Protocol):
+    """One system that takes rows. A new one is made after every SinkError."""
+
+    def open(self, cursor: Cursor) -> Mapping[str, Position]:
+        """Connect; return how far each stream was taken: as the system says or, where it cannot, the cursor."""
+        ...
+
+    def transfer(self, outbox: Outbox, progress: "Progress") -> bool:
+        """Send one piece of what waits and note what was acknowledged; True while there may be more."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the system."""
+        ...
+
+
+@dataclass(slots=True, kw_only=True)
+class Progress:
+    """The cursor of a sink as it moves; `save` puts it into its file."""
+
+    cursor: Cursor
+    save: Callable[[Cursor], None]
+
+    def position(self, stream: str) -> Position:
+        """Return how far a stream was taken."""
+        return self.cursor.positions.get(stream, Position())
+
+    def acknowledged(self, stream: str, after: Position, newest_utc_s: float, *, sent: int, stored: int) -> None:
+        """Note that the sink has taken everything up to a position."""
+        before = self.cursor
+        newest = max(newest_utc_s, before.newest_utc_s.get(stream, newest_utc_s))
+        self.cursor = replace(
+            before,
+            positions={**before.positions, stream: after},
+            newest_utc_s={**before.newest_utc_s, stream: newest},
+            sent_rows=before.sent_rows + sent,
+            stored_rows=before.stored_rows + stored,
+        )
+        self.save(self.cursor)
+
+    def took(self, batch: Batch, stored: int) -> None:
+        """Note that the sink has taken a batch, of which it had not had `stored` rows before."""
+        self.acknowledged(batch.stream.name, batch.after, batch.newest_utc_s, sent=len(batch.rows), stored=stored)

@@ -1,0 +1,47 @@
+"""What a database that refuses means for a person: which key of the configuration to look at."""
+
+from pathlib import Path
+
+from psycopg import errors
+
+from config.schema.sinks import PostgresqlConfig
+
+HINTS = {
+    "password authentication failed": "check `user_name` and `password_file`",
+    "no password supplied": "the server asks for a password: give `password_file`",
+    "pg_hba.conf": "let this computer in on the server (pg_hba.conf), and check `tls` and `user_name`",
+    "certificate verify failed": "its certificate is none that `ca_certificate` vouches for",
+    "server certificate for": "`host` must be a name in its certificate",
+    "does not support ssl": "the server has no TLS: switch it on there, or set `tls: false`",
+    "resolve host": "no address is known for `host`: check `host`",
+    "translate host": "no address is known for `host`: check `host`",
+    "connection refused": "check `host`, `port`, and that the server runs",
+    "timeout expired": "check `host`, `port` and the network",
+    "role ": "the server does not know the role: check `user_name`",
+    "database ": "the server has no such database: check `database`",
+}
+"""What the server or the library says -> what to do, the first that fits."""
+
+
+def refusal(error: Exception, config: PostgresqlConfig) -> str:
+    """Return what went wrong, and what to do."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, errors.InsufficientPrivilege):
+        return f"`user_name` {config.user_name} may not do this ({text}): let it create in `database`"
+    if isinstance(error, errors.DiskFull):
+        return f"its disk is full ({text}): free space on the server"
+    remedy = next((remedy for sign, remedy in HINTS.items() if sign in text.lower()), "it is tried again")
+    return f"{text}: {remedy}"
+
+
+def newer_schema(there: int, known: int) -> str:
+    """Return that the database was brought up to date by a version that comes after this one."""
+    return (
+        f"its schema has version {there}, this version of toolpoint knows up to {known}; install the newer version on "
+        "this computer too, or give another `database`"
+    )
+
+
+def unreadable(key: str, path: Path, error: object) -> str:
+    """Return that a file which the configuration names cannot be used."""
+    return f"`{key}` {path} cannot be read ({error}): check the path, and that the service may read it"

@@ -1,0 +1,183 @@
+"""Runs the sinks, each in a thread of its own: what one of them waits for keeps no other back."""
+
+import fcntl
+import random
+import sqlite3
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from config.schema import Configuration
+from config.schema.sinks import SinkConfig
+from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.history.database import HistoryError
+from daemon.sinks.contract import Progress, Sink, SinkError
+from daemon.sinks.outbox import STREAMS, Outbox
+from daemon.sinks.watching import SILENT_AFTER_S
+
+log = structlog.get_logger(__name__)
+RETRY_FIRST_S = 1.0
+RETRY_LONGEST_S = 60.0
+ALIVE_PERIOD_S = 30.0
+"""How often a sink with nothing to send says that it runs."""
+STOP_WITHIN_S = 10.0
+OpenSink = Callable[[SinkConfig, str], Sink]
+
+
+def make_sink(config: SinkConfig, machine: str) -> Sink:
+    """Return the sink that a section describes; its library is loaded here."""
+    from daemon.sinks.postgresql import PostgresqlSink  # noqa: PLC0415
+
+    return PostgresqlSink(config, machine)
+
+
+class SinkRunner:
+    """Sends what waits to one sink until it is told to stop, however often that fails."""
+
+    def __init__(
+        self,
+        config: SinkConfig,
+        store: Path,
+        machine: str,
+        stop: threading.Event,
+        open_sink: OpenSink = make_sink,
+        wait: Callable[[float], object] | None = None,
+    ) -> None:
+        """`wait` lets time pass; without it the computer's, cut short by `stop`."""
+        self._config, self._store, self._machine = config, store, machine
+        self._stop, self._open_sink = stop, open_sink
+        self._wait = wait or stop.wait
+        self._path = cursor_path(store, config.name)
+        self._retry_s = RETRY_FIRST_S
+        self._progress = Progress(cursor=Cursor.read(self._path) or Cursor(), save=self._save)
+
+    @property
+    def cursor(self) -> Cursor:
+        """How far it is, and how it fares."""
+        return self._progress.cursor
+
+    def run(self) -> None:
+        """Work until stopped."""
+        while not self._stop.is_set():
+            try:
+                self._session()
+            except (SinkError, HistoryError) as error:
+                self._failed(str(error))
+            except (OSError, sqlite3.Error) as error:
+                self._failed(f"sink {self._config.name}: {error}")
+            except Exception as error:
+                log.exception("sink.defect", sink=self._config.name)
+                self._failed(f"sink {self._config.name}: unexpected {type(error).__name__}: {error}")
+
+    def _session(self) -> None:
+        """Connect, then send until something fails or the end."""
+        with Outbox(self._store) as outbox:
+            self._begin_anew_where_needed(outbox)
+        sink = self._open_sink(self._config, self._machine)
+        try:
+            there = dict(sink.open(self.cursor))
+            self._progress.cursor = replace(self.cursor, positions=there)
+            while not self._stop.is_set():
+                more = False
+                with Outbox(self._store) as outbox:
+                    self._begin_anew_where_needed(outbox)
+                    more = sink.transfer(outbox, self._progress)
+                self._went_well()
+                if not more:
+                    self._wait(self._config.period_s)
+        finally:
+            sink.close()
+
+    def _begin_anew_where_needed(self, outbox: Outbox) -> None:
+        """Send everything again from a store that was begun anew, restored, or is an older copy."""
+        generation, cursor = outbox.generation(), self.cursor
+        positions = dict(cursor.positions) if cursor.generation == generation else {}
+        for name, stream in STREAMS.items():
+            positions[name] = outbox.start(stream, positions.get(name, Position()))
+        if cursor.generation != generation or positions != cursor.positions:
+            self._progress.cursor = replace(cursor, generation=generation, positions=positions)
+
+    def _save(self, cursor: Cursor) -> None:
+        now_utc_s = time.time()
+        self._progress.cursor = replace(cursor, acknowledged_utc_s=now_utc_s, alive_utc_s=now_utc_s, problem="")
+        self.cursor.write(self._path)
+
+    def _went_well(self) -> None:
+        self._retry_s = RETRY_FIRST_S
+        if self.cursor.problem or not 0.0 <= time.time() - self.cursor.alive_utc_s < ALIVE_PERIOD_S:
+            if self.cursor.problem:
+                log.info("sink.works_again", sink=self._config.name)
+            self._progress.cursor = replace(self.cursor, problem="", alive_utc_s=time.time())
+            self.cursor.write(self._path)
+
+    def _failed(self, problem: str) -> None:
+        if problem != self.cursor.problem:
+            log.warning("sink.failed", sink=self._config.name, problem=problem)
+        self._progress.cursor = replace(self.cursor, problem=problem, alive_utc_s=time.time())
+        try:
+            self.cursor.write(self._path)
+        except OSError as error:
+            log.error("sink.cursor", path=str(self._path), problem=str(error))
+        self._wait(self._retry_s * random.uniform(0.8, 1.2))
+        self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
+
+
+def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
+    """Run every sink of a configuration until `stop` is set; raises HistoryError when another process does."""
+    store = configuration.history.path
+    folder = cursor_path(store, "").parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w")
+    except OSError as error:
+        raise HistoryError(f"{folder}: cannot be written ({error.strerror}); run this as the daemon's user") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise HistoryError(
+                f"{store}: another process sends this store to its sinks; stop that one first"
+            ) from error
+        runners = [SinkRunner(each, store, configuration.machine, stop) for each in configuration.sinks or ()]
+        threads = [threading.Thread(target=each.run, name="sink", daemon=True) for each in runners]
+        for thread in threads:
+            thread.start()
+        stop.wait()
+        for thread in threads:
+            thread.join(STOP_WITHIN_S)
+
+
+def sink_status(configuration: Configuration, now_utc_s: float) -> list[dict[str, Any]]:
+    """Return per sink what it has taken, what waits for it, and what keeps it from taking more."""
+    return [_status(configuration, each, now_utc_s) for each in configuration.sinks or ()]
+
+
+def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) -> dict[str, Any]:
+    path = cursor_path(configuration.history.path, config.name)
+    cursor = Cursor.read(path) or Cursor()
+    with Outbox(configuration.history.path) as outbox:
+        same = cursor.generation == outbox.generation()
+        positions = cursor.positions if same else {}
+        found = {name: outbox.waiting(each, positions.get(name, Position())) for name, each in STREAMS.items()}
+    oldest = [time_s for _, time_s in found.values() if time_s is not None]
+    return {
+        "name": config.name,
+        "driver": config.driver,
+        "place": config.place,
+        "running": 0.0 <= now_utc_s - cursor.alive_utc_s < SILENT_AFTER_S,
+        "problem": cursor.problem,
+        "acknowledged_utc_s": cursor.acknowledged_utc_s,
+        "rows": {
+            "sent": cursor.sent_rows,
+            "stored": cursor.stored_rows,
+            "repeated": cursor.sent_rows - cursor.stored_rows,
+            "waiting": {name: count for name, (count, _) in found.items() if count},
+        },
+        "oldest_waiting_utc_s": min(oldest, default=None),
+        "newest_utc_s": dict(cursor.newest_utc_s),
+    }

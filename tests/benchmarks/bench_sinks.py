@@ -1,0 +1,120 @@
+"""What a sink costs: sending a day of a full machine, the room that it takes there, and the sender that only waits.
+
+python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20]
+
+A machine of 302 sensors on three lines every 10 s with noise of one step, a poll of the CNC every second, an estimate,
+a write and displacements every 10 s. PostgreSQL is a server of its own on this computer.
+"""
+
+import argparse
+import resource
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+
+import history_records as make
+import numpy as np
+from history_records import EPOCH_S, FULL, StillClock
+from postgresql import PASSWORD, Server, postgresql
+
+from config.schema.service import HistoryConfig
+from config.schema.sinks import SinkConfig
+from daemon.history import HistoryWriter, housekeeping
+from daemon.history.cursors import Cursor
+from daemon.sinks.running import SinkRunner
+
+
+def processor_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def fill(store: Path, hours: float) -> None:
+    """A machine that warms up, with one step of noise."""
+    random = np.random.default_rng(1)
+    writer = HistoryWriter(store, clock=StillClock(), machine=FULL)
+    writer.start()
+    with closing(writer):
+        for k in range(int(hours * 360)):
+            now_s = EPOCH_S + 10.0 * k
+            writer._clock.utc_s = now_s
+            for line, members in FULL.lines.items():
+                warm = 20.0 + 10.0 * (1.0 - np.exp(-k / 1000.0)) * np.linspace(0.2, 1.0, len(members))
+                degc = np.round((warm + random.normal(0.0, 0.04, len(members))) / 0.0625) * 0.0625
+                writer.temperatures(None, make.cycle(line, k + 1, now_s, degc))
+            for second in range(10):
+                writer.cnc_sample(make.cnc_sample(now_s + second, macros={600: k / 1e3, 601: k / 2e3, 602: 0.0}))
+            um = np.round(random.normal(0.0, 0.1, 3) + k / 100.0, 3)
+            writer.estimate(make.estimate(now_s + 2.0, um))
+            written = make.macros(k + 1, um)
+            write_id = writer.write_intent(make.command(um), written, "cycle")
+            writer.write_outcome(write_id, make.receipt(now_s, written))
+            writer.displacement(make.displacement(now_s, np.round(random.normal(0.0, 1.0, 5), 2)))
+            if k % 500 == 499:
+                writer.event("note", "filling").result(60.0)
+    housekeeping(store, HistoryConfig(), EPOCH_S + hours * 3600.0)
+
+
+def send(config: SinkConfig, store: Path, wait: Callable[[threading.Event], Callable[[float], object]]) -> Cursor:
+    stop = threading.Event()
+    runner = SinkRunner(config, store, "mill", stop, wait=wait(stop))
+    runner.run()
+    assert runner.cursor.problem == "", runner.cursor.problem
+    return runner.cursor
+
+
+def into_postgresql(server: Server, store: Path, folder: Path, hours: float, waiting_s: float) -> None:
+    (folder / "password").write_text(PASSWORD)
+    there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
+    config = SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": there})
+    began_s, used_s = time.monotonic(), processor_s()
+    cursor = send(config, store, lambda stop: lambda _duration_s: stop.set())
+    took_s, used_s = time.monotonic() - began_s, processor_s() - used_s
+    print(
+        f"sent {cursor.sent_rows} rows of {hours:g} h in {took_s:.1f} s, {used_s:.1f} s of processor time of the sender"
+    )
+    print(f"  that is {took_s / hours / 36.0:.2f} % of the time in which they were recorded")
+    with server.connection() as connection:
+        connection.execute("VACUUM (ANALYZE)")
+    (size,) = server.ask(
+        "SELECT sum(pg_total_relation_size(c.oid))::bigint FROM pg_class AS c JOIN pg_namespace AS n "
+        "ON n.oid = c.relnamespace WHERE n.nspname = 'toolpoint' AND c.relkind = 'r'"
+    )[0]
+    print(f"  {size / 2**20:.1f} MiB in the database with its indexes, {size * 8766 / hours / 2**30:.1f} GiB per year")
+    used_s, began_s = processor_s(), time.monotonic()
+
+    def waiting(stop: threading.Event) -> Callable[[float], object]:
+        def wait(duration_s: float) -> None:
+            if time.monotonic() - began_s > waiting_s:
+                stop.set()
+            time.sleep(duration_s)
+
+        return wait
+
+    send(config, store, waiting)
+    took_s = time.monotonic() - began_s
+    print(f"with nothing to send: {(processor_s() - used_s) / took_s:.2%} of a core over {took_s:.0f} s")
+    print(f"  most memory of this process, with NumPy and the bench: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--hours", type=float, default=24.0)
+    parser.add_argument("--waiting-s", type=float, default=20.0)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, postgresql() as server:
+        folder = Path(name)
+        store = folder / "history.sqlite"
+        fill(store, given.hours)
+        print(f"store: {store.stat().st_size / 2**20:.1f} MiB for {given.hours:g} h")
+        into_postgresql(server, store, folder, given.hours, given.waiting_s)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,317 @@
+"""The history in PostgreSQL: nothing lost and nothing doubled, whatever is killed; refusals that name the key."""
+
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import history_records as make
+import numpy as np
+import psycopg
+import pytest
+from certificates import make_certificate
+from history_records import EPOCH_S, SMALL, StillClock
+from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
+
+from config.schema.service import HistoryConfig
+from config.schema.sinks import SinkConfig
+from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history.cursors import Cursor, cursor_path
+from daemon.sinks.contract import SinkError
+from daemon.sinks.outbox import STREAMS
+from daemon.sinks.postgresql import PostgresqlSink
+from daemon.sinks.running import SinkRunner, make_sink
+
+MACHINE = "mill 7"
+CONFIG = HistoryConfig(pack_after_s=3600.0)
+
+
+@pytest.fixture(scope="module")
+def running_server() -> Iterator[Server]:
+    with postgresql() as made:
+        yield made
+
+
+@pytest.fixture
+def server(running_server: Server) -> Server:
+    running_server.empty()
+    return running_server
+
+
+def section(server: Server, folder: Path, **changes: object) -> SinkConfig:
+    (folder / "password").write_text(f"{PASSWORD}\n")
+    known = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
+    return SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": known | changes})
+
+
+def fill(path: Path, *, start_s: float = EPOCH_S, hours: float = 3.0) -> None:
+    """Some rows of every stream, every five minutes."""
+    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
+    writer.start()
+    add(writer, start_s, hours)
+    writer.close()
+
+
+def add(writer: HistoryWriter, start_s: float, hours: float) -> None:
+    for k in range(int(hours * 12)):
+        first_s = start_s + 300.0 * k
+        writer._clock.utc_s = first_s
+        degc = 20.0 + np.array([k % 7, np.nan, 3.0]) / 16.0
+        writer.temperatures(None, make.cycle("spindle", k + 1, first_s, degc, faults=("ID 2 did not arrive",)))
+        writer.temperatures(None, make.cycle("bed", k + 1, first_s + 2, degc[:2]))
+        writer.cnc_sample(make.cnc_sample(first_s + 1))
+        writer.estimate(make.estimate(first_s + 2, np.array([1.0, np.nan, k])))
+        written = make.macros(k + 1, np.array([0.0, k, 1.0]))
+        writer.write_outcome(
+            writer.write_intent(make.command(np.array([0.0, k, 1.0])), written, "cycle"),
+            make.receipt(first_s + 2, written),
+        )
+        writer.displacement(make.displacement(first_s, np.array([1.0, 2.0, k])))
+        writer.event("note", f"number {k}\nsecond line \u00b5", "Ada")
+        if k % 10 == 0:
+            writer.reference(replace(make.reference(first_s, len(SMALL.sensor_ids)), reference_id=f"r{k}"))
+
+
+def runner_for(server: Server, folder: Path, path: Path, **changes: object) -> SinkRunner:
+    """A sink that ends when nothing waits any more, or when it fails."""
+    stop = threading.Event()
+    config = section(server, folder, **changes)
+    return SinkRunner(config, path, MACHINE, stop, wait=lambda _duration_s: stop.set())
+
+
+def send(server: Server, folder: Path, path: Path, **changes: object) -> Cursor:
+    """Send all that waits."""
+    runner = runner_for(server, folder, path, **changes)
+    runner.run()
+    return runner.cursor
+
+
+def counts(server: Server) -> dict[str, int]:
+    tables = {name: "reference_points" if name == "references" else name for name in STREAMS}
+    return {name: server.ask(f"SELECT count(*) FROM toolpoint.{table}")[0][0] for name, table in tables.items()}
+
+
+def test_every_record_arrives_with_its_values(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store)
+    cursor = send(server, tmp_path, store)
+    assert cursor.problem == ""
+    assert cursor.sent_rows == cursor.stored_rows == sum(counts(server).values())
+    assert counts(server) == {
+        "temperatures": 72,
+        **dict.fromkeys(("estimates", "cnc", "displacements", "events"), 36),
+        "writes": 34,  # those of the last ten minutes wait for the guard's echo
+        "probes": 0,
+        "references": 4,
+    }
+    with HistoryReader(store) as reader:
+        history = reader.temperatures([13, 11, 12], EPOCH_S, EPOCH_S + 4e4)
+    found = server.ask(
+        "SELECT extract(epoch FROM time)::float8, degc, quality, complete, faults->>0 FROM toolpoint.temperatures "
+        "WHERE line = 'spindle' ORDER BY time"
+    )
+    assert [row[0] for row in found] == history.time_s[np.array(history.line) == "spindle"].tolist()
+    assert found[1][1] == [20.0625, None, 20.1875] and found[1][3:] == (True, "ID 2 did not arrive")
+    one = server.ask(
+        "SELECT machine, label_degc->>'A', thermal_error_um->>'dy', cycle_time < time, in_domain "
+        "FROM toolpoint.estimates ORDER BY time LIMIT 1"
+    )
+    assert one == [(MACHINE, "25.125", None, True, True)]
+    assert server.ask("SELECT outcome, read_back = macros FROM toolpoint.writes GROUP BY 1, 2") == [("verified", True)]
+    assert server.ask("SELECT text FROM toolpoint.events ORDER BY time LIMIT 1") == [("number 0\nsecond line \u00b5",)]
+    by_sensor = server.ask(
+        "SELECT degc FROM toolpoint.sensor_temperatures WHERE sensor_id = 12 AND machine = 'mill 7' ORDER BY time"
+    )
+    assert [row[0] for row in by_sensor] == [20.1875] * 36
+
+
+def test_what_was_packed_meanwhile_arrives_and_repeats_change_nothing(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=1.5)
+    send(server, tmp_path, store)
+    fill(store, start_s=EPOCH_S + 5400.0, hours=3.5)
+    assert housekeeping(store, CONFIG, EPOCH_S + 5 * 3600.0).packed_hours > 0
+    cursor = send(server, tmp_path, store)
+    assert cursor.problem == "" and cursor.sent_rows > cursor.stored_rows, "half an hour comes again with its chunk"
+    assert counts(server)["temperatures"] == 120 and counts(server)["cnc"] == 60
+    before = counts(server)
+    server.ask("DELETE FROM toolpoint.deliveries RETURNING 1")
+    again = send(server, tmp_path, store)
+    assert counts(server) == before
+    assert again.stored_rows == cursor.stored_rows and again.sent_rows > cursor.sent_rows, "it was all sent once more"
+
+
+def test_a_write_is_sent_once_its_outcome_and_echo_are_known(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    clock = StillClock()
+    writer = HistoryWriter(store, clock=clock, machine=SMALL)
+    writer.start()
+    with contextlib.closing(writer):
+        written = make.macros(1, np.zeros(3))
+        first = writer.write_intent(make.command(np.zeros(3)), written, "cycle")
+        writer.temperatures(None, make.cycle("bed", 1, EPOCH_S + 1.0, np.zeros(2)))
+        writer.event("note", "there").result(30.0)
+        send(server, tmp_path, store)
+        assert counts(server)["writes"] == 0
+        writer.write_outcome(first, make.receipt(EPOCH_S, written)).result(30.0)
+        send(server, tmp_path, store)
+        assert counts(server)["writes"] == 0, "the guard has not taken it over yet"
+        echoed = make.instant(EPOCH_S + 4.0)
+        writer.write_echoed(int(first), replace(make.receipt(EPOCH_S, written).trace, echoed=echoed)).result(30.0)
+        send(server, tmp_path, store)
+        assert server.ask("SELECT outcome, echoed_after_ms FROM toolpoint.writes") == [("verified", 2500.0)]
+        writer.write_intent(make.command(np.zeros(3)), written, "cycle")
+        writer.temperatures(None, make.cycle("bed", 2, EPOCH_S + 7000.0, np.zeros(2)))
+        writer.event("note", "later").result(30.0)
+        send(server, tmp_path, store)
+    assert server.ask("SELECT outcome FROM toolpoint.writes ORDER BY write_id") == [("verified",), ("intended",)]
+
+
+def test_killed_and_restarted_under_load_nothing_is_lost_and_nothing_doubled(server: Server, tmp_path: Path) -> None:
+    """The server is killed while rows come in and go out; the sender dies between its commit and its own note."""
+    store = tmp_path / "h.sqlite"
+    turns, deaths, stop = itertools.count(1), [], threading.Event()
+
+    class Dying(PostgresqlSink):
+        def _store(self, batch, generation):
+            stored = super()._store(batch, generation)
+            if next(turns) % 3 == 0:
+                deaths.append(batch.stream.name)
+                raise SinkError("the sender dies before it has noted the acknowledgement")
+            return stored
+
+    runner = SinkRunner(
+        section(server, tmp_path), store, MACHINE, stop, Dying, wait=lambda _duration_s: stop.wait(0.02)
+    )
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    sending = threading.Thread(target=runner.run)
+    sending.start()
+    try:
+        for half_hour in range(24):
+            add(writer, EPOCH_S + 1800.0 * half_hour, 0.5)
+            if half_hour % 6 == 5:
+                server.kill()
+                server.start()
+        writer.close()
+        housekeeping(store, CONFIG, EPOCH_S + 6 * 3600.0)
+        expected = {"temperatures": 288, **dict.fromkeys(("cnc", "estimates", "displacements", "events"), 144)}
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s and {n: counts(server).get(n) for n in expected} != expected:
+            time.sleep(0.1)
+    finally:
+        stop.set()
+        sending.join()
+    assert {name: counts(server)[name] for name in expected} == expected
+    assert server.ask("SELECT count(*), count(DISTINCT (line, time)) FROM toolpoint.temperatures") == [(288, 288)]
+    assert deaths
+
+
+def test_a_store_that_was_begun_anew_is_sent_from_its_beginning(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store)
+    send(server, tmp_path, store)
+    store.unlink()
+    fill(store, start_s=EPOCH_S + 86_400.0, hours=1.0)
+    send(server, tmp_path, store)
+    assert counts(server)["cnc"] == 36 + 12
+
+
+def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    for start_s in (0.0, 5e9, EPOCH_S):
+        fill(store, start_s=start_s, hours=1.0)
+    assert send(server, tmp_path, store).problem == ""
+    assert server.ask("SELECT count(*) FROM toolpoint.cnc_other") == [(24,)]
+    assert server.ask("SELECT count(*) FROM toolpoint.cnc_2025_10") == [(12,)]
+
+
+def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path: Path) -> None:
+    stores = [tmp_path / f"{number}.sqlite" for number in range(3)]
+    problems = []
+
+    def work(number: int) -> None:
+        stop = threading.Event()
+        runner = SinkRunner(
+            section(server, tmp_path), stores[number], f"m{number}", stop, wait=lambda _duration_s: stop.set()
+        )
+        runner.run()
+        problems.append(runner.cursor.problem)
+
+    section(server, tmp_path)
+    for store in stores:
+        fill(store, hours=1.0)
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert problems == ["", "", ""] and counts(server)["cnc"] == 36
+
+
+# --- refusals ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"database": "nowhere"}, "check `database`"),
+        ({"user_name": "nobody"}, "check `user_name` and `password_file`"),
+        ({"password_file": None}, "give `password_file`"),
+        ({"password_file": Path("/nowhere/password")}, "`password_file` /nowhere/password cannot be read"),
+        ({"tls": True}, "set `tls: false`"),
+        ({"tls": True, "ca_certificate": Path("/nowhere/ca.pem")}, "`ca_certificate` /nowhere/ca.pem cannot be read"),
+        ({"host": "no-such-host.invalid"}, "check `host`"),
+        ({"port": 1}, "check `host`, `port`"),
+    ],
+)
+def test_a_refusal_names_the_key(server: Server, tmp_path: Path, changes: dict[str, object], said: str) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    cursor = send(server, tmp_path, store, **changes)
+    assert said in cursor.problem and "sink plant: database" in cursor.problem
+    assert Cursor.read(cursor_path(store, "plant")) == cursor, "the status reads it there"
+
+
+def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    send(server, tmp_path, store)
+    server.ask("INSERT INTO toolpoint.schema_versions VALUES (99) RETURNING 1")
+    before = counts(server)
+    fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
+    cursor = send(server, tmp_path, store)
+    assert "version 99, this version of toolpoint knows up to 1" in cursor.problem
+    assert counts(server) == before
+
+
+def test_a_role_that_may_not_create_is_named(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with server.connection() as connection, contextlib.suppress(psycopg.errors.DuplicateObject):
+        connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
+    assert "`user_name` guest may not" in send(server, tmp_path, store, user_name="guest").problem
+
+
+def test_the_section_says_which_library_is_loaded() -> None:
+    config = SinkConfig.model_validate({"name": "p", "driver": "postgresql", "postgresql": {"host": "db"}})
+    assert isinstance(make_sink(config, MACHINE), PostgresqlSink)
+
+
+def test_tls_takes_a_server_that_is_vouched_for_and_no_other(
+    server: Server, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    store, other = tmp_path / "h.sqlite", tmp_path_factory.mktemp("other")
+    fill(store, hours=0.2)
+    make_certificate(other)
+    make_certificate(tmp_path)
+    server.secure(tmp_path / "monitor.crt", tmp_path / "monitor.key")
+    known = {"tls": True, "host": "localhost", "ca_certificate": tmp_path / "monitor.crt"}
+    assert send(server, tmp_path, store, **known).problem == "" and counts(server)["cnc"] == 2
+    wrong = send(server, tmp_path, store, **known | {"ca_certificate": other / "monitor.crt"})
+    assert "none that `ca_certificate` vouches for" in wrong.problem
+    elsewhere = send(server, tmp_path, store, **known | {"host": "127.0.0.1"})
+    assert "`host` must be a name in its certificate" in elsewhere.problem
