@@ -15,6 +15,8 @@ from models.stability.milling import Cut, MillingMode, engagement_rad
 ALL_DIRECTIONS = "all"
 SMALLEST_RESIDUE, LARGEST_RESIDUE = 1e-18, 1e6
 """Range of the size of a residue [m/(N s)], as wide as that of masses and frequencies."""
+TURN_DEG, TURN_OFF_DEG = 360.0, 0.1
+"""What pitches add up to, and how far rounding may take them off it."""
 
 
 class ModeCase(Section):
@@ -98,7 +100,16 @@ class UncertaintyCase(Section):
 class StabilityCase(Section):
     """Tool, engagement, cutting coefficients and structure of one milling operation."""
 
-    teeth: int = Field(ge=1, le=100, description="number of teeth, evenly pitched")
+    teeth: int = Field(ge=1, le=100, description="number of teeth, evenly pitched unless pitch_deg says otherwise")
+    pitch_deg: list[float] | None = Field(
+        None,
+        min_length=1,
+        description="angle from each tooth to the one that cuts after it, one for each tooth, 360 in all [deg]; not "
+        "with the zeroth-order solution",
+    )
+    helix_deg: float = Field(
+        0.0, ge=0, le=75, description="helix angle of the edges; not with the zeroth-order solution [deg]"
+    )
     diameter_mm: float = Field(ge=1e-3, le=1e4, description="diameter of the tool [mm]")
     radial_depth_mm: float | None = Field(
         None, gt=0, description="radial depth of cut a_e [mm]; the diameter where milling is slot"
@@ -116,6 +127,13 @@ class StabilityCase(Section):
     feed_deg: Feed = Field(
         0.0, description="direction of the feed against X [deg], or all: at each speed the worst of all directions"
     )
+    process_damping_n_per_m: float = Field(
+        0.0,
+        ge=0,
+        le=1e9,
+        description="C of the flank's rubbing, force = C x width x speed along the normal / cutting speed; not with "
+        "the zeroth-order solution [N/m]",
+    )
     uncertainty: UncertaintyCase = Field(UncertaintyCase(), description="how far these numbers may be off (--band)")
 
     @model_validator(mode="after")
@@ -128,6 +146,7 @@ class StabilityCase(Section):
                 engagement_rad(MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm)
             except StabilityError as error:
                 problems.append((("radial_depth_mm",), str(error)))
+        problems += self._pitch_problems()
         by_name = self.material is not None
         by_value = (self.kt_n_per_m2 is not None, self.kr_ratio is not None)
         if by_name and any(by_value):
@@ -142,11 +161,24 @@ class StabilityCase(Section):
             raise KeyProblems(problems)
         return self
 
+    def _pitch_problems(self) -> list[tuple[KeyPath, str]]:
+        if self.pitch_deg is None:
+            return []
+        if len(self.pitch_deg) != self.teeth:
+            words = f"{len(self.pitch_deg)} pitches for {self.teeth} teeth; give one angle for each tooth"
+            return [(("pitch_deg",), words)]
+        if not all(0.0 < pitch < math.inf for pitch in self.pitch_deg):
+            return [(("pitch_deg",), "every pitch is an angle above 0 deg")]
+        if abs(sum(self.pitch_deg) - TURN_DEG) > TURN_OFF_DEG:
+            return [(("pitch_deg",), f"the pitches add up to {sum(self.pitch_deg):g} deg; they make a turn of 360 deg")]
+        return []
+
     def cut(self) -> Cut:
         """Return engagement and coefficients."""
         start_rad, exit_rad = engagement_rad(
             MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm
         )
+        pitches = self.pitch_deg or []
         if self.material is not None:
             known = MATERIALS[self.material]
             tangential, ratio = known.tangential_n_per_m2, known.radial_ratio
@@ -160,6 +192,10 @@ class StabilityCase(Section):
             exit_rad=exit_rad,
             tangential_n_per_m2=tangential,
             radial_ratio=ratio,
+            diameter_m=self.diameter_mm * 1e-3,
+            helix_rad=math.radians(self.helix_deg),
+            pitch_rad=tuple(2.0 * math.pi * pitch / sum(pitches) for pitch in pitches),
+            process_damping_n_per_m=self.process_damping_n_per_m,
         )
 
 

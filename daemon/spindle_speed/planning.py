@@ -61,6 +61,12 @@ class OperationPlanning:
         """Read spindles and case; raises ConfigurationError, and StabilityError where model and machine do not fit."""
         self._tuning, self._operation = tuning, operation
         self._case = load_stability_case(operation.case)
+        beyond = self._case.cut().beyond_straight
+        if beyond and not tuning.verify_with_sdm:
+            raise StabilityError(
+                f"{operation.case}: the lobes that offer speeds know no {', '.join(beyond)}; set "
+                "spindle_speed.verify_with_sdm, which does, or remove the key"
+            )
         rotary: Rotary = "published" if model.rigid_rotary_inertia == "published" else "correct"
         assemblies: dict[str, SpindleAssembly] = {
             axis: read_spindle(path, rotary).assembly() for axis, path in operation.spindles.items()
@@ -101,7 +107,7 @@ class OperationPlanning:
             range_rpm=limits.range_rpm(called.speed_rpm),
             offset_hz=tuning.offset_hz,
         )
-        lobes_of = partial(_lobes, cut=case.cut(), operation=operation, feed_deg=case.feed_deg)
+        lobes_of = partial(_lobes, cut=case.cut().straight(), operation=operation, feed_deg=case.feed_deg)
         return SpeedPlanner(operation, lobes_of, _verification(case) if tuning.verify_with_sdm else None)
 
 

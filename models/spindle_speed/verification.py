@@ -15,6 +15,7 @@ from models.stability.collocation import radius_bounds
 from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.milling import Cut
 from models.stability.response import ComplexArray, ModalResponse, Mode, SampledResponse, ToolPointResponse
+from models.stability.semi_discretisation import swept_radii
 
 THINNED_LINES = 250
 """A response of more lines than twice this is thinned out before the fit, but for its peaks."""
@@ -76,14 +77,7 @@ class StabilityVerification:
             return f"the dynamics cannot be verified: {error}"
         speeds_rpm = speed_rpm * np.array([1.0 - tolerance, 1.0, 1.0 + tolerance])
         try:
-            _, radius = radius_bounds(
-                modes,
-                self._cut,
-                feeds_deg=self._feeds_deg,
-                speeds_rpm=speeds_rpm.tolist(),
-                depth_mm=depth_mm,
-                limits=self._limits(modes, speeds_rpm),
-            )
+            radius = self._radius(modes, speeds_rpm, depth_mm)
         except (StabilityError, np.linalg.LinAlgError) as error:
             return f"{speed_rpm:.0f} 1/min cannot be verified: {error}"
         over = ~(radius <= self._limits(modes, speeds_rpm))
@@ -94,6 +88,20 @@ class StabilityVerification:
             f"at {speeds_rpm[place]:.0f} 1/min and feed direction {self._feeds_deg[int(feed)]:g} deg the vibration at "
             f"{depth_mm:g} mm does not die away fast enough"
         )
+
+    def _radius(self, modes: ModalResponse, speeds_rpm: FloatArray, depth_mm: float) -> FloatArray:
+        """Return at least the spectral radius, shape (n_feeds, n_speeds)."""
+        if self._cut.beyond_straight:
+            return swept_radii(modes, self._cut, self._feeds_deg, speeds_rpm, depth_mm)
+        _, radius = radius_bounds(
+            modes,
+            self._cut,
+            feeds_deg=self._feeds_deg,
+            speeds_rpm=speeds_rpm.tolist(),
+            depth_mm=depth_mm,
+            limits=self._limits(modes, speeds_rpm),
+        )
+        return radius
 
     def modes(self, response: ToolPointResponse) -> ModalResponse:
         """Return the modes of a response; raises StabilityError where none follow it."""

@@ -122,8 +122,11 @@ def follows(response: ModalResponse, cut: Cut, speed_rpm: float, depth_mm: float
     """Return whether the nodes follow the vibration from tooth to tooth, at a speed [1/min] and a depth of cut [mm].
 
     They are as many as the fastest mode needs: neither may that be more than `MOST_NODES`, nor may the cut be so stiff
-    that the structure swings much faster in it.
+    that the structure swings much faster in it. Only straight edges at even pitches without process damping
+    are followed.
     """
+    if cut.beyond_straight:
+        return False
     modes = [mode for _, _, entry in response.entries() for mode in entry]
     stiffness_n_per_m = depth_mm * 1e-3 * cut.tangential_n_per_m2
     softest_per_kg = max((abs(mode.displacement_gain_per_kg) for mode in modes), default=0.0)
@@ -150,6 +153,10 @@ def passing_maps(
 
     Result: shape (n_feeds, n_speeds, size, size), behind one of the depths where these are an array.
     """
+    if cut.beyond_straight:
+        raise StabilityError(
+            f"the collocation in the engaged arc knows no {', '.join(cut.beyond_straight)}; take semi-discretisation"
+        )
     entries = [(out, into, mode) for out, into, modes in response.entries() for mode in modes]
     if not entries:
         raise StabilityError("both directions are rigid, so no cut can chatter; give modes or an FRF for one")

@@ -96,6 +96,10 @@ def _lobes(
     response: ToolPointResponse, cut: Cut, speeds: tuple[float, float, int], feeds_deg: tuple[float, ...]
 ) -> StabilityLobes:
     """Return the lowest lobes over some feed directions."""
+    if cut.beyond_straight:
+        raise StabilityError(
+            f"the zeroth-order solution knows no {', '.join(cut.beyond_straight)}; add --method sdm, which does"
+        )
     check_range(*speeds)
     speed_rpm = np.linspace(*speeds)
     warnings: tuple[str, ...] = ()

@@ -3,10 +3,14 @@
 A tooth at the angle ``phi``, clockwise from the normal of the feed, stands in the direction
 ``(sin phi, cos phi)``. When the tool moves outwards there, the chip becomes thicker:
 ``h = dx sin phi + dy cos phi`` with ``dx = x(t) - x(t - T_a)`` (equations 1-3 and 1-4 of the dissertation).
+
+Beyond the dissertation, a tool may have a helix, by which the edge lags the further behind its tip the higher it is;
+uneven pitches, so that each tooth finds what was left another time ago; and a flank that rubs on the wave it cuts,
+which damps (`Cut.process_damping_n_per_m`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -16,6 +20,10 @@ from models.records import FloatArray
 
 LEAST_IMMERSION = 1e-6
 """Radial depth over diameter; less is no cut."""
+STEEPEST_HELIX_RAD = math.radians(75.0)
+SAME_PITCH_RAD = 1e-9
+LEAST_LAG_RAD = 1e-6
+"""An edge that lags less stands straight."""
 
 
 class MillingMode(StrEnum):
@@ -39,6 +47,15 @@ class Cut:
     """Tangential cutting coefficient K_tc [N/m^2]."""
     radial_ratio: float
     """K_rc / K_tc."""
+    diameter_m: float = 0.0
+    """Diameter of the tool [m]; needed with a helix or process damping only."""
+    helix_rad: float = 0.0
+    """Helix angle of the edges [rad]; 0: straight."""
+    pitch_rad: tuple[float, ...] = ()
+    """Angles from each tooth to the one that cuts after it, as many as teeth [rad]; empty: all alike."""
+    process_damping_n_per_m: float = 0.0
+    """C of ``F = -C b v / V``: force along the normal of the surface against the speed v along it, for the width b of
+    the cut and the cutting speed V [N/m] (Tyler and Schmitz, J. Manuf. Process. 15, 2013)."""
 
     def __post_init__(self) -> None:
         """Refuse what is no cut. Raises StabilityError."""
@@ -51,6 +68,64 @@ class Cut:
             )
         if not self.tangential_n_per_m2 > 0.0:
             raise StabilityError("the tangential cutting coefficient must be above 0 N/m^2")
+        self._check_edges()
+
+    def _check_edges(self) -> None:
+        if not 0.0 <= self.helix_rad <= STEEPEST_HELIX_RAD:
+            raise StabilityError(
+                f"a helix of {math.degrees(self.helix_rad):g} deg is none of an end mill; give 0 to "
+                f"{math.degrees(STEEPEST_HELIX_RAD):g} deg"
+            )
+        if not 0.0 <= self.process_damping_n_per_m < math.inf:
+            raise StabilityError(f"process damping of {self.process_damping_n_per_m:g} N/m is none; give 0 or more")
+        if (self.helix_rad or self.process_damping_n_per_m) and not self.diameter_m > 0.0:
+            raise StabilityError("a helix and process damping need the diameter of the tool")
+        if not self.pitch_rad:
+            return
+        if len(self.pitch_rad) != self.teeth:
+            raise StabilityError(f"{len(self.pitch_rad)} pitches for {self.teeth} teeth; give one pitch for each tooth")
+        turn = sum(self.pitch_rad)
+        if min(self.pitch_rad) <= 0.0 or abs(turn - 2.0 * math.pi) > 1e-6:
+            raise StabilityError(
+                f"the pitches add up to {math.degrees(turn):g} deg; give angles above 0 that add up to 360 deg"
+            )
+
+    @property
+    def pitches_rad(self) -> tuple[float, ...]:
+        """Angles from each tooth to the one that cuts after it [rad]."""
+        return self.pitch_rad or (2.0 * math.pi / self.teeth,) * self.teeth
+
+    @property
+    def repeats_after(self) -> int:
+        """After how many teeth the pitches come again: 1 where they are all alike."""
+        pitches = self.pitches_rad
+        for count in range(1, self.teeth):
+            if self.teeth % count == 0 and all(
+                abs(pitches[i] - pitches[(i + count) % self.teeth]) < SAME_PITCH_RAD for i in range(self.teeth)
+            ):
+                return count
+        return self.teeth
+
+    @property
+    def beyond_straight(self) -> tuple[str, ...]:
+        """What of the cut is beyond straight, even, undamped teeth: keys of a case file."""
+        found = {
+            "helix_deg": self.helix_rad > 0.0,
+            "pitch_deg": self.repeats_after > 1,
+            "process_damping_n_per_m": self.process_damping_n_per_m > 0.0,
+        }
+        return tuple(key for key, there in found.items() if there)
+
+    def straight(self) -> "Cut":
+        """Return the same cut with straight, even, undamped teeth."""
+        return replace(self, helix_rad=0.0, pitch_rad=(), process_damping_n_per_m=0.0)
+
+    def lag_rad(self, depth_mm: FloatArray) -> FloatArray:
+        """Return by which angle the edge at some depths of cut [mm] lags behind its tip [rad], of their shape."""
+        if not self.helix_rad:
+            return np.zeros(np.shape(depth_mm))
+        lag: FloatArray = 2e-3 * np.asarray(depth_mm) * math.tan(self.helix_rad) / self.diameter_m
+        return lag
 
 
 def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float) -> tuple[float, float]:
@@ -123,6 +198,55 @@ def directional_matrix(cut: Cut, angle_rad: FloatArray) -> FloatArray:
         [np.sum(towards_y * sine, axis=1), np.sum(towards_y * cosine, axis=1)],
     ]
     return np.moveaxis(np.array(rows), 2, 0)
+
+
+def edge_matrices(cut: Cut, angle_rad: FloatArray, lag_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the directional coefficients of one edge, and those of its rubbing, as means over its length.
+
+    Result: two arrays of the shape (..., 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T)) of the cut, and
+    force = -depth C / V [D] dx/dt of the process damping.
+
+    Parameters
+    ----------
+    cut
+        The cut.
+    angle_rad
+        Angle of the edge's tip [rad], any shape (...).
+    lag_rad
+        By which angle the other end of the edge lags behind it [rad], of a shape that goes with the first.
+
+    """
+    straight = np.asarray(lag_rad) < LEAST_LAG_RAD
+    if bool(np.all(straight)):
+        turned = np.mod(angle_rad, 2.0 * math.pi)
+        engaged = (turned > cut.start_rad) & (turned < cut.exit_rad)
+        sine, cosine = np.sin(turned) * engaged, np.cos(turned) * engaged
+        squares = [sine * sine, sine * cosine, cosine * cosine]
+    else:
+        lag = np.where(straight, LEAST_LAG_RAD, lag_rad)
+        ahead, behind = _squares_up_to(cut, angle_rad), _squares_up_to(cut, angle_rad - lag)
+        squares = [(high - low) / lag for high, low in zip(ahead, behind, strict=True)]
+    both, mixed, cosines = squares
+    ratio = cut.radial_ratio
+    cutting = [[-(mixed + ratio * both), -(cosines + ratio * mixed)], [both - ratio * mixed, mixed - ratio * cosines]]
+    rubbing = [[both, mixed], [mixed, cosines]]
+    return np.moveaxis(np.array(cutting), (0, 1), (-2, -1)), np.moveaxis(np.array(rubbing), (0, 1), (-2, -1))
+
+
+def _squares_up_to(cut: Cut, angle_rad: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the integrals of sin^2, sin cos and cos^2 over all engaged angles from 0 to some angles."""
+    turns = np.floor(angle_rad / (2.0 * math.pi))
+    within = np.clip(angle_rad - 2.0 * math.pi * turns, cut.start_rad, cut.exit_rad)
+
+    def integrals(angle: FloatArray) -> tuple[FloatArray, ...]:
+        double = 2.0 * angle
+        return angle / 2.0 - np.sin(double) / 4.0, -np.cos(double) / 4.0, angle / 2.0 + np.sin(double) / 4.0
+
+    ends = np.array([cut.start_rad, cut.exit_rad])
+    return tuple(
+        part - whole[0] + turns * (whole[1] - whole[0])
+        for part, whole in zip(integrals(within), integrals(ends), strict=True)
+    )
 
 
 def tooth_passing_hz(speed_rpm: float, teeth: int) -> float:

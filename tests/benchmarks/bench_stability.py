@@ -29,7 +29,7 @@ from models.stability.lobes_sdm import semi_discretised_lobes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut, MillingMode, engagement_rad
 from models.stability.response import ModalResponse, SampledResponse, mode_from_mass, mode_from_stiffness
-from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius
+from models.stability.semi_discretisation import default_steps, semi_discretisation, spectral_radius, swept_radii
 from models.stability.state_space import state_space
 from models.thermomechanics.tool_point import ToolPointTracker
 
@@ -224,26 +224,58 @@ def convergence() -> None:
         )
 
 
-def referee(cases: int) -> None:
-    agreed = 0
-    begun = time.perf_counter()
-    for teeth in (1, 2, 3, 4):
-        drawn = random_cases(teeth, cases // 4, seed=1)
-        same = drawn.agree(passings=400, steps_per_passing=400)
-        agreed += int(same.sum())
+def referee(cases: int, *, beyond: bool) -> None:
+    agreed = total = 0
+    begun = time.process_time()
+    numbers = (2, 3, 4) if beyond else (1, 2, 3, 4)
+    for teeth in numbers:
+        drawn = random_cases(teeth, cases // len(numbers), seed=1, beyond=beyond)
+        same = drawn.agree(passings=200 if beyond else 400, steps_per_passing=200 if beyond else 400)
+        agreed, total = agreed + int(same.sum()), total + len(same)
         for place in np.flatnonzero(~same):
             print(f"  differs: {drawn.described[place]}")
-    total = 4 * (cases // 4)
     print(
-        f"time-domain referee: {agreed} of {total} agree ({agreed / total:.1%}) where the radius is off 1 by more than "
-        f"{OFF_BOUNDARY}; {time.perf_counter() - begun:.0f} s"
+        f"time-domain referee{', helix, uneven pitch and process damping' if beyond else ''}: {agreed} of {total} "
+        f"agree ({agreed / total:.1%}) where the radius is off 1 by more than {OFF_BOUNDARY}; "
+        f"{time.process_time() - begun:.0f} s of processor time"
     )
+
+
+def beyond_straight() -> None:
+    """Time a verdict and lobes of a tool with helix, uneven pitch and process damping."""
+    speeds_rpm = 12000.0 * np.array([0.99, 1.0, 1.01])
+    structure = ModalResponse(xx=(mode_from_stiffness(664.0, 0.03, 6e6),), yy=(mode_from_stiffness(601.0, 0.025, 4e6),))
+    plain = replace(cut("down", 1.0, 4), diameter_m=0.01)
+    uneven = tuple(math.radians(angle) for angle in (80.0, 85.0, 95.0, 100.0))
+    tools = {
+        "helix 35 deg": replace(plain, helix_rad=math.radians(35.0)),
+        "four pitches": replace(plain, pitch_rad=uneven),
+        "process damping": replace(plain, process_damping_n_per_m=2e4),
+        "all three": replace(plain, helix_rad=math.radians(35.0), pitch_rad=uneven, process_damping_n_per_m=2e4),
+    }
+    feeds_deg = [22.5 * number for number in range(8)]
+    for name, tool in tools.items():
+        timed(
+            f"{name}: eight directions at three speeds",
+            lambda tool=tool: swept_radii(structure, tool, feeds_deg, speeds_rpm, 0.5),
+            3,
+        )
+        timed(
+            f"{name}: lobes at 100 speeds",
+            lambda tool=tool: semi_discretised_lobes(structure, tool, from_rpm=5000.0, to_rpm=25000.0, points=100),
+            1,
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=500)
+    parser.add_argument("--only-beyond", action="store_true", help="only tools with helix, uneven pitch, damping")
     arguments = parser.parse_args()
+    if arguments.only_beyond:
+        beyond_straight()
+        referee(arguments.cases, beyond=True)
+        return
     lobes_from_an_frf()
     new_speed()
     for radial_mm, depth_mm in ((1.0, 0.5), (5.0, 0.3), (10.0, 0.2)):
@@ -251,7 +283,7 @@ def main() -> None:
     new_speed_from_temperatures()
     chart()
     convergence()
-    referee(arguments.cases)
+    referee(arguments.cases, beyond=False)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Stability cases as the documentation shows them, and that every key is documented."""
 
+import math
 from pathlib import Path
 
 import pytest
 
 from config.loader import parse_yaml_model
 from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase, UncertaintyCase, load_stability_case
+from config.schema.base import ConfigurationError
 from models.stability.cutting_coefficients import MATERIALS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -50,3 +52,34 @@ def test_every_material_has_a_source() -> None:
     for material in MATERIALS.values():
         assert len(material.source) > 20
         assert 0.0 < material.radial_ratio < 1.0
+
+
+PLAIN = "teeth: 4\ndiameter_mm: 10\nradial_depth_mm: 1\nmilling: down\nmaterial: a5052\nx: {modes: [{frequency_hz: 700,\
+ damping_ratio: 0.03, mass_kg: 0.3}]}\ny: rigid\n"
+
+
+def test_helix_pitches_and_process_damping_reach_the_cut() -> None:
+    text = PLAIN + "helix_deg: 30\npitch_deg: [80, 100.05, 80, 100]\nprocess_damping_n_per_m: 2.0e4\n"
+    cut = parse_yaml_model(text, StabilityCase, "case.yaml").cut()
+    assert math.degrees(cut.helix_rad) == pytest.approx(30.0)
+    assert sum(cut.pitch_rad) == pytest.approx(2.0 * math.pi)
+    assert math.degrees(cut.pitch_rad[1]) == pytest.approx(100.05, rel=2e-4)
+    assert cut.process_damping_n_per_m == 2e4
+    assert cut.diameter_m == pytest.approx(0.01)
+    assert parse_yaml_model(PLAIN, StabilityCase, "case.yaml").cut().beyond_straight == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("pitch_deg: [180, 180]", "2 pitches for 4 teeth"),
+        ("pitch_deg: [90, 90, 90, 91]", "add up to 361 deg"),
+        ("pitch_deg: [190, -10, 90, 90]", "every pitch is an angle above 0 deg"),
+        ("helix_deg: 80", "helix_deg"),
+        ("helix_deg: .nan", "helix_deg"),
+        ("process_damping_n_per_m: -1", "process_damping_n_per_m"),
+    ],
+)
+def test_edges_that_are_none_are_refused_by_key(line: str, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        parse_yaml_model(PLAIN + line + "\n", StabilityCase, "case.yaml")

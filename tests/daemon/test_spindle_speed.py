@@ -18,8 +18,9 @@ from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
 from daemon.monitor.view import speed_in_words
 from daemon.monitor.web.dynamics import dynamics_document
-from daemon.spindle_speed.planning import SPEEDS
+from daemon.spindle_speed.planning import SPEEDS, planned_with
 from drivers.guard.speed_text import SpeedStatus
+from models.errors import StabilityError
 from models.records import WriteOutcome
 from models.thermomechanics.artifact import model_to_json
 
@@ -72,6 +73,20 @@ async def test_a_verified_speed_is_taken_where_there_is_one_and_else_the_program
         await bench.pass_by(3.0, CUT)
         assert (await bench.operation(D=2.0))[0] == 9000.0
         assert "does not die away fast enough; the programmed 9000 1/min stays" in bench.picture()["alarm"]
+
+
+def test_a_tool_that_the_lobes_do_not_know_needs_the_verification(tmp_path: Path) -> None:
+    """Lobes offer speeds for straight edges; the helix is in the verification alone."""
+    configuration = speed_machine(tmp_path)
+    with (tmp_path / "case.yaml").open("a", encoding="utf-8") as case:
+        case.write("helix_deg: 30\npitch_deg: [80, 100, 80, 100]\n")
+    with pytest.raises(
+        StabilityError, match=r"case.yaml: the lobes .* know no helix_deg, pitch_deg; set spindle_speed"
+    ):
+        planned_with(configuration, bearing_model())
+    assert configuration.spindle_speed is not None
+    verified = configuration.spindle_speed.model_copy(update={"verify_with_sdm": True})
+    assert planned_with(configuration.model_copy(update={"spindle_speed": verified}), bearing_model())
 
 
 async def test_a_new_operation_is_planned_at_once_with_what_is_known(bench: SpeedRig) -> None:

@@ -1,6 +1,8 @@
 """Semi-discretisation: convergence, the case that the zeroth order solves exactly, lobes and charts."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,6 +155,71 @@ def test_transition_is_the_exponential() -> None:
     for time_s, found in zip((0.0, 1e-4, 7e-4), moved, strict=True):
         expected = expm(full * time_s)
         assert found * scale[:, None] / scale == pytest.approx(expected * scale[:, None] / scale, abs=1e-9)
+
+
+def everything(teeth: int = 3) -> Cut:
+    pitches = tuple(math.radians(angle) for angle in ((110.0, 130.0, 120.0) if teeth == 3 else (70.0, 110.0) * 2))
+    return replace(
+        cut("down", 3.0, teeth),
+        diameter_m=0.01,
+        helix_rad=math.radians(35.0),
+        pitch_rad=pitches,
+        process_damping_n_per_m=2e4,
+    )
+
+
+@pytest.mark.parametrize("teeth", [3, 4])
+def test_helix_pitches_and_damping_converge(teeth: int) -> None:
+    for depth_mm in (0.5, 3.0):
+        fine = radius(FULL, everything(teeth), 6000.0, depth_mm, 160, 20.0)
+        errors = [abs(radius(FULL, everything(teeth), 6000.0, depth_mm, steps, 20.0) - fine) for steps in (20, 40, 80)]
+        assert errors[2] < 1e-4
+        assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2] > 0.0
+
+
+def test_what_is_not_there_changes_nothing() -> None:
+    plain = cut("down", 3.0, 3)
+    even = replace(plain, diameter_m=0.01, pitch_rad=(2.0 * math.pi / 3.0,) * 3, helix_rad=1e-9)
+    assert not plain.beyond_straight
+    assert replace(everything(), pitch_rad=even.pitch_rad).beyond_straight == ("helix_deg", "process_damping_n_per_m")
+    assert everything().straight() == replace(plain, diameter_m=0.01)
+    for depth_mm in (0.5, 3.0):
+        expected = radius(FULL, plain, 9000.0, depth_mm, 40, 20.0)
+        assert radius(FULL, even, 9000.0, depth_mm, 40, 20.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_lobes_follow_helix_pitches_and_damping() -> None:
+    """Each limit is where the radius with more steps is one; straight teeth have others."""
+    tool = replace(everything().straight(), teeth=2, pitch_rad=(3.0, 2.0 * math.pi - 3.0), helix_rad=0.6)
+    found = semi_discretised_lobes(BENCHMARK, tool, from_rpm=16000.0, to_rpm=17000.0, points=2)
+    for speed, limit in zip(found.speed_rpm, found.limiting_depth_mm, strict=True):
+        assert radius(BENCHMARK, tool, speed, limit, 80) == pytest.approx(1.0, abs=2e-3)
+        assert abs(radius(BENCHMARK, tool.straight(), speed, limit, 80) - 1.0) > 0.01
+
+
+def test_methods_that_cannot_say_so() -> None:
+    with pytest.raises(
+        StabilityError, match="knows no helix_deg, pitch_deg, process_damping_n_per_m; add --method sdm"
+    ):
+        zeroth_order_lobes(FULL, everything(), from_rpm=6000.0, to_rpm=7000.0, points=2)
+    with pytest.raises(StabilityError, match="collocation in the engaged arc knows no helix_deg"):
+        spectral_radii(FULL, everything(), feed_deg=0.0, speed_rpm=6000.0, depths_mm=np.array([1.0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pitch_rad": (3.0, 3.0)}, "2 pitches for 3 teeth"),
+        ({"pitch_rad": (1.0, 1.0, 1.0)}, "add up to 171.887 deg"),
+        ({"helix_rad": 1.5}, "a helix of 85.9437 deg"),
+        ({"helix_rad": math.nan}, "a helix of nan deg"),
+        ({"process_damping_n_per_m": -1.0}, "process damping of -1 N/m"),
+        ({"helix_rad": 0.5, "diameter_m": 0.0}, "need the diameter"),
+    ],
+)
+def test_edges_that_are_none_are_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(StabilityError, match=words):
+        replace(everything(), **change)
 
 
 def test_refusals() -> None:

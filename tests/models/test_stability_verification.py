@@ -49,6 +49,28 @@ def test_it_says_what_the_spectral_radius_says() -> None:
     assert False in said
 
 
+def test_it_knows_helix_pitches_and_rubbing() -> None:
+    """Each tool is judged by its own radius, and none like its straight, even, undamped teeth everywhere."""
+    start_rad, exit_rad = engagement_rad(MillingMode.DOWN, 0.5, 10.0)
+    straight = replace(CUT, teeth=2, start_rad=start_rad, exit_rad=exit_rad, diameter_m=0.01)
+    light = ModalResponse(xx=(mode_from_stiffness(922.0, 0.011, 1.34e6),))
+    places = [(speed_rpm, depth_mm) for speed_rpm in (18_128.0, 18_500.0) for depth_mm in (0.7, 1.5, 2.2, 3.0)]
+    said = {}
+    for name, tool in {
+        "straight": straight,
+        "rubbing": replace(straight, process_damping_n_per_m=2e7),
+        "uneven": replace(straight, pitch_rad=(2.4, 2.0 * math.pi - 2.4)),
+        "helical": replace(straight, helix_rad=math.radians(60.0)),
+    }.items():
+        check = StabilityVerification(tool)
+        said[name] = [check.is_stable(light, *place, 0.0) for place in places]
+        for (speed_rpm, depth_mm), stable in zip(places, said[name], strict=True):
+            method = semi_discretisation(state_space(light, 0.0), tool, 80)
+            radius = float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
+            assert (-math.log(radius) * tool.teeth * speed_rpm / 60.0 >= 10.0) is stable
+    assert all(said[name] != said["straight"] for name in ("rubbing", "uneven", "helical")), said
+
+
 def test_a_stable_cut_of_a_lightly_damped_spindle_is_not_denied() -> None:
     """The radius at a millionth of a millimetre is 0.9906 per tooth passing: that is the free decay."""
     light = ModalResponse(xx=(mode_from_stiffness(600.0, 0.005, 2e7),))

@@ -34,7 +34,21 @@ class RandomCases:
         return is_stable(self.cuts, passings, steps_per_passing) == (self.radius < 1.0)
 
 
-def random_cases(teeth: int, count: int, seed: int) -> RandomCases:
+UNEVEN = {2: (160.0, 200.0), 3: (110.0, 135.0, 115.0), 4: (80.0, 95.0, 85.0, 100.0)}
+"""Pitches of the tools that have helix and process damping, too [deg]."""
+SLICES = 12
+
+
+def random_cases(teeth: int, count: int, seed: int, *, beyond: bool = False) -> RandomCases:
+    """Return cases; `beyond`: of tools with a helix, uneven pitches and process damping.
+
+    These keep contact: where uneven teeth vibrate so much that one cuts nothing, the others may repeat their motion
+    turn by turn, which the linear theory does not know.
+    """
+    own = np.random.default_rng([seed, teeth, 1])
+    helix_rad = np.radians(own.uniform(15.0, 50.0, count)) * beyond
+    damping_n_per_m = np.exp(own.uniform(math.log(2e3), math.log(3e4), count)) * beyond
+    pitch_rad = tuple(math.radians(pitch) for pitch in UNEVEN[teeth]) if beyond else ()
     rng = np.random.default_rng([seed, teeth])
     milling = rng.choice(["up", "down", "slot"], count).tolist()
     radial_mm = np.where(np.array(milling) == "slot", 1.0, rng.uniform(0.05, 0.95, count)) * DIAMETER_MM
@@ -54,6 +68,10 @@ def random_cases(teeth: int, count: int, seed: int) -> RandomCases:
             exit_rad=exit_rad,
             tangential_n_per_m2=tangential[i],
             radial_ratio=ratio[i],
+            diameter_m=DIAMETER_MM * 1e-3,
+            helix_rad=helix_rad[i],
+            pitch_rad=pitch_rad,
+            process_damping_n_per_m=damping_n_per_m[i],
         )
         along_x = mode_from_stiffness(frequency_hz[i, 0], damping[i, 0], stiffness[i, 0])
         along_y = mode_from_stiffness(frequency_hz[i, 1], damping[i, 1], stiffness[i, 1])
@@ -78,6 +96,13 @@ def random_cases(teeth: int, count: int, seed: int) -> RandomCases:
             mode_damping_ratio=damping,
             mode_stiffness_n_per_m=stiffness,
             mode_axis=(0, 1),
+            helix_lag_rad=2e-3 * depth_mm * np.tan(helix_rad) / (DIAMETER_MM * 1e-3) if beyond else None,
+            slices=SLICES if beyond else 1,
+            pitch_rad=pitch_rad,
+            keeps_contact=beyond,
+            damping_n_s_per_m=damping_n_per_m * depth_mm / (math.pi * DIAMETER_MM * speed_rpm / 60.0)
+            if beyond
+            else None,
         ),
         radius=radius,
         described=tuple(

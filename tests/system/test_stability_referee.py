@@ -30,6 +30,14 @@ def test_stable_and_unstable_agree_off_the_boundary() -> None:
     assert agreed >= 98, disagreed
 
 
+@pytest.mark.slow
+def test_helix_pitches_and_damping_agree_off_the_boundary() -> None:
+    cases = random_cases(3, 16, seed=5, beyond=True)
+    same = cases.agree(passings=90, steps_per_passing=160)
+    assert 4 <= int((cases.radius < 1.0).sum()) <= 12
+    assert same.all(), [cases.described[i] for i in np.flatnonzero(~same)]
+
+
 def benchmark_cut(depth_mm: float, speed_rpm: float, milling: str, radial_mm: float) -> MillingCuts:
     first, last = arc_of(milling, radial_mm * 1e-3, 10e-3)
     return MillingCuts(

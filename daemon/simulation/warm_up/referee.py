@@ -15,6 +15,8 @@ PASSINGS = 150
 STEPS_PER_PERIOD = 50
 LEAST_STEPS = 120
 """Steps per tooth passing, and per period of the fastest mode, of the simulated cut."""
+SLICES = 12
+"""Of a helical edge."""
 DEPTHS = 8
 DEEPEST, SHALLOWEST = 4.0, 0.25
 """A limiting depth is looked for between these multiples of the programmed depth, in two rounds of `DEPTHS`."""
@@ -47,7 +49,7 @@ class WarmUpReferee:
     """Simulates cuts of one case side by side."""
 
     def __init__(self, case: StabilityCase, feed_per_tooth_mm: float) -> None:
-        cut = case.cut()
+        self._cut = cut = case.cut()
         self._teeth, self._tangential = case.teeth, cut.tangential_n_per_m2
         self._radial = cut.tangential_n_per_m2 * cut.radial_ratio
         radial_mm = case.radial_depth_mm or case.diameter_mm
@@ -61,6 +63,8 @@ class WarmUpReferee:
         same = np.ones(len(states))
         frequency_hz = np.array([state.modes.frequency_hz for state in states])
         periods = float(np.max(frequency_hz.max(axis=1) * 60.0 / (speed_rpm * self._teeth)))
+        helical, rubbing = self._cut.helix_rad > 0.0, self._cut.process_damping_n_per_m
+        cutting_speed_m_s = np.pi * self._cut.diameter_m * speed_rpm / 60.0
         cuts = MillingCuts(
             teeth=self._teeth,
             speed_rpm=speed_rpm,
@@ -76,6 +80,10 @@ class WarmUpReferee:
             mode_stiffness_n_per_m=np.array([state.modes.stiffness_n_per_m for state in states]),
             mode_axis=states[0].modes.axis,
             mode_lead_s=None if states[0].modes.lead_s is None else np.array([state.modes.lead_s for state in states]),
+            helix_lag_rad=self._cut.lag_rad(depth_mm) if helical else None,
+            slices=SLICES if helical else 1,
+            pitch_rad=self._cut.pitch_rad,
+            damping_n_s_per_m=rubbing * depth_mm * 1e-3 / cutting_speed_m_s if rubbing else None,
         )
         return is_stable(cuts, PASSINGS, max(LEAST_STEPS, int(np.ceil(STEPS_PER_PERIOD * periods))))
 

@@ -105,8 +105,10 @@ def warm_up(case: StabilityCase, request: WarmUpRequest) -> tuple[WarmUpRun, ...
     machine = machine_of(case, request)
     operation = operation_of(case, request)
     axis = request.rule_axis or machine.softer_axis
-    lobes_of = partial(lobes_over, cut=case.cut(), request=request, feed_deg=float(case.feed_deg))
-    check = StabilityVerification(case.cut(), (float(case.feed_deg),)) if request.verify_with_sdm else None
+    cut = case.cut()
+    offered = cut.straight() if request.method == "zoa" and request.verify_with_sdm else cut
+    lobes_of = partial(lobes_over, cut=offered, request=request, feed_deg=float(case.feed_deg))
+    check = StabilityVerification(cut, (float(case.feed_deg),)) if request.verify_with_sdm else None
     strategies: dict[str, SpeedStrategy] = {
         "programmed": ProgrammedSpeed(operation),
         "rule": ResonanceRule(operation, axis=axis, offset_hz=request.offset_hz),

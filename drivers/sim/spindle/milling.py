@@ -54,6 +54,12 @@ class MillingCuts:
     """Angle by which the edge's top lags behind its tip [rad]; None: straight edges."""
     slices: int = 1
     """Axial slices of a helical edge."""
+    pitch_rad: tuple[float, ...] = ()
+    """Angles from each tooth to the one that cuts after it [rad], the same for all cuts; empty: all alike."""
+    keeps_contact: bool = False
+    """Teeth never leave the material, as the linear theory has it: their chips may be thinner than none."""
+    damping_n_s_per_m: FloatArray | None = None
+    """By what the flank of an engaged edge resists a speed along the normal of the surface; None: by nothing."""
 
 
 def arc_of(milling: str, radial_depth_m: float, diameter_m: float) -> tuple[float, float]:
@@ -91,14 +97,14 @@ def mill(cuts: MillingCuts, passings: int, steps_per_passing: int = 400) -> Iter
     drag = 2.0 * cuts.mode_damping_ratio * angular
     place = np.zeros_like(angular)
     speed = np.zeros_like(angular)
-    force = edges.force(0, np.zeros((count, 2)))
+    force = edges.force(0, np.zeros((count, 2)), np.zeros((count, 2)))
     change = force[:, axis] / mass
     to_axes = np.eye(2)[axis]
     lead_s = np.zeros_like(angular) if cuts.mode_lead_s is None else cuts.mode_lead_s
     for step in range(1, passings * steps_per_passing + 1):
         place = place + step_s * speed + 0.5 * step_s**2 * change
         moved = (place + lead_s * (speed + step_s * change)) @ to_axes
-        force = edges.force(step, moved)
+        force = edges.force(step, moved, (speed + (step_s + lead_s) * change) @ to_axes)
         push = force[:, axis] / mass - angular**2 * place
         speed = (speed + 0.5 * step_s * (change + push)) / (1.0 + 0.5 * step_s * drag)
         change = push - drag * speed
@@ -109,7 +115,6 @@ class _Edges:
     """The cutting edges over stations around the tool, and the surface that each station carries."""
 
     def __init__(self, cuts: MillingCuts, steps_per_passing: int) -> None:
-        self._cuts, self._per_passing = cuts, steps_per_passing
         self._around = cuts.teeth * steps_per_passing
         width = 2.0 * np.pi / self._around
         stations = np.pi / 2.0 - width * np.arange(self._around)
@@ -129,22 +134,32 @@ class _Edges:
         self._radial = (cuts.radial_n_per_m2 * cuts.axial_depth_m / cuts.slices)[:, None]
         self._rows = np.arange(len(cuts.speed_rpm))[:, None]
         self._columns = np.arange(cuts.slices)[None, :]
+        pitches = np.array(cuts.pitch_rad or (2.0 * np.pi / cuts.teeth,) * cuts.teeth)
+        self._ahead = np.rint(-np.concatenate(([0.0], np.cumsum(pitches)[:-1])) / width).astype(np.intp).tolist()
+        self._feeds = (pitches * cuts.teeth / (2.0 * np.pi)).tolist()
+        damping = np.zeros(len(cuts.speed_rpm)) if cuts.damping_n_s_per_m is None else cuts.damping_n_s_per_m
+        self._keeps_contact = cuts.keeps_contact
+        self._damping = (damping / cuts.slices)[:, None]
 
-    def force(self, step: int, displacement_m: FloatArray) -> FloatArray:
+    def force(self, step: int, displacement_m: FloatArray, speed_m_s: FloatArray) -> FloatArray:
         """Return the force on the tool in machine axes [N], and cut the surface, shapes (n_cuts, 2)."""
         local = np.einsum("nij,nj->ni", self._turn, displacement_m)
+        moving = np.einsum("nij,nj->ni", self._turn, speed_m_s)
         total = np.zeros_like(local)
-        for tooth in range(self._cuts.teeth):
-            station = (step + tooth * self._per_passing - self._lag) % self._around
+        for ahead, feed in zip(self._ahead, self._feeds, strict=True):
+            station = (step + ahead - self._lag) % self._around
             cosine, sine = self._cosine[station], self._sine[station]
             reach = local[:, :1] * cosine + local[:, 1:] * sine
             left = self._surface[self._rows, self._columns, station]
-            chip = np.maximum(reach - left, 0.0)
+            chip = reach - left if self._keeps_contact else np.maximum(reach - left, 0.0)
             share = self._share[self._rows, station]
+            cut = reach if self._keeps_contact else np.maximum(left, reach)
             self._surface[self._rows, self._columns, station] = (
-                np.where(share > 0.0, np.maximum(left, reach), 0.0) - self._fed[self._rows, station]
+                np.where(share > 0.0, cut, 0.0) - feed * self._fed[self._rows, station]
             )
             tangential, radial = self._tangential * share * chip, self._radial * share * chip
+            outwards = moving[:, :1] * cosine + moving[:, 1:] * sine
+            radial += self._damping * share * np.where((chip > 0.0) | self._keeps_contact, outwards, 0.0)
             total[:, 0] += np.sum(-tangential * sine - radial * cosine, axis=1)
             total[:, 1] += np.sum(tangential * cosine - radial * sine, axis=1)
         force: FloatArray = np.einsum("nji,nj->ni", self._turn, total)
@@ -152,15 +167,17 @@ class _Edges:
 
 
 def is_stable(cuts: MillingCuts, passings: int = 300, steps_per_passing: int = 400) -> np.ndarray:
-    """Return, per cut, whether what differs from one tooth passing to the next dies away."""
+    """Return, per cut, whether what differs from one tooth passing (turn, at uneven pitches) to the next dies away."""
+    every = cuts.teeth if cuts.pitch_rad else 1
+    periods = passings // every
     before = np.zeros((len(cuts.speed_rpm), 2))
-    changes = np.zeros((passings, len(cuts.speed_rpm)))
-    for number, sample in enumerate(mill(cuts, passings, steps_per_passing), start=1):
-        if number % steps_per_passing == 0:
-            changes[number // steps_per_passing - 1] = np.linalg.norm(sample.displacement_m - before, axis=1)
+    changes = np.zeros((periods, len(cuts.speed_rpm)))
+    for number, sample in enumerate(mill(cuts, periods * every, steps_per_passing), start=1):
+        if number % (steps_per_passing * every) == 0:
+            changes[number // (steps_per_passing * every) - 1] = np.linalg.norm(sample.displacement_m - before, axis=1)
             before = sample.displacement_m
-    window = max(passings // 8, 4)
-    early = np.sqrt(np.mean(changes[passings // 2 : passings // 2 + window] ** 2, axis=0))
+    window = max(periods // 8, 4)
+    early = np.sqrt(np.mean(changes[periods // 2 : periods // 2 + window] ** 2, axis=0))
     late = np.sqrt(np.mean(changes[-window:] ** 2, axis=0))
     stable: np.ndarray = (late < FADED * early) | (late < SILENT * cuts.feed_per_tooth_m)
     return stable
