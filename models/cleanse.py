@@ -34,7 +34,7 @@ class CleansingRules:
     far_level_after_samples: int = 9
     """So many it takes for a level farther from the last accepted value than a gap explains."""
     agree_within_degc: float = 0.5
-    """Largest difference of one sample from the next where they agree [degC]."""
+    """Largest difference where one sample agrees with the next, or with the line that leads to it [degC]."""
     min_degc: float = -20.0
     max_degc: float = 100.0
     stale_after_s: float = 60.0
@@ -72,6 +72,8 @@ class CleansingResult:
     """Which values are accepted for the first time, or after a gap in which the last accepted one grew too old."""
     new_level: npt.NDArray[np.bool_]
     """Which values are accepted though they are farther from the last accepted one than the elapsed time allows."""
+    straight: npt.NDArray[np.bool_]
+    """Which are accepted because they go on as those before them did: the sensor moves fast, it is no other level."""
 
 
 def initial_state(
@@ -175,14 +177,13 @@ def cleanse_cycle(
     in_range = usable & (measured_degc >= rules.min_degc) & (measured_degc <= rules.max_degc)
     previous_degc, previous_at_s = state.accepted_degc[indices], state.accepted_at_s[indices]
     known = np.isfinite(previous_degc)
-    elapsed_s = now_s - previous_at_s
-    returning = ~known | (elapsed_s > rules.stale_after_s)
+    returning = ~known | ((elapsed_s := now_s - previous_at_s) > rules.stale_after_s)
     change_degc = np.where(known, np.abs(measured_degc - previous_degc), 0.0)
     allowed_degc = _allowed(rules, np.where(known, np.maximum(elapsed_s - cycle_period_s, 0.0), 0.0))
     needed = _samples_needed(rules, np.where(known, change_degc, np.inf), allowed_degc, returning)
-    waiting_degc, count = _count_agreeing(rules, state, indices, measured_degc, in_range & (needed > 1))
+    waits = in_range & (needed > 1)
+    waiting_degc, count, straight = _count_agreeing(rules, state, indices, measured_degc, waits, returning)
     accepted = in_range & ((needed == 1) | (count >= needed))
-
     held = ~accepted & known & (elapsed_s <= rules.stale_after_s)
     unconfirmed = returning | (change_degc <= allowed_degc)
     why = np.where(usable, np.where(in_range, _doubted(unconfirmed), np.uint8(Reason.OUT_OF_RANGE)), _unusable(reason))
@@ -196,6 +197,7 @@ def cleanse_cycle(
         reason=why.astype(np.uint8),
         returned=accepted & returning,
         new_level=accepted & (change_degc > allowed_degc),
+        straight=accepted & straight,
     )
 
 
@@ -224,6 +226,7 @@ def _all_near(
         reason=np.full(count, Reason.NONE, dtype=np.uint8),
         returned=np.zeros(count, dtype=np.bool_),
         new_level=np.zeros(count, dtype=np.bool_),
+        straight=np.zeros(count, dtype=np.bool_),
     )
 
 
@@ -254,19 +257,35 @@ def _samples_needed(
     return np.where(change_degc <= rules.noise_degc, 1, needed).astype(np.int64)
 
 
+def _goes_on(
+    rules: CleansingRules, state: CleansingState, indices: IndexArray, measured_degc: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Return which samples lie on the line from the last accepted value through those that wait: it warms fast."""
+    before_degc, count = state.waiting_degc[indices], state.waiting_count[indices]
+    step_degc = (before_degc - state.accepted_degc[indices]) / np.maximum(count, 1)
+    near = np.abs(measured_degc - before_degc - step_degc) <= rules.agree_within_degc
+    return np.asarray((count > 0) & near & (np.abs(step_degc) <= rules.max_change_degc))
+
+
 def _count_agreeing(
     rules: CleansingRules,
     state: CleansingState,
     indices: IndexArray,
     measured_degc: FloatArray,
     waits: npt.NDArray[np.bool_],
-) -> tuple[FloatArray, IntArray]:
-    """Extend, or begin anew, the run of samples that agree and do not count yet; other sensors keep theirs."""
+    returning: npt.NDArray[np.bool_],
+) -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
+    """Extend, or begin anew, the run of samples that agree and do not count yet; other sensors keep theirs.
+
+    Result: also which samples go on in a line, see `_goes_on`.
+    """
+    straight = waits & ~returning & _goes_on(rules, state, indices, measured_degc)
     before_degc, before_count = state.waiting_degc[indices], state.waiting_count[indices]
-    agrees = (before_count > 0) & (np.abs(measured_degc - before_degc) <= rules.agree_within_degc)
+    agrees = (before_count > 0) & (np.abs(measured_degc - before_degc) <= rules.agree_within_degc) | straight
     return (
         np.where(waits, measured_degc, before_degc),
         np.where(waits, np.where(agrees, before_count + 1, 1), before_count),
+        straight,
     )
 
 

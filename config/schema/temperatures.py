@@ -153,7 +153,9 @@ class CleansingConfig(Section):
     far_level_after_samples: int = Field(
         9, ge=2, description="the same for a level farther from the last accepted value than a gap explains"
     )
-    agree_within_degc: float = Field(0.5, gt=0, description="what 'agree' means")
+    agree_within_degc: float = Field(
+        0.5, gt=0, description="what 'agree' means: with the sample before, or with the line that leads there"
+    )
     min_degc: float = Field(-20.0, description="lower values are impossible here")
     max_degc: float = Field(100.0, description="higher values are impossible here")
     stale_after_s: Seconds = Field(

@@ -142,6 +142,7 @@ class Cleansing:
         heard = now_s - self._usable_at_s[indices] <= HELD_PERIODS * period_s
         returned = result.returned & self._after_silence(indices, usable, now_s)
         far = (result.quality == Quality.GOOD) & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
+        far &= ~result.straight
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
         self._silent[indices[result.quality == Quality.GOOD]] = False

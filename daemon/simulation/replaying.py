@@ -21,6 +21,7 @@ from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.files.recording_csv import read_header
 from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
+from models.cleanse import CleansingRules
 from models.recordings.dataset import Recording
 from models.records import OutputState
 
@@ -33,6 +34,12 @@ WHOLE_SHARE = 0.9
 LEAST_SHARE = 0.5
 """... and one that is for less than this did not follow: the replay ends with 1."""
 LINE = "recording"
+FAST_MARGIN = 1.5
+"""A change within a cycle may be so many times the fastest of the recording."""
+MOST_CHANGE_K = 5.0
+"""No temperature changes faster within a cycle [K]."""
+NAMED = 3
+"""So many sensors are named in one sentence."""
 LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, "deadband_um": 0.0}
 """Wide enough not to hide what the model does; a real machine gets its own."""
 
@@ -95,8 +102,13 @@ class Following:
         )
 
 
-def following(events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float) -> Following:
-    """Return for how much of a span of time the output was in each state, from the history's changes of state."""
+def following(
+    events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float, names: Sequence[str] = ()
+) -> Following:
+    """Return for how much of a span of time the output was in each state, from the history's changes of state.
+
+    `names`: columns of the recording's temperatures, which are said beside `sensor 1` and so on.
+    """
     state, why, at_s = OutputState.OFF.value, "it was not switched on", from_utc_s
     spent_s: defaultdict[str, float] = defaultdict(float)
     reasons_s: defaultdict[str, float] = defaultdict(float)
@@ -114,12 +126,20 @@ def following(events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float)
         if event.time_s > at_s:
             until(event.time_s)
             at_s = min(event.time_s, to_utc_s)
-        state, why = change[2], change[3]
+        ends = change[2] == OutputState.OFF.value and state != OutputState.OFF.value
+        state, why = change[2], why if ends and why else change[3]  # why it went back counts, not that it arrived
     until(to_utc_s)
     whole_s = max(to_utc_s - from_utc_s, 1e-9)
     states = {name: seconds / whole_s for name, seconds in spent_s.items() if seconds > 0.0}
     longest = max(reasons_s, key=lambda reason: reasons_s[reason]) if sum(reasons_s.values()) > 0.0 else ""
-    return Following(active_share=states.get(OutputState.ACTIVE.value, 0.0), states=states, why=longest)
+    why = re.sub(r"\bsensor (\d+)", lambda found: _named(found, names), longest)
+    return Following(active_share=states.get(OutputState.ACTIVE.value, 0.0), states=states, why=why)
+
+
+def _named(sensor: "re.Match[str]", names: Sequence[str]) -> str:
+    """Return `sensor 6 (T6)`; as it is where the recording has no such column."""
+    number = int(sensor[1])
+    return f"{sensor[0]} ({names[number - 1]})" if 1 <= number <= len(names) else sensor[0]
 
 
 def replay_machine(recording: Recording, model_file: Path, record_file: Path) -> dict[str, Any]:
@@ -131,6 +151,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
         )
     axes = axis_names(channels)
     period_s = float(np.median(np.diff(recording.time_s)))
+    cycle_s = min(period_s, LONGEST_CYCLE_S)
     sensors = [
         {"id": number, "component": "recording", "part": name}
         for number, name in enumerate(recording.temperature_names, start=1)
@@ -145,13 +166,16 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
                     "name": name,
                     "port": "",
                     "baud": 115200,
-                    "cycle_period_s": min(period_s, LONGEST_CYCLE_S),
+                    "cycle_period_s": cycle_s,
                     "chain": [f"{part[0]}-{part[-1]}"],
                 }
                 for name, part in _lines(len(sensors)).items()
             ],
             "sensors": sensors,
-            "cleansing": {"stale_after_s": max(300.0, 5 * period_s)},
+            "cleansing": {
+                "stale_after_s": max(300.0, 5 * period_s),
+                "max_change_degc": allowed_change_k(recording, cycle_s)[0],
+            },
         },
         "displacements": {
             "file": {"path": ""},
@@ -166,6 +190,30 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "output": {"safe_sequence_numbers": [900]},
         },
     }
+
+
+def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:
+    """Return the change within a cycle that the machine must allow [K], and what is said where that is not the default.
+
+    A healthy sensor beside a motor may move by several kelvin a minute: what a cycle of `cycle_s` [s] sees of it must
+    not count as another level of the sensor. What goes on in the next row is no spike and no step.
+    """
+    usual_k = CleansingRules().max_change_degc
+    degc = recording.without_impossible().temperatures_degc[:, : recording.sensors]
+    per_cycle = np.diff(degc, axis=0) * np.minimum(cycle_s / np.diff(recording.time_s), 1.0)[:, None]
+    before, after = np.nan_to_num(per_cycle[:-1]), np.nan_to_num(per_cycle[1:])
+    lasting = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    fastest_k = np.minimum(lasting.max(axis=0, initial=0.0), MOST_CHANGE_K)
+    quick = [number for number in np.argsort(-fastest_k)[:NAMED].tolist() if FAST_MARGIN * fastest_k[number] > usual_k]
+    if not quick:
+        return usual_k, ""
+    needed_k = float(np.ceil(10.0 * FAST_MARGIN * fastest_k[quick[0]]) / 10.0)
+    named = ", ".join(f"{recording.temperature_names[i]} by {fastest_k[i]:.1f} K" for i in quick)
+    return needed_k, (
+        f"within a cycle of {cycle_s:g} s temperatures change faster than a machine allows by default ({named}); this "
+        f"is played with temperatures.cleansing.max_change_degc: {needed_k:g}, and the machine needs that too, or the "
+        "output holds because a sensor seems to be at another level"
+    )
 
 
 def _lines(sensors: int) -> dict[str, list[int]]:

@@ -38,6 +38,8 @@ MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
 MAX_FIELDS = 4096
 """A recording has hundreds of columns; more means that the file is something else."""
 METADATA_MARK = "#"
+FIRST_ROW = 2
+"""Line of the row after the header, where nothing stands before it."""
 
 
 class RecordingFileError(FatalDriverError):
@@ -102,7 +104,7 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             recording_map = recording_map or usual_map(header)
             columns = resolve_columns(recording_map, header)
         except ColumnError as error:
-            raise place.refuse(str(error)) from error
+            raise place.refuse(f"{error}{_encoding_hint(header)}") from error
         if recording_map.unit_row:
             next(lines, "")
         form = _Form(header=header, delimiter=delimiter, columns=columns, recording_map=recording_map)
@@ -219,6 +221,18 @@ def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     return names, delimiter
 
 
+def _encoding_hint(header: list[str]) -> str:
+    """Return what to say where names look like UTF-8 that was read as another encoding, else ''."""
+    try:
+        meant = [name.encode("cp1252").decode("utf-8") for name in header]
+    except UnicodeError:
+        return ""
+    if meant == header:
+        return ""
+    named = ", ".join(name for name, read in zip(meant, header, strict=True) if name != read)
+    return f"; the file seems to be UTF-8 ({named}): say encoding: utf-8 in the map"
+
+
 def _is_number(text: str) -> bool:
     try:
         float(text)
@@ -290,6 +304,12 @@ def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) 
     if not math.isfinite(time_s):
         wanted = form.recording_map.time_format
         sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
+        if (
+            place.line == FIRST_ROW
+            and not form.recording_map.unit_row
+            and not any(_is_number(text.replace(",", ".")) for text in fields)
+        ):
+            sentence += "; where this row holds units, say unit_row: true in the map"
         raise place.refuse(f"{text!r} is not a time {sentence}", column)
     return time_s
 
@@ -323,5 +343,8 @@ def _advice(text: str, decimal: str | None) -> str:
     if decimal == "." and "," in text:
         return "if its comma is the decimal mark, say decimal: ',' in the map"
     if decimal == "," and "." in text:
-        return "the map says that the decimal mark is a comma"
+        return (
+            "the map says that the decimal mark is a comma; where the point separates thousands, export without such "
+            "points, where it is the decimal mark, say decimal: '.' in the map"
+        )
     return "leave the field empty where a value is missing"

@@ -24,6 +24,8 @@ WARMING_K = 2.0
 """A temperature span that moves any machine tool by more than `SMALLEST_SPAN_UM`."""
 LARGEST_SPAN_UM = 5000.0
 """A channel that moves more is not in micrometres (no displacement sensor of a nest reaches so far)."""
+MOST_NAMED = 3
+"""So many recordings are named of which the same is said."""
 WARMEST_START_DEGC = 50.0
 """Where no temperature is ever below this, they are not in degC: a cold workshop of 10 degC has 50 degF."""
 
@@ -83,12 +85,25 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
     """
     together = sum(recording.rows for recording in recordings)
-    warnings = [f"{r.name}: {finding}" for r in recordings for finding in require_usable(r, together)]
+    warnings = said_together([(r.name, str(finding)) for r in recordings for finding in require_usable(r, together)])
     possible = [recording.without_impossible() for recording in recordings]
     disagreeing = [
         f"{possible[found.recording].name}: {_disagreement(possible, found)}" for found in disagreements(possible)
     ]
     return possible, (*disagreeing, *warnings)
+
+
+def said_together(sentences: Sequence[tuple[str, str]]) -> list[str]:
+    """Return `name: sentence` once for each sentence, with the names of all that it is said of."""
+    names: dict[str, list[str]] = {}
+    for name, sentence in sentences:
+        names.setdefault(sentence, []).append(name)
+    return [f"{_listed(of)}: {sentence}" for sentence, of in names.items()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + rest
 
 
 def _disagreement(recordings: Sequence[Recording], found: Disagreement) -> Finding:
@@ -215,7 +230,8 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
         name = max(spans_um, key=lambda channel: spans_um[channel])
         sentence = (
             f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
-            "that looks like millimetres; say so in the map: displacement_units"
+            "that looks like millimetres; say so in the map: displacement_units. Where they are micrometres, nothing "
+            "can be learned from this recording: record one in which the axis warms"
         )
         yield _error(name, None, sentence)
 

@@ -99,6 +99,7 @@ def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Pat
     )
     assert result.exit_code == 0, result.output
     assert model(tmp_path / "model.json").sensor_names == (NAMES[0], NAMES[1], NAMES[3])
+    assert f"left out, because not all recordings have them: {NAMES[2]}" in result.stderr
 
 
 def test_columns_in_another_order_are_the_same_columns(tmp_path: Path) -> None:
@@ -125,3 +126,60 @@ def test_a_stuck_sensor_is_named_at_training(tmp_path: Path) -> None:
     )
     assert f"warning: tag2.csv: column {NAMES[1]}, row 10" in result.stderr
     assert "it seems stuck" in result.stderr
+
+
+MAP = (
+    "time: Uhrzeit\ndate: Datum\ntime_format: '%d.%m.%Y %H:%M:%S'\nspeed: Drehzahl [1/min]\n"
+    "temperatures: ['Temp*°C*']\ndisplacements: ['Weg*']\ndecimal: ','\ntime_zone: Europe/Zurich\n"
+)
+
+
+def refusal(tmp_path: Path, text: str, recording_map: str = MAP) -> str:
+    """Return what training says of one file, which it refuses."""
+    (path := tmp_path / "tag.csv").write_text(text, encoding="utf-8")
+    (given := tmp_path / "map.yaml").write_text(recording_map, encoding="utf-8")
+    result = thermal("train", path, "--map", given, "--model", "ridge", "-o", tmp_path / "model.json")
+    assert result.exit_code == 2, result.output
+    return result.stderr
+
+
+def test_what_is_refused_names_the_line_and_the_key_of_the_map_that_helps(tmp_path: Path) -> None:
+    text = foreign(tmp_path / "tag.csv", 1).read_text("utf-8")
+    head, first, *rows = text.splitlines()
+    units = ";".join(["[d]", "[h]", "[1/min]", *4 * ["[°C]"], "[µm]"])
+    said = refusal(tmp_path, "\n".join([head, units, first, *rows]) + "\n")
+    assert "tag.csv:2: " in said and "unit_row: true" in said
+    said = refusal(tmp_path, text, MAP.replace("Temp*°C*", NAMES[0]) + "encoding: cp1252\n")
+    assert "the file seems to be UTF-8 (" in said and NAMES[0] in said and "encoding: utf-8" in said
+    still = [";".join([*row.split(";")[:-1], "0,01"]) for row in rows]
+    said = refusal(tmp_path, "\n".join([head, *still]) + "\n")
+    assert "displacement_units" in said and "record one in which the axis warms" in said
+
+
+def test_a_channel_whose_name_holds_a_comma_can_be_chosen(tmp_path: Path) -> None:
+    files = runs(tmp_path)
+    for path in files:
+        path.write_text(path.read_text("utf-8").replace("Weg Z [µm]", "Weg Z, rel. [µm]"), encoding="utf-8")
+    (given := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    where = tmp_path / "model.json"
+    result = thermal("train", *files, "--map", given, "--model", "ridge", "--channels", "Weg Z, rel. [µm]", "-o", where)
+    assert result.exit_code == 0, result.output
+    assert model(where).channels == ("Weg Z, rel. [µm]",)
+
+
+def test_what_is_said_of_every_recording_is_said_once(tmp_path: Path) -> None:
+    files = runs(tmp_path)
+    for path in files:
+        head, *rows = path.read_text("utf-8").splitlines()
+        lines = [f"{head};Temp tot [°C]", *(f"{row};22,7" for row in rows)]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (given := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    options = ["--map", given, "--model", "ridge"]
+    result = thermal("train", *files, *options, "-o", tmp_path / "model.json")
+    said = [line for line in result.stderr.splitlines() if "Temp tot [°C]: constant" in line]
+    assert said == [
+        "warning: tag0.csv, tag1.csv, tag2.csv and 1 more: column Temp tot [°C]: constant at 22.7 over the whole "
+        "recording; is the sensor connected?"
+    ]
+    result = thermal("evaluate", *files, *options, "--leave-out-runs")
+    assert result.stderr.count("temperature Temp tot [°C] is left out of the model") == 1

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from thermal_runs import run
@@ -12,7 +13,9 @@ from thermal_runs import run
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS
 from daemon.history.series import EventRecord
-from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, following
+from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, allowed_change_k, following
+from models.recordings.dataset import Recording
+from models.records import FloatArray
 
 
 def event(time_s: float, text: str, kind: str = "state") -> EventRecord:
@@ -31,6 +34,41 @@ def test_the_share_of_each_state_comes_from_the_changes() -> None:
     assert found.states == pytest.approx({"ARMED": 0.1, "ACTIVE": 0.4, "HOLD": 0.5})
     assert found.active_share == pytest.approx(0.4)
     assert "ACTIVE) for 40% of the time played, mostly because: confidence 0.10 is below" in found.warning
+
+
+def test_an_output_that_went_back_is_named_by_its_cause_and_a_sensor_by_its_column() -> None:
+    events = [
+        event(100.0, "ARMED -> ACTIVE: following the estimate"),
+        event(110.0, "ACTIVE -> HOLD: the level of sensor 2 by 2.0 K has changed"),
+        event(115.0, "HOLD -> RETREAT: held too long: the level of sensor 2 by 2.0 K has changed"),
+        event(120.0, "RETREAT -> OFF: the guard applies zero"),
+    ]
+    found = following(events, 100.0, 200.0, names=("T1", "Bett [°C]"))
+    assert found.states["OFF"] == pytest.approx(0.8)
+    assert found.why == "held too long: the level of sensor 2 (Bett [°C]) by 2.0 K has changed"
+
+
+def made(degc: FloatArray, sample_s: float) -> Recording:
+    rows = len(degc)
+    return Recording(
+        name="fast.csv",
+        time_s=sample_s * np.arange(float(rows)),
+        speed_rpm=None,
+        temperature_names=("T1", "Motor [°C]"),
+        temperatures_degc=np.column_stack([np.full(rows, 20.0), degc]),
+        displacement_names=("Z",),
+        displacements_um=np.zeros((rows, 1)),
+    )
+
+
+def test_a_sensor_that_is_faster_than_the_default_allows_is_named_with_what_the_machine_needs() -> None:
+    fast = 20.0 + np.array([0.0, 4.0, 8.0, 12.0, 15.0, 17.0, 18.0, 18.5])
+    allowed_k, note = allowed_change_k(made(fast, 60.0), 15.0)
+    assert allowed_k == pytest.approx(1.5) and "Motor [°C] by 1.0 K" in note and "max_change_degc: 1.5" in note
+    spike = np.where(np.arange(8) == 4, 40.0, 20.0)
+    step = np.where(np.arange(8) >= 4, 40.0, 20.0)
+    for harmless in (20.0 + 0.1 * np.arange(8.0), spike, step):
+        assert allowed_change_k(made(harmless, 60.0), 15.0) == (1.0, "")
 
 
 def test_an_output_that_followed_throughout_is_not_warned_of_and_one_without_events_never_did() -> None:

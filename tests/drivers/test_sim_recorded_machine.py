@@ -97,6 +97,16 @@ def test_a_map_with_a_handshake_asks_for_a_reference_at_positioning() -> None:
     assert played.nc.macros.get(531) == 0.0
 
 
+def test_what_was_measured_goes_straight_from_row_to_row() -> None:
+    played = machine()
+    played.advance(LEAD_IN_S + 55.0)
+    assert played.displacement_um()["Z2"] == pytest.approx(-3.0), "half way from 0 to -6"
+    played.advance(LEAD_IN_S + 60.0)
+    assert played.displacement_um()["Z2"] == pytest.approx(-6.0)
+    played.advance(LEAD_IN_S + 700.0)
+    assert played.displacement_um()["Z2"] == pytest.approx(-6.0), "the last row stands"
+
+
 def test_the_sensors_must_be_those_of_the_recording() -> None:
     played = machine()
     assert played.register_codes([1]) == [round(21.5 * 16)]

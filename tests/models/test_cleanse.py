@@ -113,10 +113,20 @@ def test_what_a_previous_run_accepted_is_the_past_of_the_first_values() -> None:
     assert counted(fed(settled(now_s=-20.0), *equal_wrong, 20.0)) == 3 * [False] + [True]
 
 
-def test_a_sensor_that_warms_quickly_is_followed_one_sample_later() -> None:
-    ramp = [20.0 + 0.4 * cycle for cycle in range(1, 40)]
-    results = fed(settled(), *ramp)
-    assert max(abs(result.degc[0] - degc) for result, degc in zip(results, ramp, strict=True)) <= 0.8 + 1e-9
+@pytest.mark.parametrize("step_k", [0.4, 0.9, -1.0])
+def test_a_sensor_that_warms_quickly_is_followed_one_sample_later(step_k: float) -> None:
+    ramp = [50.0 + step_k * cycle for cycle in range(1, 40)]
+    results = fed(settled(50.0), *ramp)
+    off = [abs(result.degc[0] - degc) for result, degc in zip(results, ramp, strict=True)]
+    assert max(off) <= 2.0 * abs(step_k) + 1e-9
+    assert counted(results)[1::2] == len(ramp[1::2]) * [True] and not any(r.new_level[0] for r in results)
+    assert all(r.straight[0] for r in results[1::2]), "it moves, it is no other level"
+
+
+def test_what_is_no_straight_line_from_the_past_is_another_level() -> None:
+    for degc in ((21.3, 22.6), (20.9, 20.9), (20.9, 22.4), (22.0, 22.9)):
+        assert not any(result.straight[0] for result in fed(settled(), *degc)), degc
+    assert not any(result.straight[0] for result in fed(settled(), 20.9, 21.8, 22.7, begin_s=3600.0)), "after a gap"
 
 
 def test_a_far_level_that_drifts_is_found_too() -> None:

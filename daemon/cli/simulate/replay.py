@@ -26,6 +26,7 @@ from daemon.simulation.processes import RunningSimulation, start_simulation, wri
 from daemon.simulation.replaying import (
     LEAST_SHARE,
     Following,
+    allowed_change_k,
     axis_names,
     check_model,
     following,
@@ -89,6 +90,8 @@ def replay(
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
+            if note := allowed_change_k(part, machine["temperatures"]["lines"][0]["cycle_period_s"])[1]:
+                say(f"warning: {note}")
             path, _ = write_simulation_configuration(machine, folder, speed=speed)
         except ValueError as error:
             refuse(str(error))
@@ -104,7 +107,7 @@ def replay(
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
             span_s = played_utc_s(part, began_s)
-            followed = following(reader.events(0.0, span_s[1]), *span_s)
+            followed = following(reader.events(0.0, span_s[1]), *span_s, names=part.temperature_names)
     channels = axis_names(part.displacement_names)
     final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
     report(recording, final, status, followed, json_path)

@@ -1,6 +1,7 @@
 """`toolpoint thermal evaluate`: how good a family of models is on what it has not seen."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 MODELS = ("default", "lags", "gaussian", "increments", "increments-b0", "ridge", "pls", "lasso")
 FaultKind = Literal["stuck", "step", "open", "drift"]
+SIGNS = {"slew": "it jumped", "flat": "it stood still", "departure": "the others say otherwise"}
+"""What is said of a sensor that the watch excluded, by its sign."""
 AMOUNT = {"step": "degC", "drift": "degC/h"}
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FORMS = "stuck:S@36h, step:S:5degC@36h, open:S@36h or drift:S:1degC/h@36h"
@@ -94,6 +97,7 @@ def evaluate(
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.evaluation import Protocol, read_recordings
     from daemon.workbench.thermal.evaluation import evaluate as evaluated
+    from daemon.workbench.thermal.reading import columns_left_out
     from daemon.workbench.thermal.result_pages import Stretch, evaluation_page
 
     leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
@@ -111,6 +115,7 @@ def evaluate(
         stretches: list[Stretch] = []
         found = evaluated(read, sample_s, model, protocol, bar.show, stretches)
     found["warnings"] = list(warnings)
+    found["columns_left_out"] = columns_left_out(recordings, recording_map) if common_columns else []
     if html_path is not None:
         title = f"{model} on {', '.join(path.name for path in recordings[:3])}{' ...' * (len(recordings) > 3)}"
         write_page(html_path, evaluation_page(title, found, stretches))
@@ -137,12 +142,21 @@ def _protocol(
 
 def _show(found: dict[str, Any]) -> None:
     """Write the figures for people, on standard error."""
+    from models.recordings.findings import said_together
+
     for warning in found["warnings"][:10]:
         say(f"warning: {warning}")
-    for test in found["tests"]:
-        for name, why in test["temperatures_left_out"].items():
-            say(f"{test['name']}: temperature {name} is left out of the model: {why}")
-    say(f"model {found['model']}: {compact_text(found['hyper_parameters'])}")
+    say_columns_left_out(found["columns_left_out"])
+    dropped = [
+        (test["name"], f"temperature {name} is left out of the model: {why}")
+        for test in found["tests"]
+        for name, why in test["temperatures_left_out"].items()
+    ]
+    for sentence in said_together(dropped):
+        say(sentence)
+    several = len(found["tests"]) > 1
+    settings = f"{len(found['tests'])} trainings; --json has the settings of each" if several else ""
+    say(f"model {found['model']}: {settings or settings_text(found['hyper_parameters'])}")
     for family, why in {c["chosen"]["family"]: c["chosen"]["why"] for c in found["channels"].values()}.items():
         say(f"chosen: {family}; {why}")
     say(
@@ -170,8 +184,14 @@ def _show(found: dict[str, Any]) -> None:
             f"{fault['kind']} {fault['sensor']}: {'not found' if after is None else f'found after {after:.0f} min'}, "
             f"largest residual {_text(fault['max_ratio'], '.2f')} times fault-free"
         )
-    alarms = ", ".join(found["false_alarm_sensors"]) or "none"
-    say(f"false alarms: {alarms}")
+    alarms = [
+        f"{one['sensor']} in {test['name']} after {one['after_hours']:.1f} h ({SIGNS[one['sign']]})"
+        for test in found["tests"]
+        for one in test["excluded"]
+    ]
+    say(f"false alarms: {', '.join(alarms) or 'none'}")
+    if alarms:
+        say("a sensor that was excluded here is either wrong in that recording, or does there what training never saw")
     if found["refused"] is not None:
         say(f"refused: {found['refused']}")
 
@@ -180,14 +200,24 @@ def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def compact_text(values: dict[str, Any]) -> str:
-    """Return hyper-parameters on one line."""
+def say_columns_left_out(columns: Sequence[str]) -> None:
+    """Name the columns that --common-columns left out."""
+    if columns:
+        say(f"left out, because not all recordings have them: {', '.join(columns)}")
 
+
+def settings_text(hyper_parameters: dict[str, Any]) -> str:
+    """Return what was chosen inside training on one line, for people; the rest stands in the JSON."""
+    hidden = ("tried", "left_out_relative_rmse", "family", "gaussian")
+    return _compact({key: value for key, value in hyper_parameters.items() if not key.startswith(hidden)})
+
+
+def _compact(values: dict[str, Any]) -> str:
     def one(value: Any) -> str:
         if isinstance(value, list):
             return "[" + ", ".join(map(one, value)) + "]"
         if isinstance(value, dict):
-            return "{" + compact_text(value) + "}"
+            return "{" + _compact(value) + "}"
         return f"{value:.4g}" if isinstance(value, float) else str(value)
 
     return ", ".join(f"{key} {one(value)}" for key, value in values.items())

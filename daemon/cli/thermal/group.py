@@ -19,7 +19,7 @@ from daemon.cli.common import (
     write_json,
 )
 from daemon.cli.thermal.campaign import campaign
-from daemon.cli.thermal.evaluate import MODELS, compact_text, evaluate
+from daemon.cli.thermal.evaluate import MODELS, evaluate, say_columns_left_out, settings_text
 from daemon.cli.thermal.figures import figures
 from daemon.cli.thermal.report import report
 from daemon.cli.thermal.sensors import sensors
@@ -100,6 +100,7 @@ def train(
     columns must carry the usual names; where they do not, a map is proposed.
     """
     from config.recordings.recording_map import load_recording_map
+    from daemon.workbench.thermal.reading import columns_left_out
     from daemon.workbench.thermal.training import (
         Selection,
         increments_summary,
@@ -135,6 +136,7 @@ def train(
     found = increments_summary(result, output) if family is None else summary(result, output)
     kept = kept_paths(recordings, selection)
     found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
+    found["columns_left_out"] = columns_left_out(kept, recording_map) if common_columns else []
     _show(found)
     if family is None:
         say("this is the model of increments; without its options the family is taken that the recordings support best")
@@ -182,9 +184,10 @@ def _show(found: dict[str, Any]) -> None:
         say(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind")
     for name, why in found["temperatures_left_out"].items():
         say(f"temperature {name} is left out of the model: {why}")
+    say_columns_left_out(found["columns_left_out"])
     model, held_out = found["model"], found["held_out"]
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
-    chosen = compact_text(found["hyper_parameters"])
+    chosen = settings_text(found["hyper_parameters"])
     say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
     if found["chosen"] is not None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")

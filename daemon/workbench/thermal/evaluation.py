@@ -289,9 +289,8 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
         channels[name] |= choice
     refusals = [o for o in outcomes if o.trust.refused is not None]
     several = len(outcomes) > 1
-    healthy = [(o, fault) for o in outcomes for trial in o.trials for fault in trial.faults if fault.sign != "missing"]
-    names = [[n for n in inputs.sensor_names if n not in o.dropped] for o in outcomes]
-    of_outcome = {id(o): kept for o, kept in zip(outcomes, names, strict=True)}
+    tests = [_test_figures(inputs, outcome) for outcome in outcomes]
+    excluded = [one["sensor"] for test in tests for one in test["excluded"]]
     return {
         "channels": channels,
         "mean": mean,
@@ -304,14 +303,15 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
             for fault in o.faults
         ],
         "advice": list(dict.fromkeys(sentence for o in outcomes for sentence in o.choice.advice)),
-        "false_alarms": len(healthy),
-        "false_alarm_sensors": [of_outcome[id(o)][fault.sensor] for o, fault in healthy],
-        "tests": [_test_figures(inputs, o) for o in outcomes],
+        "false_alarms": len(excluded),
+        "false_alarm_sensors": excluded,
+        "tests": tests,
     }
 
 
 def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
     mean = _mean(_channel_figures(inputs.channels, [outcome]))
+    names = [name for name in inputs.sensor_names if name not in outcome.dropped]
     return {
         "name": outcome.name,
         "rows": sum(len(trial.rows) for trial in outcome.trials),
@@ -320,6 +320,16 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
         "held_out_relative_rmse": finite_or_none(outcome.trust.held_out_relative_rmse),
         "forward_skill": [finite_or_none(value) for value in outcome.trust.forward_skill],
         "temperatures_left_out": outcome.dropped,
+        "excluded": [
+            {
+                "sensor": names[fault.sensor],
+                "after_hours": (fault.time_min - float(inputs.time_min[trial.rows[0]])) / 60.0,
+                "sign": fault.sign,
+            }
+            for trial in outcome.trials
+            for fault in trial.faults
+            if fault.sign != "missing"
+        ],
     }
 
 

@@ -1,6 +1,7 @@
 """Reads several recordings alike: one map for all, the same columns in the same order, or which of them differ."""
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 
 from config.recordings.map_proposal import MapProposal, propose_map
@@ -65,6 +66,13 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
     if one.speed is not None and not all(columns["speed"] for columns in found):
         del keys["speed"]
     return RecordingMap.model_validate(keys)
+
+
+def columns_left_out(paths: Sequence[Path], recording_map: RecordingMap | None) -> list[str]:
+    """Return the columns that the map names and not all recordings have."""
+    _, found = _columns(paths, recording_map)
+    every = dict.fromkeys(name for columns in found for names in columns.values() for name in names)
+    return [name for name in every if not all(name in chain(*columns.values()) for columns in found)]
 
 
 def _require_alike(paths: Sequence[Path], recording_map: RecordingMap | None) -> None:

@@ -70,8 +70,20 @@ def _selected(recording: Recording, selection: Selection) -> Recording:
     if selection.hours is not None:
         recording = recording.between_hours(*selection.hours)
     if selection.channels is not None:
-        recording = recording.with_channels(selection.channels)
+        recording = recording.with_channels(_whole_names(selection.channels, recording.displacement_names))
     return recording
+
+
+def _whole_names(parts: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Return names that were separated at commas, those with a comma of their own put together again."""
+    found, rest = [], list(parts)
+    while rest:
+        ends = range(len(rest), 1, -1)
+        joined = ((end, mark.join(rest[:end])) for end in ends for mark in (", ", ","))
+        end, name = next(((end, name) for end, name in joined if name in known), (1, rest[0]))
+        found.append(name)
+        del rest[:end]
+    return tuple(found)
 
 
 def write_model_file(model: ThermalModel, path: Path) -> None:

@@ -1,7 +1,8 @@
 """A machine that plays a recording: its temperatures, displacements and spindle speed, on a simulated NC.
 
 The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, and from there on
-the tool is always at a safe point, so that the NC applies what it is given once a second.
+the tool is always at a safe point, so that the NC applies what it is given once a second. Temperatures and
+displacements go straight from one row to the next: rows of a minute are no steps of several kelvin.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,8 @@ LEAD_IN_S = 120.0
 POSITIONING_S = 20.0
 PROGRAM, POSITIONING, SAFE = 3000, 100, 900
 ROOM_DEGC = 25.0
+BRIDGED_S = 600.0
+"""Over a longer time without rows nothing is known, and the last row stands [s]."""
 
 
 class PlayedRecording(Protocol):
@@ -118,7 +121,7 @@ class RecordedMachine:
     def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
         """Return the TMP102 codes of the recording's row now; NaN in the recording reads 0."""
         playing = self.time_s >= LEAD_IN_S
-        row = self._recording.temperatures_degc[self._row()] if playing else self._first_degc
+        row = self._between_rows(self._recording.temperatures_degc) if playing else self._first_degc
         codes = []
         for sensor_id in sensor_ids:
             degc = row[self._position[sensor_id]]
@@ -128,7 +131,7 @@ class RecordedMachine:
 
     def displacement_um(self) -> dict[str, float]:
         """Return the recording's displacements now by channel [um], with what the NC applies to their axes."""
-        row = self._recording.displacements_um[self._row()]
+        row = self._between_rows(self._recording.displacements_um)
         readings = dict(zip(self._recording.displacement_names, row.tolist(), strict=True))
         for axis, channel in self._channels.items():
             assert channel is not None
@@ -169,9 +172,17 @@ class RecordedMachine:
         played_s = max(self.time_s - LEAD_IN_S, 0.0)
         return max(int(np.searchsorted(self._time_s, played_s, side="right")) - 1, 0)
 
+    def _between_rows(self, table: FloatArray) -> FloatArray:
+        """Return a row of a table as it is now: on the straight line to the next one, where both are known."""
+        row = self._row()
+        if row + 1 >= len(table) or (span_s := float(self._time_s[row + 1] - self._time_s[row])) > BRIDGED_S:
+            return np.asarray(table[row])
+        share = max(self.time_s - LEAD_IN_S - float(self._time_s[row]), 0.0) / span_s
+        between = table[row] + min(share, 1.0) * (table[row + 1] - table[row])
+        return np.asarray(np.where(np.isfinite(between), between, table[row]))
+
     def _error_um(self) -> FloatArray:
-        error: FloatArray = self._recording.displacements_um[self._row()] - self._zero_um
-        return error
+        return self._between_rows(self._recording.displacements_um) - self._zero_um
 
     def _applied_um(self) -> FloatArray:
         return np.array(list(self._guard.applied_um.values()))
