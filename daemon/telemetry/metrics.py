@@ -269,15 +269,21 @@ def _rounded(series: DelaySeries) -> dict[str, float | int | None]:
     return {key: None if value is None else round(value, 5) for key, value in series.summary().items()}
 
 
-_M_ARENA_MAX = -8
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 """Of `mallopt`, from glibc's malloc.h."""
+LARGE_BYTES = 1 << 20
 
 
 def keep_one_heap() -> None:
-    """Let all threads share one heap (glibc); each would keep what it freed in one of its own. Call before threads."""
+    """Let all threads share one heap, and what is large have pages of its own (glibc); call it before threads.
+
+    Else each thread keeps what it has freed, and the heap keeps up to 64 MiB once something large was freed.
+    """
     choose = getattr(ctypes.CDLL(None), "mallopt", None)
     if choose is not None:
         choose(_M_ARENA_MAX, 1)
+        choose(_M_MMAP_THRESHOLD, LARGE_BYTES)
+        choose(_M_TRIM_THRESHOLD, LARGE_BYTES)
 
 
 def give_memory_back() -> None:

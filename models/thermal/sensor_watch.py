@@ -5,7 +5,7 @@ With P the inverse of the damped covariance of all columns, sensor s departs fro
 out is a block elimination in P.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from models.model_file import ModelError, Numbers, Packed
 from models.records import FloatArray
-from models.thermal.features import Layout
+from models.thermal.features import IntArray, Layout
 
 WATCH_LAGS_MIN = (10.0, 90.0)
 """Lags of temperatures and of spindle speed from which sensors are predicted [min]."""
@@ -33,7 +33,12 @@ FLAT_FACTOR = 1.5
 SAME_K = 1e-6
 """Values closer than this are identical [K]."""
 
+AT_ONCE = 32
+"""So many sensors are predicted at once: with hundreds the whole precision would stand there several times over."""
+
 Precision = npt.NDArray[np.floating[Any]]
+Rows = Callable[[IntArray], FloatArray]
+"""From indices of rows, shape (n,), to these rows, shape (n, d)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,33 +83,40 @@ class SensorWatch:
             raise ModelError("watch.speed_scale_rpm", f"{self.speed_scale_rpm} must be positive and finite")
 
 
-def without_columns(precision: Precision, columns: Sequence[int]) -> Precision:
-    """Return the precision of what is left without some columns; those become zero."""
+def without_columns(precision: Precision, columns: Sequence[int]) -> Rows:
+    """Return what gives rows of the precision of all other columns; zero in those columns, and never asked for them."""
     out = np.asarray(columns, dtype=np.intp)
-    if not len(out):
-        return precision
     inside = precision[np.ix_(out, out)].astype(np.float64)
-    found = np.asarray(precision - precision[:, out] @ np.linalg.solve(inside, precision[out]), dtype=np.float64)
-    found[out], found[:, out] = 0.0, 0.0
-    return found
+    eliminated = np.linalg.solve(inside, precision[out]) if len(out) else np.zeros((0, len(precision)))
+
+    def rows(wanted: IntArray) -> FloatArray:
+        found = precision[wanted].astype(np.float64)
+        if len(out):
+            found -= precision[np.ix_(wanted, out)] @ eliminated
+            found[:, out] = 0.0
+        return found
+
+    return rows
 
 
 def departure_maps(
     layout: Layout, precision: Precision, gain: FloatArray, skip: Sequence[int] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what turns scaled columns into the departure of every sensor from its prediction.
+    """Return what turns scaled columns into the departure of every sensor from its prediction by those that count.
 
     Result: maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard deviation that the
     model itself expects [K], shape (n_sensors,).
 
-    `layout`, `precision` and `gain`: see `SensorWatch`. `skip`: sensors that `precision` does not hold any more.
+    `layout`, `precision` and `gain`: see `SensorWatch`. `skip`: sensors that do not count.
     """
     sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
     maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
-    if not sensors:
-        return maps, expected
-    own = np.stack([layout.of_sensors([s]) for s in sensors])
-    blocks = np.linalg.inv(precision[own[:, :, None], own[:, None, :]].astype(np.float64))
-    maps[sensors] = np.einsum("sj,sjd->sd", blocks[:, 0], precision[own]) / gain[sensors, None]
-    expected[sensors] = np.sqrt(blocks[:, 0, 0]) / gain[sensors]
+    rows = without_columns(precision, layout.of_sensors(skip).tolist())
+    for first in range(0, len(sensors), AT_ONCE):
+        some = sensors[first : first + AT_ONCE]
+        own = np.stack([layout.of_sensors([s]) for s in some])
+        of_own = rows(own.ravel()).reshape(*own.shape, layout.columns)
+        blocks = np.linalg.inv(np.take_along_axis(of_own, own[:, None, :], axis=2))
+        maps[some] = np.einsum("sj,sjd->sd", blocks[:, 0], of_own) / gain[some, None]
+        expected[some] = np.sqrt(blocks[:, 0, 0]) / gain[some]
     return maps, expected

@@ -17,7 +17,6 @@ from models.thermal.sensor_watch import (
     FAST_MIN,
     SAME_K,
     SLOW_MIN,
-    Precision,
     SensorWatch,
     departure_maps,
     without_columns,
@@ -88,12 +87,11 @@ class WatchState:
         return tuple(sorted({fault.sensor for fault in self.faults}))
 
 
-def _expected(precision: Precision, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
-    """Return what the other scaled columns let be expected of some columns, shape (len(out),)."""
+def _expected(of_out: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
+    """Return what the other scaled columns let be expected of some columns, shape (len(out),); `of_out`: their rows."""
     others = scaled.copy()
     others[out] = 0.0
-    inside = precision[np.ix_(out, out)].astype(np.float64)
-    return np.asarray(-np.linalg.solve(inside, precision[out] @ others))
+    return np.asarray(-np.linalg.solve(of_out[:, out], of_out @ others))
 
 
 class Watcher:
@@ -105,7 +103,7 @@ class Watcher:
     def __init__(self, watch: SensorWatch) -> None:
         self.watch = watch
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
-        self._most_maps = max(8, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
+        self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
 
     def reinitialised(self, state: WatchState, sensors: Sequence[int]) -> WatchState:
@@ -122,26 +120,25 @@ class Watcher:
         if not anew or len(anew) + len(still) == self.watch.layout.sensors:
             return replace(state, faults=faults)  # nobody is left to expect anything from: their own past goes on
         watch, out = self.watch, self.watch.layout.of_sensors(anew)
-        others = watch.layout.of_sensors(sorted(still)).tolist() if still else []
-        precision = without_columns(watch.precision, others)
-        lagged = self._lags_as_expected(state, precision, anew)
+        of_out = without_columns(watch.precision, watch.layout.of_sensors(sorted(still)).tolist())(out)
+        lagged = self._lags_as_expected(state, of_out, anew)
         columns = self._columns(state.degc, lagged, state.speed_lagged)
         fast, slow, over_min, flat_since = (
             np.array(values) for values in (state.fast, state.slow, state.over_min, state.flat_since_min)
         )
-        fast[out] = columns[out] + _expected(precision, fast - columns, out)
-        slow[out] = fast[out] - _expected(precision, fast - slow, out)
+        fast[out] = columns[out] + _expected(of_out, fast - columns, out)
+        slow[out] = fast[out] - _expected(of_out, fast - slow, out)
         over_min[anew], flat_since[anew] = 0.0, state.time_min
         return replace(
             state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, faults=faults
         )
 
-    def _lags_as_expected(self, state: WatchState, precision: Precision, sensors: Sequence[int]) -> FloatArray:
+    def _lags_as_expected(self, state: WatchState, of_out: FloatArray, sensors: Sequence[int]) -> FloatArray:
         """Return the lags, those of some sensors as far behind them as all others let it be expected [degC]."""
         count, gain, centre = self.watch.layout.sensors, self.watch.gain, self.watch.centre
         out = self.watch.layout.of_sensors(sensors)
         scaled = self._columns(state.degc, state.lagged, state.speed_lagged)
-        scaled[out] = _expected(precision, scaled, out)
+        scaled[out] = _expected(of_out, scaled, out)
         expected = centre + np.divide(scaled, gain, out=np.zeros_like(scaled), where=gain > 0.0)
         lagged = state.lagged.copy()
         for index in range(len(lagged)):
@@ -154,8 +151,7 @@ class Watcher:
             watch = self.watch
             if len(self._maps) >= self._most_maps:
                 self._maps.clear()
-            remaining = without_columns(watch.precision, watch.layout.of_sensors(excluded).tolist() if excluded else [])
-            self._maps[excluded] = departure_maps(watch.layout, remaining, watch.gain, excluded)
+            self._maps[excluded] = departure_maps(watch.layout, watch.precision, watch.gain, excluded)
         return self._maps[excluded]
 
     def begin(self, time_min: float, degc: FloatArray, speed_rpm: float) -> WatchState:

@@ -25,6 +25,7 @@ import numpy as np
 
 from daemon.model_release.loading import LoadedModel
 from daemon.model_release.side_load import pack, unpack
+from daemon.telemetry.metrics import give_memory_back, keep_one_heap
 from daemon.workbench.thermal.evaluation import Protocol, evaluate, read_recordings
 from models.recordings.dataset import Recording
 from models.records import FloatArray
@@ -170,19 +171,25 @@ def train(family: str, file: Path) -> None:
 
 def use(family: str, file: Path) -> None:
     """Print what a loaded model adds to a process, and what an estimate takes."""
+    keep_one_heap()
     recording = made_up()
     assert recording.speed_rpm is not None
+    degc = recording.temperatures_degc.copy()
+    ones = np.ones((600, 600))
+    ones @ ones, np.linalg.inv(np.eye(100))  # what linear algebra takes once, whatever it works on
+    del ones
     gc.collect()
+    give_memory_back()
     before_mib = _now_mib()
     with file.with_suffix(".packed").open("rb") as packed:
         model = unpack(packed.fileno()).model
     assert model is not None
     loaded_mib = _now_mib() - before_mib
-    places = [recording.temperature_names.index(name) for name in model.sensor_names]
-    degc, online = recording.temperatures_degc[:, places], model.runtime(Machine(components={}))
+    assert model.sensor_names == recording.temperature_names
+    online = model.runtime(Machine(components={}))
     online.on_sample(0.0, degc[0], 0.0)
     online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=degc[0]))
-    absent, spent = np.zeros(len(places), dtype=np.bool_), []
+    absent, spent = np.zeros(SENSORS, dtype=np.bool_), []
     for row in range(1, 600):
         online.on_sample(float(row), degc[row], float(recording.speed_rpm[row]))
         at_s = time.process_time()

@@ -43,10 +43,11 @@ def test_threads_share_one_heap(choice: str, heaps: int) -> None:
     assert int(done.stdout) == heaps
 
 
-CACHE = """
+MALLOC = """
 import ctypes, sys
 from pathlib import Path
 from daemon.history.database import connect_writer
+from daemon.telemetry.metrics import keep_one_heap
 
 class Malloc(ctypes.Structure):
     _fields_ = [(name, ctypes.c_size_t) for name in
@@ -54,6 +55,27 @@ class Malloc(ctypes.Structure):
 
 library = ctypes.CDLL(None)
 library.mallinfo2.restype = Malloc
+"""
+LARGE = """
+if sys.argv[1] == "given back":
+    keep_one_heap()
+before = library.mallinfo2().arena
+for mib in (20, 16):
+    large = bytearray(mib << 20)
+    beside = bytes(2000)
+    del large
+print(library.mallinfo2().arena - before)
+"""
+
+
+@pytest.mark.parametrize(("kept", "least_kib", "most_kib"), [("given back", 0, 2048), ("kept", 15_000, 17_000)])
+def test_what_was_large_is_given_back_when_it_is_freed(kept: str, least_kib: int, most_kib: int) -> None:
+    command = [sys.executable, "-P", "-c", MALLOC + LARGE, kept]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert least_kib <= int(done.stdout) / KIB <= most_kib
+
+
+CACHE = """
 used = lambda: sum(getattr(library.mallinfo2(), name) for name in ("uordblks", "hblkhd"))
 connection = connect_writer(Path(sys.argv[1]))
 connection.execute("CREATE TABLE records (number INTEGER PRIMARY KEY, content BLOB)")
@@ -65,7 +87,7 @@ print(used() - before)
 
 
 def test_the_writer_keeps_few_pages_of_the_store(tmp_path: Path) -> None:
-    command = [sys.executable, "-P", "-c", CACHE, str(tmp_path / "history.db")]
+    command = [sys.executable, "-P", "-c", MALLOC + CACHE, str(tmp_path / "history.db")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert int(done.stdout) / KIB < 800.0, "of 8000 KiB that were written"
 

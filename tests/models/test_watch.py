@@ -1,5 +1,6 @@
 """The watch of the temperature sensors: what is found, when, and what is not."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.features import lag_table
+from models.thermal.features import Layout, lag_table
 from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
@@ -147,10 +148,22 @@ def test_leaving_columns_out_of_a_precision_is_inverting_without_them() -> None:
     rng = np.random.default_rng(2)
     samples = rng.normal(size=(50, 6))
     covariance = samples.T @ samples / 50.0 + 0.1 * np.eye(6)
-    found = without_columns(np.linalg.inv(covariance), [1, 4])
-    kept = [0, 2, 3, 5]
-    np.testing.assert_allclose(found[np.ix_(kept, kept)], np.linalg.inv(covariance[np.ix_(kept, kept)]), rtol=1e-9)
-    assert np.all(found[[1, 4]] == 0.0)
+    kept = np.array([0, 2, 3, 5])
+    found = without_columns(np.linalg.inv(covariance), [1, 4])(kept)
+    np.testing.assert_allclose(found[:, kept], np.linalg.inv(covariance[np.ix_(kept, kept)]), rtol=1e-9)
+    assert np.all(found[:, [1, 4]] == 0.0)
+
+
+def test_predictions_of_hundreds_of_sensors_take_little_more_memory_than_they_are() -> None:
+    layout = Layout(sensors=302, lags_min=(10.0, 90.0), speed_lags_min=(10.0, 90.0))
+    precision = np.eye(layout.columns, dtype=np.float32)
+    tracemalloc.start()
+    try:
+        maps, _ = departure_maps(layout, precision, np.ones(layout.columns), (3, 77))
+        _, most_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most_bytes < 2.5 * maps.nbytes, "and not several times the precision in double"
 
 
 def test_a_departure_is_the_residual_of_a_ridge_regression_on_the_other_sensors(
