@@ -18,6 +18,15 @@ REVIEW = (
     "Milling Force Model for Aviation Aluminum Alloy, Chinese Journal of Mechanical Engineering 34 (2021), "
     "doi:10.1186/s10033-021-00536-9, table 5"
 )
+USUAL_CHIP_MM = 0.1
+"""Chip thickness at which a curved law of the force is taken for a line."""
+TITANIUM_CHIP_MM = 0.05
+ASSUMED_RATIO = 0.3
+"""K_rc / K_tc where a source has the cutting force only; that of the dissertation."""
+KIENZLE = (
+    "Koenig and Essel, Spezifische Schnittkraftwerte fuer die Zerspanung metallischer Werkstoffe, Stahleisen 1973, "
+    f"from turning; derived: slope at a chip of {USUAL_CHIP_MM:g} mm; assumed: K_rc/K_tc {ASSUMED_RATIO:g}"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +48,52 @@ class CuttingCoefficients:
     def radial_ratio(self) -> float:
         """K_rc / K_tc."""
         return self.radial_n_per_m2 / self.tangential_n_per_m2
+
+
+def tangent_of_kienzle(
+    material: str, specific_n_per_mm2: float, exponent: float, radial_ratio: float, source: str
+) -> CuttingCoefficients:
+    """Return the line that touches Kienzle's law F = b k h^(1 - m) at a chip of `USUAL_CHIP_MM`.
+
+    A vibration feels the slope of the force; what the line has at a chip of nothing is the edge's. The law gives the
+    cutting force only, so the ratio of the radial one is told.
+    """
+    slope = specific_n_per_mm2 * (1.0 - exponent) * USUAL_CHIP_MM**-exponent
+    edge = specific_n_per_mm2 * exponent * USUAL_CHIP_MM ** (1.0 - exponent)
+    return CuttingCoefficients(
+        material=material,
+        tangential_n_per_m2=slope * 1e6,
+        radial_n_per_m2=radial_ratio * slope * 1e6,
+        tangential_edge_n_per_m=edge * 1e3,
+        radial_edge_n_per_m=radial_ratio * edge * 1e3,
+        source=source,
+    )
+
+
+def orthogonal_coefficients(
+    shear_stress_n_per_mm2: float, friction_deg: float, chip_ratio: float, rake_deg: float
+) -> tuple[float, float]:
+    """Return K_tc and K_rc [N/mm^2] of a shear plane: Merchant's force diagram; chip over cut thickness inversely."""
+    rake = math.radians(rake_deg)
+    shear = math.atan2(chip_ratio * math.cos(rake), 1.0 - chip_ratio * math.sin(rake))
+    leaning = math.radians(friction_deg) - rake
+    whole = shear_stress_n_per_mm2 / (math.sin(shear) * math.cos(shear + leaning))
+    return whole * math.cos(leaning), whole * math.sin(leaning)
+
+
+def _titanium() -> CuttingCoefficients:
+    rake_deg = 12.0
+    ratio = (1.755 - 0.028 * rake_deg) * TITANIUM_CHIP_MM ** (0.331 - 0.0082 * rake_deg)
+    tangential, radial = orthogonal_coefficients(613.0, 19.1 + 0.29 * rake_deg, ratio, rake_deg)
+    return CuttingCoefficients(
+        material="Ti6Al4V, cemented carbide, rake 12 deg",
+        tangential_n_per_m2=tangential * 1e6,
+        radial_n_per_m2=radial * 1e6,
+        tangential_edge_n_per_m=24e3,
+        radial_edge_n_per_m=43e3,
+        source="Budak, Altintas and Armarego, J. Eng. Ind. 118 (1996) 216-224, orthogonal cuts: shear stress 613 "
+        f"N/mm^2, friction angle 19.1 deg + 0.29 rake; derived for rake 12 deg and a chip of {TITANIUM_CHIP_MM:g} mm",
+    )
 
 
 MATERIALS: dict[str, CuttingCoefficients] = {
@@ -78,6 +133,13 @@ MATERIALS: dict[str, CuttingCoefficients] = {
         radial_edge_n_per_m=20.42e3,
         source=f"{REVIEW}, ref. 160",
     ),
+    "c45": tangent_of_kienzle(
+        "steel C45 (AISI 1045), normalised", 2220.0, 0.14, ASSUMED_RATIO, f"k_c1.1 2220 N/mm^2, m 0.14: {KIENZLE}"
+    ),
+    "gg25": tangent_of_kienzle(
+        "grey cast iron GG-25 (EN-GJL-250)", 1160.0, 0.26, ASSUMED_RATIO, f"k_c1.1 1160 N/mm^2, m 0.26: {KIENZLE}"
+    ),
+    "ti6al4v": _titanium(),
 }
 """Name in a case -> coefficients."""
 
