@@ -1,8 +1,9 @@
 """Chooses a family by what it leaves of whole runs or cycles that it has not seen, and says what was tried and why.
 
-Members on temperatures, on their lags and on lagged speed are averaged, each as much as the mean leaves less of what
-was left out with it; nobody is a member because it always was one. A family on temperatures alone is taken in place of
-the mean unless it is clearly worse, fold by fold. What leaves more than there is without a model is refused.
+Members on temperatures, on their lags and on lagged speed are averaged: the few that leave least of what was left out,
+or as much of each as makes the mean leave clearly less; nobody is a member because it always was one. A family on
+temperatures alone is taken in place of the mean unless it is clearly worse, fold by fold. What leaves more than there
+is without a model is refused.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +21,6 @@ from models.thermal.training.families import (
     Prepare,
     Problem,
     fold_numbers,
-    members,
     ridge_family,
     ridge_fit,
 )
@@ -32,12 +32,11 @@ from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
     left_out_errors,
-    mean_errors,
     relative,
     rmse_um,
 )
 from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
-from models.thermal.training.mixing import MOST_MEMBERS, mixing_weights
+from models.thermal.training.mixing import even_weights, mean_weights
 from models.thermal.training.ridge_member import RidgeMember, joint_layout
 from models.thermal.training.trust import independent_folds
 
@@ -308,14 +307,15 @@ def mean_of(
     *,
     mixed: bool = True,
 ) -> _Tried:
-    """Return the mean of members, each counted as left-out errors say.
+    """Return the mean of members, each counted as left-out errors say, see `mean_weights`.
 
     `ridges`: of which the best counts alone far out, where a member bends. `mixed`: else all members that are nearly as
     good as the best count alike, because there are too few scores to say more.
     """
     scores = [_score(one) for one in made]
     errors = [one.errors for one in made if one.errors is not None]
-    weights = mixing_weights(errors) if mixed and len(errors) == len(made) else _even_weights(scores)
+    known = len(errors) == len(made)
+    weights, left = mean_weights(errors, mixed=mixed) if known else (even_weights(scores), None)
     kept = [(made[index], weight) for index, weight in weights.items()]
     processes = [(one, weight) for one, weight in kept if isinstance(one, GaussianMember)]
     linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
@@ -346,19 +346,13 @@ def mean_of(
     if np.isfinite(scores).all():
         hyper_parameters["tried"] = ", ".join(one.name for one in made)
         hyper_parameters["left_out_relative_rmse"] = scores
-    known = [one.errors for one, _ in kept if one.errors is not None]
     return _Tried(
         family=family,
         fit=fit,
         layout=layout,
-        errors=mean_errors(known, list(weights.values())) if len(known) == len(kept) else None,
+        errors=left,
         hyper_parameters=hyper_parameters,
     )
-
-
-def _even_weights(scores: Sequence[float]) -> dict[int, float]:
-    kept = sorted(members(scores), key=lambda index: scores[index])[:MOST_MEMBERS]
-    return dict.fromkeys(sorted(kept), 1.0 / len(kept))
 
 
 def _score(member: Member) -> float:
