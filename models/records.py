@@ -196,6 +196,8 @@ class ThermalErrorEstimate:
     """IDs of the sensors that were imputed."""
     fading_um: float = 0.0
     """What it is still off for the step that a sensor's return would have been [um], of the worst channel and tool."""
+    found_wrong_um: float = 0.0
+    """What sensors that were found wrong since the reference were worth when they were found, all together [um]."""
     inhibit: str = ""
     """Why the model cannot be followed yet, '' when it can."""
     held_s: float = 0.0

@@ -58,6 +58,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         held_s=estimate.held_s if estimate is not None else 0.0,
         in_domain=estimate.in_domain if estimate is not None else False,
         fading_um=estimate.fading_um if estimate is not None else 0.0,
+        found_wrong_um=estimate.found_wrong_um if estimate is not None else 0.0,
         reference_id=reference.reference_id if reference is not None else None,
         reference_ended=view.reference.ended,
         estimate_reference_id=estimate.reference_id if estimate is not None else None,

@@ -27,7 +27,7 @@ from daemon.compensation.restart import StartupRecovery, record_changes, resolve
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, SensorsSinceReference
 from drivers.contract import DriverError, LinkError
-from models.control.compensation import first_inhibit, step
+from models.control.compensation import follow_inhibit, step
 from models.control.inhibit import Inhibit
 from models.control.state import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
@@ -258,7 +258,7 @@ class ControlTask:
         self.requests.decided()
 
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
-        inhibit = first_inhibit(after, inputs, self.limits)
+        inhibit = follow_inhibit(after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
         output = self._parts.configuration.compensation.output
         alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self._guard_watch, config=output, inhibit=inhibit)

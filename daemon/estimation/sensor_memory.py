@@ -49,6 +49,8 @@ class SinceReference:
         """Which sensors must not count until the next reference, and by which sign each was found."""
         self.of_model: dict[str, Any] | None = None
         """What the model keeps of sensors that returned."""
+        self.found_wrong_um = 0.0
+        """What sensors that were found wrong were worth when they were found, all together [um]."""
         self._reference_min = 0.0
         self._rest: dict[str, Fading] = {}
         self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
@@ -63,6 +65,7 @@ class SinceReference:
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
+        self.found_wrong_um = 0.0
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
     def take_up(self, reference: Reference, kept: SensorsSinceReference | None) -> None:
@@ -75,6 +78,7 @@ class SinceReference:
         self.excluded = dict(kept.excluded)
         self.of_model = None if kept.of_model is None else dict(kept.of_model)
         self._rest = {name: self._fading(rest) for name, rest in kept.rest_um.items()}
+        self.found_wrong_um = kept.found_wrong_um
         for label, places in self._labels.items():
             found = kept.labels.get(label)
             if found is not None and found.sensor_ids == self._ids(places):
@@ -162,6 +166,7 @@ class SinceReference:
             of_model=self.of_model,
             rest_um={name: self._fading_state(rest) for name, rest in self._rest.items()},
             labels={label: self._label_origin(label, mean) for label, mean in self._means.items()},
+            found_wrong_um=self.found_wrong_um,
         )
         if sensors == self._told:
             return None

@@ -268,6 +268,7 @@ class ThermalTask:
         followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
         self._since.update(degc, online)
+        self._since.found_wrong_um += outcome.found_wrong_um
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=goes_on_um,
@@ -278,6 +279,7 @@ class ThermalTask:
             confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),
             fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
+            found_wrong_um=self._since.found_wrong_um,
             inhibit=self.inhibit() or unsure,
             held_s=self._cleansing.held_s(degc, now_s, set(outcome.imputed)),
             model_id=model.model_id,

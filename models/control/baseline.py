@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.control.inhibit import Inhibit, InhibitCode
+from models.control.measured import carried_over, offset_is_doubted, probe_of_tool_inhibit, with_model, with_probed
 from models.control.probing import ADVANCED_MIN, BiasFilter, BiasState, Wander, full_reset, unknown_bias
 from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray, OutputState, Phase
@@ -87,6 +88,7 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         baseline_um=np.where(chosen, inputs.applied_um, before.baseline_um if before else unset),
         error_um=np.where(chosen, error, before.error_um if before else 0.0),
         offset_um=np.where(chosen, memory.offset_um, before.offset_um if before else 0.0),
+        found_wrong_um=np.where(chosen, memory.found_wrong_um, before.found(error) if before else 0.0),
     )
     command = np.where(chosen, inputs.applied_um, memory.command_um)
     return replace(
@@ -184,7 +186,7 @@ def probe_inhibit(
         return replace(inhibit, text=f"the estimate cannot be corrected: {inhibit.text}")
     if not np.all(np.isfinite(inputs.error_of_tool_point_um[probed])):
         return Inhibit(code=InhibitCode.NO_ESTIMATE, text="the axis has no estimate")
-    if (why := _in_fault(memory, inputs) or _incomplete(inputs, limits)) is not None:
+    if why := _in_fault(memory, inputs) or _incomplete(inputs, limits) or probe_of_tool_inhibit(memory, inputs):
         return why
     correction = inputs.applied_um - probe_um - request_um(memory, inputs)
     for axis, change in zip(limits.axes, correction, strict=True):
@@ -274,8 +276,9 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
         return _offset_now(memory, inputs, limits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
     probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)
-    kalman = _bias_filter(inputs.probe_wander, limits)
+    kalman = _bias_filter(None if offset_is_doubted(memory, inputs) else inputs.probe_wander, limits)
     probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction)
+    memory = with_probed(memory, inputs, inputs.probe_um)
     return replace(memory, offset_um=-probed.bias_um, probed=probed)
 
 
@@ -373,6 +376,7 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         memory,
         error_um=np.where(known, error_um, before),
         error_s=inputs.now_s - inputs.estimate_age_s,
+        found_wrong_um=inputs.found_wrong_um,
     )
 
 
@@ -408,6 +412,8 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         error_um=np.zeros_like(memory.command_um),
         error_s=inputs.now_s,
         error_reference_id=inputs.reference_id,
+        found_wrong_um=0.0,
+        counted_found_um=None,
         tools=_tools_since(memory, inputs, stale_after_s),
     )
 
@@ -423,7 +429,8 @@ def _tools_since(
     """Return the tool settings counted from a new reference; the tool in the spindle is set anew by it."""
     if memory.error_um is None or inputs.now_s - memory.error_s > stale_after_s:
         return MappingProxyType({})
-    tools = dict(_counted_from(memory.tools, memory.error_um, memory.offset_um))
+    kept = {number: carried_over(memory, number, tool) for number, tool in memory.tools.items()}
+    tools = dict(_counted_from(kept, memory.error_um, memory.offset_um))
     if (here := tools.get(inputs.tool_number)) is not None:
         nothing = np.zeros_like(memory.command_um)
         baseline = np.where(np.isfinite(here.baseline_um), inputs.applied_um, np.nan)
@@ -498,4 +505,4 @@ def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     before = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
     begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
     shift = np.where(begins, before - inputs.thermal_error_um, shift)
-    return replace(memory, model_id=inputs.model_id, model_shift_um=shift)
+    return replace(with_model(memory), model_id=inputs.model_id, model_shift_um=shift)

@@ -23,6 +23,7 @@ from models.control.baseline import (
     weight_of,
 )
 from models.control.inhibit import Inhibit, InhibitCode
+from models.control.measured import measured_inhibit
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
 from models.records import CompensationCommand, FloatArray, OutputState, Phase
 
@@ -163,8 +164,13 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     )
 
 
+def follow_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
+    """Return the first reason against following: of the estimate, or of what was measured; None when there is none."""
+    return first_inhibit(memory, inputs, limits) or measured_inhibit(memory, inputs, limits)
+
+
 def first_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
-    """Return the first reason against following the estimate, None when there is none."""
+    """Return the first reason against counting from the estimate, None when there is none."""
     if inputs.inhibits:
         return inputs.inhibits[0]
     if not inputs.link:
@@ -220,7 +226,7 @@ def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLim
 
 
 def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
-    inhibit = first_inhibit(memory, inputs, limits)
+    inhibit = follow_inhibit(memory, inputs, limits)
     why = "" if inhibit is None else str(inhibit)
     known = bool(np.all(np.isfinite(inputs.applied_um)))
     zero = known and bool(np.all(np.abs(inputs.applied_um) <= ZERO_UM))

@@ -251,6 +251,7 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
         and known.offset_um is output.offset_um
         and known.tools is output.tools
         and known.model_shift_um is output.model_shift_um
+        and known.counted_found_um is output.counted_found_um
         and (known.weight, known.model_id) == (output.weight, output.model_id)
     ):
         return memory
@@ -260,6 +261,7 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
         baseline_um=output.baseline_um,
         offset_um=output.offset_um,
         model_shift_um=output.model_shift_um,
+        counted_found_um=output.counted_found_um,
         weight=output.weight,
         tools=output.tools,
     )

@@ -75,6 +75,8 @@ class OutputBaseline:
     """Tool settings by tool number."""
     model_shift_um: FloatArray | None = None
     """Added to the estimate so that changes of model move nothing [um]; None before any."""
+    counted_found_um: FloatArray | None = None
+    """See `OutputMemory`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +113,8 @@ class SensorsSinceReference:
     rest_um: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     """By channel the step of the latest return that was not made at once [um], how long after the reference [min]."""
     labels: Mapping[str, LabelOrigin] = field(default_factory=lambda: MappingProxyType({}))
+    found_wrong_um: float = 0.0
+    """What those that were found wrong since were worth when they were found, all together [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

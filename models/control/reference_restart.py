@@ -108,6 +108,7 @@ def resumed(output: OutputMemory, memory: ReferenceMemory) -> OutputMemory:
         model_id=baseline.model_id,
         offset_um=baseline.offset_um,
         model_shift_um=baseline.model_shift_um,
+        counted_found_um=baseline.counted_found_um,
         tools=baseline.tools,
     )
     if memory.in_force is None:

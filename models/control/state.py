@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+import numpy as np
+
 from models.control.inhibit import Inhibit
 from models.control.probing import BiasState, Wander
 from models.records import FloatArray, OutputState, Phase
@@ -55,6 +57,12 @@ class ToolBaseline:
     """Estimate at the tool setting, since the work's reference and without the tool [um]."""
     offset_um: FloatArray
     """Offset of probes and changes of model at the tool setting [um]."""
+    found_wrong_um: FloatArray | None = None
+    """`OutputMemory.found_wrong_um` at the tool setting, per axis; None: 0."""
+
+    def found(self, like: FloatArray) -> FloatArray:
+        """Return `found_wrong_um` per axis, of the shape of `like` [um]."""
+        return np.zeros_like(like) if self.found_wrong_um is None else self.found_wrong_um
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +94,8 @@ class OutputInputs:
     """Why confidence is low when no sensor is missing: states that are not filled yet."""
     held_s: float = 0.0
     """Age of the oldest temperature that is held because its sensor has missed cycles [s]; 0 where none has."""
+    found_wrong_um: float = 0.0
+    """What sensors that were found wrong since the reference were worth then, all together [um]."""
     reference_id: str | None
     """The valid reference; None when there is none."""
     reference_ended: str = ""
@@ -155,5 +165,9 @@ class OutputMemory:
     """How well the offset of probes is known since the reference; None before the first reference of this run."""
     error_reference_id: str | None = None
     """The reference that this estimate and the tool settings count from; it may have ended."""
+    found_wrong_um: float = 0.0
+    """What sensors that were found wrong since that reference were worth, at that estimate [um]."""
+    counted_found_um: FloatArray | None = None
+    """The same when a probe or a change of model was counted last, per axis; NaN, None: neither was."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))
     """Tool settings by tool number."""

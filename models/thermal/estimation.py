@@ -42,6 +42,8 @@ class Estimation:
     each channel or of all; at least 1."""
     imputed_um: float = 0.0
     """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
+    found_wrong_um: float = 0.0
+    """What sensors that were found wrong since the latest estimate were worth until then, of the worst channel [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,6 +44,7 @@ class LinearOnline:
         self._reference_min = 0.0
         self._anew: set[int] = set()
         self._left_out: dict[int, str] = {}
+        self._wrong: set[int] = set()
         self._speed_rpm = float("nan")
         self._excluded: tuple[int, ...] = ()
         self._latest: ModelState | None = None
@@ -105,6 +106,7 @@ class LinearOnline:
             self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None and reference.kept["model_id"] == self.model.model_id:
             self._restore(reference.kept)
+        self._wrong = set(_found_wrong(self._state))
         return readmitted_ids
 
     @property
@@ -160,7 +162,13 @@ class LinearOnline:
             anew = tuple(self.model.sensor_ids[i] for i in back)
         self._excluded = excluded_sensors(state, self._reference.state)
         self._latest, self._contributions_um = state, None
-        return estimate_since(self._estimator, state, self._reference), anew
+        estimation = estimate_since(self._estimator, state, self._reference)
+        wrong = set(_found_wrong(state))
+        if estimation is not None and (found_now := wrong - self._wrong):
+            worth_um = self._estimator.worth_um(state, self._reference.state, found_now)
+            estimation = replace(estimation, found_wrong_um=worth_um)
+        self._wrong = wrong
+        return estimation, anew
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
@@ -213,6 +221,13 @@ class LinearOnline:
             state = self._estimator.reinitialised(self._estimator.begun(state, here), here)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
+
+
+def _found_wrong(state: ModelState | None) -> list[int]:
+    """Return the indices of the sensors that the watch has found wrong; one that is only missing is not."""
+    if state is None or state.watch is None:
+        return []
+    return [fault.sensor for fault in state.watch.faults if fault.sign != MISSING]
 
 
 def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:

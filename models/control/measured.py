@@ -1,0 +1,107 @@
+"""What was measured while a sensor was wrong: tool settings, probes and changes of model before it was found.
+
+The estimate goes back when a sensor is found wrong, because it is left out since the reference. What was measured
+before holds the estimate of then: it may be off by as much as the sensor was worth when it was found.
+"""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from models.control.inhibit import Inhibit, InhibitCode
+from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.records import FloatArray
+from models.thermal.estimation import UNSURE_UM
+
+
+def tool_doubt_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
+    """Return by how much a tool's own setting may be off, shape (n_axes,) [um]; 0 on axes that it was not set on.
+
+    `found_wrong_um`: what sensors that were found wrong since the reference were worth until now [um].
+    """
+    tool = memory.tools.get(tool_number)
+    if tool is None:
+        return np.zeros_like(memory.command_um)
+    return np.where(np.isfinite(tool.baseline_um), found_wrong_um - tool.found(memory.command_um), 0.0)
+
+
+def _offset_doubt_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
+    """Return by how much probes and changes of model may be off, shape (n_axes,) [um]."""
+    if memory.counted_found_um is None:
+        return np.zeros_like(memory.command_um)
+    doubt_um = np.nan_to_num(found_wrong_um - memory.counted_found_um)
+    tool = memory.tools.get(tool_number)
+    if tool is None:
+        return doubt_um
+    before = np.isfinite(tool.baseline_um) & (memory.counted_found_um < tool.found(memory.command_um))
+    return np.where(before, np.minimum(doubt_um, np.abs(memory.offset_um - tool.offset_um)), doubt_um)
+
+
+def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
+    """Return why what the request counts from is not trusted, None when it is.
+
+    Parameters
+    ----------
+    memory, inputs, limits
+        As for `models.control.compensation.step`; the estimate counts from the output's reference.
+
+    """
+    of_tool_um = tool_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um)
+    doubt_um = np.maximum(of_tool_um, _offset_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um))
+    unsure = np.flatnonzero((doubt_um > UNSURE_UM) & np.array(memory.wanted, dtype=bool))
+    if not len(unsure):
+        return None
+    worst = int(unsure[np.argmax(doubt_um[unsure])])
+    what = f"tool T{inputs.tool_number} was set" if of_tool_um[worst] > UNSURE_UM else "a probe or a new model counted"
+    return Inhibit(
+        code=InhibitCode.CONFIDENCE,
+        text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, which may be "
+        f"{doubt_um[worst]:.1f} um",
+        remedy="set the tool again, then probe, or position the work again",
+    )
+
+
+def probe_of_tool_inhibit(memory: OutputMemory, inputs: OutputInputs) -> Inhibit | None:
+    """Return why a probe with the tool in the spindle corrects nothing: its setting would go into what others count."""
+    if not (tool_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any():
+        return None
+    return Inhibit(
+        code=InhibitCode.CONFIDENCE,
+        text=f"tool T{inputs.tool_number} was set with a sensor that was found wrong later",
+        remedy="set the tool again, then probe",
+    )
+
+
+def offset_is_doubted(memory: OutputMemory, inputs: OutputInputs) -> bool:
+    """Whether the offset holds probes that are to be replaced, not corrected."""
+    return bool((_offset_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any())
+
+
+def with_probed(memory: OutputMemory, inputs: OutputInputs, probed: FloatArray) -> OutputMemory:
+    """Return the memory after a probe of some axes (NaN elsewhere): what they count from is right with this tool.
+
+    A setting of another tool that holds the offset of before is in doubt by what that was.
+    """
+    before, now_um, axes = memory.counted_found_um, inputs.found_wrong_um, np.isfinite(probed)
+    unset = np.full_like(memory.command_um, np.nan) if before is None else before
+    tools = dict(memory.tools)
+    for number, tool in memory.tools.items():
+        if number != inputs.tool_number and (axes & (unset < now_um)).any():
+            found_um = tool.found(memory.command_um)
+            tools[number] = replace(tool, found_wrong_um=np.where(axes, np.fmin(found_um, unset), found_um))
+    return replace(memory, tools=MappingProxyType(tools), counted_found_um=np.where(axes, now_um, unset))
+
+
+def with_model(memory: OutputMemory) -> OutputMemory:
+    """Return the memory after a change of model, which goes on from the latest estimate of the one before."""
+    before = memory.counted_found_um
+    unset = np.full_like(memory.command_um, np.nan) if before is None else before
+    return replace(memory, counted_found_um=np.where(np.isnan(unset), memory.found_wrong_um, unset))
+
+
+def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> ToolBaseline:
+    """Return a tool's setting at a new reference: what is in doubt of it stays so."""
+    of_tool_um = tool_doubt_um(memory, tool_number, memory.found_wrong_um)
+    doubt_um = np.maximum(of_tool_um, _offset_doubt_um(memory, tool_number, memory.found_wrong_um))
+    return replace(tool, found_wrong_um=-doubt_um)
