@@ -262,19 +262,16 @@ class LinearEstimator:
     def worth_um(self, state: ModelState, reference: ModelState, sensors: Iterable[int]) -> float:
         """Return what sensors (indices) that the watch has just found wrong were worth until now, of the worst channel.
 
-        Result [um]: how far the estimate goes back without them, or, where that is more because they were wrong at the
-        reference already, what their departure from the others makes.
+        Result [um]: how far the estimate goes back without them or, where that is more because they were wrong at the
+        reference already, what they made then of the distance from the middle of training.
         """
-        assert self._watcher is not None and state.watch is not None
         counted = readmitted(state, tuple(sensors))
         before, after = self.estimate(counted, reference), self.estimate(state, reference)
-        departures_k = np.zeros(self.model.layout.sensors)
-        for sensor in sensors:
-            departures_k[sensor] = self._watcher.departure_k(state.watch, sensor)
-        level_um = self.left_out.level_um(departures_k, excluded_sensors(counted, reference))
-        if before is None or after is None:
-            return level_um
-        return max(level_um, float(np.abs(before.thermal_error_um - after.thermal_error_um).max()))
+        with_them = self.left_out.coefficients(excluded_sensors(counted, reference))
+        without = self.left_out.coefficients(excluded_sensors(state, reference))
+        then_um = (self.features(reference) - self.model.centre) @ (with_them - without)
+        now_um = 0.0 if before is None or after is None else before.thermal_error_um - after.thermal_error_um
+        return float(max(np.abs(then_um).max(), np.abs(now_um).max()))
 
     def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
         """Return the state in which sensors (indices) that were missing are watched anew, see `Watcher.reinitialised`.

@@ -270,12 +270,6 @@ class Watcher:
         limit_k = self.watch.threshold_k * np.maximum(widening, 1.0)
         return np.asarray(np.abs(maps @ (state.fast - state.slow)) / limit_k)
 
-    def departure_k(self, state: WatchState, sensor: int) -> float:
-        """Return how far a sensor departs at this moment from what those say that are not excluded [K]."""
-        maps, _ = self._map(tuple(each for each in state.excluded if each != sensor))
-        now = self._columns(state.degc, state.lagged, state.speed_lagged)
-        return float(abs(maps[sensor] @ (now - state.slow)))
-
     def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
         excluded = state.excluded
         departures = self.relative_departures(state, excluded)

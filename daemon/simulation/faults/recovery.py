@@ -16,6 +16,8 @@ from drivers.sim.faults import FaultKind
 
 STAYING = frozenset({"ACTIVE", "HOLD"})
 """States in which a cut freezes the weight of the estimate."""
+FOUND_LATER = "found wrong later"
+"""What the reason says of what was measured with a sensor that was wrong."""
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
 
@@ -41,6 +43,8 @@ class Truth:
     """The model needs hours of history; it may still say that it has too little."""
     sensor_was_wrong: bool = False
     """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
+    sensor_has_been_wrong: bool = False
+    """A sensor has been wrong in this campaign, so that what was measured meanwhile may be off."""
     frozen_in_cut: bool = False
     """The work is being cut, and confidence is less than what the estimate was weighed with before the cut."""
 
@@ -78,6 +82,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and (claims.estimated or not truth.reference_blind)
         and not (claims.doubtful and truth.model_has_states)
         and not (claims.harmful and truth.sensor_was_wrong)
+        and not (FOUND_LATER in claims.reason and truth.sensor_has_been_wrong)
         and not truth.frozen_in_cut
     )
 

@@ -96,6 +96,7 @@ class TruthKeeper:
             zero_first=self._operations.retreating,
             reference_blind=self._blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
+            sensor_has_been_wrong=self._sensor_wrong_s > 0.0,
             frozen_in_cut=self._frozen,
             model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )
