@@ -145,8 +145,8 @@ class SinceReference:
         means_k = {label: mean.mean_k for label, mean in self._means.items()}
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
-    def update(self, degc: FloatArray, online: ModelInUse) -> None:
-        """Record which sensors were missing in an estimate, and which are excluded.
+    def update(self, degc: FloatArray, online: ModelInUse, found_wrong_um: float) -> None:
+        """Record which sensors were missing in an estimate, which are excluded, and what those just found were worth [um].
 
         A sensor that the model does not know counts as missing until a model sets it anew.
         """
@@ -156,6 +156,7 @@ class SinceReference:
         of_others = {i: sign for i, sign in self.excluded.items() if i not in online.model.sensor_ids}
         self.excluded = of_others | online.excluded
         self.of_model = online.kept
+        self.found_wrong_um += found_wrong_um
 
     def changed(self) -> SensorsSinceReference | None:
         """Return what is to be kept for a restart when it has changed since it was last returned, else None."""

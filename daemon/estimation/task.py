@@ -261,20 +261,18 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
-        since_labels = self._since.label_increments(degc, now_s / 60.0)
         unsure = self._cleansing.withheld(degc, outcome.confidence) or _unsure(
             outcome, online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids
         )
         followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
-        self._since.update(degc, online)
-        self._since.found_wrong_um += outcome.found_wrong_um
+        self._since.update(degc, online, outcome.found_wrong_um)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
             label_degc=_label_means(self._labels, degc),
-            label_increment_degc=since_labels,
+            label_increment_degc=self._since.label_increments(degc, now_s / 60.0),
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else outcome.confidence,
             imputed=tuple(outcome.imputed),

@@ -259,20 +259,6 @@ class LinearEstimator:
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:
         return tuple(self.model.sensor_ids[index] for index in indices)
 
-    def worth_um(self, state: ModelState, reference: ModelState, sensors: Iterable[int]) -> float:
-        """Return what sensors (indices) that the watch has just found wrong were worth until now, of the worst channel.
-
-        Result [um]: how far the estimate goes back without them or, where that is more because they were wrong at the
-        reference already, what they made then of the distance from the middle of training.
-        """
-        counted = readmitted(state, tuple(sensors))
-        before, after = self.estimate(counted, reference), self.estimate(state, reference)
-        with_them = self.left_out.coefficients(excluded_sensors(counted, reference))
-        without = self.left_out.coefficients(excluded_sensors(state, reference))
-        then_um = (self.features(reference) - self.model.centre) @ (with_them - without)
-        now_um = 0.0 if before is None or after is None else before.thermal_error_um - after.thermal_error_um
-        return float(max(np.abs(then_um).max(), np.abs(now_um).max()))
-
     def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
         """Return the state in which sensors (indices) that were missing are watched anew, see `Watcher.reinitialised`.
 
@@ -300,6 +286,21 @@ def fault_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:
     if state.watch is None:
         return {}
     return {model.sensor_ids[fault.sensor]: fault.sign for fault in reversed(state.watch.faults)}
+
+
+def worth_um(estimator: LinearEstimator, state: ModelState, reference: ModelState, sensors: Iterable[int]) -> float:
+    """Return what sensors (indices) that the watch has just found wrong were worth until now, of the worst channel [um].
+
+    That is how far the estimate since the reference goes back without them or, where that is more because they were
+    wrong at the reference already, what they made then of the distance from the middle of training.
+    """
+    counted, left_out = readmitted(state, tuple(sensors)), estimator.left_out
+    before, after = estimator.estimate(counted, reference), estimator.estimate(state, reference)
+    with_them = left_out.coefficients(excluded_sensors(counted, reference))
+    without = left_out.coefficients(excluded_sensors(state, reference))
+    then_um = (estimator.features(reference) - estimator.model.centre) @ (with_them - without)
+    now_um = 0.0 if before is None or after is None else before.thermal_error_um - after.thermal_error_um
+    return float(max(np.abs(then_um).max(), np.abs(now_um).max()))
 
 
 def with_faults(model: LinearParameters, state: ModelState, signs: Mapping[int, str]) -> ModelState:

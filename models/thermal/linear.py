@@ -16,7 +16,14 @@ import numpy.typing as npt
 from models.model_file import file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
-from models.thermal.estimator import LinearEstimator, excluded_sensors, fault_signs, readmitted, with_faults
+from models.thermal.estimator import (
+    LinearEstimator,
+    excluded_sensors,
+    fault_signs,
+    readmitted,
+    with_faults,
+    worth_um,
+)
 from models.thermal.features import feature_table
 from models.thermal.model import LinearParameters
 from models.thermal.model_state import ModelState
@@ -165,8 +172,8 @@ class LinearOnline:
         estimation = estimate_since(self._estimator, state, self._reference)
         wrong = set(_found_wrong(state))
         if estimation is not None and (found_now := wrong - self._wrong):
-            worth_um = self._estimator.worth_um(state, self._reference.state, found_now)
-            estimation = replace(estimation, found_wrong_um=worth_um)
+            was_um = worth_um(self._estimator, state, self._reference.state, found_now)
+            estimation = replace(estimation, found_wrong_um=was_um)
         self._wrong = wrong
         return estimation, anew
 
