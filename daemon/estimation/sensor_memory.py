@@ -146,7 +146,7 @@ class SinceReference:
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
     def update(self, degc: FloatArray, online: ModelInUse, found_wrong_um: float) -> None:
-        """Record which sensors were missing in an estimate, which are excluded, and what those just found were worth [um].
+        """Record which sensors were missing in an estimate, which are excluded, and what new ones were worth [um].
 
         A sensor that the model does not know counts as missing until a model sets it anew.
         """

@@ -289,7 +289,7 @@ def fault_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:
 
 
 def worth_um(estimator: LinearEstimator, state: ModelState, reference: ModelState, sensors: Iterable[int]) -> float:
-    """Return what sensors (indices) that the watch has just found wrong were worth until now, of the worst channel [um].
+    """Return what sensors (indices) that the watch has just found wrong were worth, of the worst channel [um].
 
     That is how far the estimate since the reference goes back without them or, where that is more because they were
     wrong at the reference already, what they made then of the distance from the middle of training.
