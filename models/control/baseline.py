@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.control.inhibit import Inhibit, InhibitCode
-from models.control.measured import carried_over, offset_is_doubted, probe_of_tool_inhibit, with_model, with_probed
+from models.control.measured import carried_over, offset_is_unsure, probe_of_tool_inhibit, with_model, with_probed
 from models.control.probing import ADVANCED_MIN, BiasFilter, BiasState, Wander, full_reset, unknown_bias
 from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray, OutputState, Phase
@@ -276,7 +276,7 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
         return _offset_now(memory, inputs, limits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
     probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)
-    kalman = _bias_filter(None if offset_is_doubted(memory, inputs) else inputs.probe_wander, limits)
+    kalman = _bias_filter(None if offset_is_unsure(memory, inputs) else inputs.probe_wander, limits)
     probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction)
     memory = with_probed(memory, inputs, inputs.probe_um)
     return replace(memory, offset_um=-probed.bias_um, probed=probed)

@@ -15,7 +15,7 @@ from models.records import FloatArray
 from models.thermal.estimation import UNSURE_UM
 
 
-def tool_doubt_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
+def tool_unsure_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
     """Return by how much a tool's own setting may be off, shape (n_axes,) [um]; 0 on axes that it was not set on.
 
     `found_wrong_um`: what sensors that were found wrong since the reference were worth until now [um].
@@ -26,16 +26,16 @@ def tool_doubt_um(memory: OutputMemory, tool_number: int, found_wrong_um: float)
     return np.where(np.isfinite(tool.baseline_um), found_wrong_um - tool.found(memory.command_um), 0.0)
 
 
-def _offset_doubt_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
+def _offset_unsure_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
     """Return by how much probes and changes of model may be off, shape (n_axes,) [um]."""
     if memory.counted_found_um is None:
         return np.zeros_like(memory.command_um)
-    doubt_um = np.nan_to_num(found_wrong_um - memory.counted_found_um)
+    unsure_um = np.nan_to_num(found_wrong_um - memory.counted_found_um)
     tool = memory.tools.get(tool_number)
     if tool is None:
-        return doubt_um
+        return unsure_um
     before = np.isfinite(tool.baseline_um) & (memory.counted_found_um < tool.found(memory.command_um))
-    return np.where(before, np.minimum(doubt_um, np.abs(memory.offset_um - tool.offset_um)), doubt_um)
+    return np.where(before, np.minimum(unsure_um, np.abs(memory.offset_um - tool.offset_um)), unsure_um)
 
 
 def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
@@ -47,24 +47,24 @@ def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputL
         As for `models.control.compensation.step`; the estimate counts from the output's reference.
 
     """
-    of_tool_um = tool_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um)
-    doubt_um = np.maximum(of_tool_um, _offset_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um))
-    unsure = np.flatnonzero((doubt_um > UNSURE_UM) & np.array(memory.wanted, dtype=bool))
-    if not len(unsure):
+    of_tool_um = tool_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um)
+    unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um))
+    places = np.flatnonzero((unsure_um > UNSURE_UM) & np.array(memory.wanted, dtype=bool))
+    if not len(places):
         return None
-    worst = int(unsure[np.argmax(doubt_um[unsure])])
+    worst = int(places[np.argmax(unsure_um[places])])
     what = f"tool T{inputs.tool_number} was set" if of_tool_um[worst] > UNSURE_UM else "a probe or a new model counted"
     return Inhibit(
         code=InhibitCode.CONFIDENCE,
         text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, which may be "
-        f"{doubt_um[worst]:.1f} um",
+        f"{unsure_um[worst]:.1f} um",
         remedy="set the tool again, then probe, or position the work again",
     )
 
 
 def probe_of_tool_inhibit(memory: OutputMemory, inputs: OutputInputs) -> Inhibit | None:
     """Return why a probe with the tool in the spindle corrects nothing: its setting would go into what others count."""
-    if not (tool_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any():
+    if not (tool_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any():
         return None
     return Inhibit(
         code=InhibitCode.CONFIDENCE,
@@ -73,9 +73,9 @@ def probe_of_tool_inhibit(memory: OutputMemory, inputs: OutputInputs) -> Inhibit
     )
 
 
-def offset_is_doubted(memory: OutputMemory, inputs: OutputInputs) -> bool:
+def offset_is_unsure(memory: OutputMemory, inputs: OutputInputs) -> bool:
     """Whether the offset holds probes that are to be replaced, not corrected."""
-    return bool((_offset_doubt_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any())
+    return bool((_offset_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um) > UNSURE_UM).any())
 
 
 def with_probed(memory: OutputMemory, inputs: OutputInputs, probed: FloatArray) -> OutputMemory:
@@ -102,6 +102,6 @@ def with_model(memory: OutputMemory) -> OutputMemory:
 
 def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> ToolBaseline:
     """Return a tool's setting at a new reference: what is in doubt of it stays so."""
-    of_tool_um = tool_doubt_um(memory, tool_number, memory.found_wrong_um)
-    doubt_um = np.maximum(of_tool_um, _offset_doubt_um(memory, tool_number, memory.found_wrong_um))
-    return replace(tool, found_wrong_um=-doubt_um)
+    of_tool_um = tool_unsure_um(memory, tool_number, memory.found_wrong_um)
+    unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, tool_number, memory.found_wrong_um))
+    return replace(tool, found_wrong_um=-unsure_um)
