@@ -36,6 +36,7 @@ READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 TOPIC_PATTERN = r"^[^+#\x00]+$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
 AGENT_PATTERN = r"^http://[^\s/?#@]+(/[^\s?#]*)?$"
+FOLDER_OR_BUCKET_PATTERN = r"^(/|(s3|gs)://[^\s/])"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
@@ -45,6 +46,7 @@ FORMS = {
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     TOPIC_PATTERN: "a topic without the wildcards + and #",
     AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
+    FOLDER_OR_BUCKET_PATTERN: "a folder from / such as /srv/plant/history, or s3://plant/history",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }
 """What the patterns ask for, in words."""

@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from config.schema.base import KeyProblems, Name, Seconds, Section
+from config.schema.base import FOLDER_OR_BUCKET_PATTERN, KeyProblems, Name, Seconds, Section
 from config.schema.driver_section import SectionOfDriver
 
 
@@ -36,20 +36,37 @@ class PostgresqlConfig(Section):
         return self
 
 
+class ParquetConfig(Section):
+    """Parquet files, one per machine, kind of record and day, written when the day is over."""
+
+    folder: str = Field(
+        pattern=FOLDER_OR_BUCKET_PATTERN,
+        description="where they go: a folder from /, which must be there, or a bucket with a prefix",
+        examples=["/srv/plant/history"],
+    )
+
+
 class SinkConfig(SectionOfDriver):
     """One system to which the history goes, sent by `toolpoint sink run`."""
 
     name: Name = Field(description="name of the sink in logs, status and its cursor", examples=["plant"])
-    driver: Literal["postgresql"] = Field(
+    driver: Literal["postgresql", "parquet"] = Field(
         description="what it is; the section of that name says where", examples=["postgresql"]
     )
     period_s: Seconds = Field(2.0, description="time from one look for new rows to the next")
     postgresql: PostgresqlConfig | None = Field(
         None, description="a PostgreSQL database", examples=[{"host": "192.168.10.50"}]
     )
+    parquet: ParquetConfig | None = Field(
+        None,
+        description="Parquet files in a folder or an object store",
+        examples=[{"folder": "/srv/plant/history"}],
+    )
 
     @property
     def place(self) -> str:
         """Where it is, for people."""
+        if self.parquet is not None:
+            return self.parquet.folder
         assert self.postgresql is not None
         return f"{self.postgresql.host}:{self.postgresql.port}/{self.postgresql.database}"

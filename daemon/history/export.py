@@ -80,7 +80,7 @@ def write_parquet(table: Tabular, path: Path | BinaryIO, advance: Advance = lamb
         raise HistoryError(
             "Parquet files need pyarrow, which is not installed: install toolpoint[parquet], or choose --format csv"
         ) from error
-    schema = pyarrow.schema([(column.name, _arrow_type(pyarrow, column.type)) for column in table.columns])
+    schema = pyarrow.schema([(column.name, arrow_type(pyarrow, column.type)) for column in table.columns])
     rows = 0
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         for window in table.windows():
@@ -94,7 +94,8 @@ def write_parquet(table: Tabular, path: Path | BinaryIO, advance: Advance = lamb
     return rows
 
 
-def _arrow_type(pyarrow: "pyarrow", type_: TableType) -> "pyarrow.DataType":
+def arrow_type(pyarrow: "pyarrow", type_: TableType) -> "pyarrow.DataType":
+    """Return how Parquet files hold a type."""
     return {
         TableType.TIME: pyarrow.timestamp("ms", tz="UTC"),
         TableType.NUMBER: pyarrow.float64(),

@@ -39,14 +39,15 @@ class Progress:
         """Return how far a stream was taken."""
         return self.cursor.positions.get(stream, Position())
 
-    def acknowledged(self, stream: str, after: Position, newest_utc_s: float, *, sent: int, stored: int) -> None:
-        """Note that the sink has taken everything up to a position."""
-        before = self.cursor
-        newest = max(newest_utc_s, before.newest_utc_s.get(stream, newest_utc_s))
+    def acknowledged(self, stream: str, after: Position, newest_utc_s: float | None, *, sent: int, stored: int) -> None:
+        """Note that the sink has taken everything up to a position; None: no newer row was among it."""
+        before, newest = self.cursor, dict(self.cursor.newest_utc_s)
+        if newest_utc_s is not None:
+            newest[stream] = max(newest_utc_s, newest.get(stream, newest_utc_s))
         self.cursor = replace(
             before,
             positions={**before.positions, stream: after},
-            newest_utc_s={**before.newest_utc_s, stream: newest},
+            newest_utc_s=newest,
             sent_rows=before.sent_rows + sent,
             stored_rows=before.stored_rows + stored,
         )

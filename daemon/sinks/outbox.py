@@ -27,6 +27,7 @@ ECHO_WAIT_MS = 600_000
 """A write waits this long for the guard's echo before it is sent."""
 OUTCOME_WAIT_MS = 3_600_000
 """A write whose outcome is not known is sent without it when it is older than this."""
+DAY_MS = 86_400_000
 Row = tuple[Any, ...]
 
 
@@ -138,32 +139,63 @@ class Outbox(HistoryReader):
 
     def waiting(self, stream: Stream, position: Position) -> tuple[int, float | None]:
         """Return how many rows wait (of a packed hour all), and the time [s] of the oldest."""
+        needed_ms = 2**62 if position.needed_from_ms is None else position.needed_from_ms
         queries: list[tuple[str, tuple[object, ...]]] = [
-            (f"SELECT count(*), min(utc_ms) FROM {stream.table} WHERE {stream.id} > ?", (position.row,))
+            (
+                f"SELECT count(*), min(utc_ms) FROM {stream.table} WHERE {stream.id} > ? OR utc_ms >= ?",
+                (position.row, needed_ms),
+            ),
+            (
+                "SELECT sum(row_count), min(start_ms) FROM chunks WHERE kind = ? AND (start_ms >= ? OR "
+                "CASE WHEN last_row_id IS NULL THEN chunk_id > ? ELSE last_row_id > ? END)",
+                (stream.chunks, needed_ms, position.chunk, position.row),
+            ),
         ]
-        if stream.chunks:
-            queries.append(
-                (
-                    "SELECT sum(row_count), min(start_ms) FROM chunks WHERE kind = ? AND "
-                    "CASE WHEN last_row_id IS NULL THEN chunk_id > ? ELSE last_row_id > ? END",
-                    (stream.chunks, position.chunk, position.row),
-                )
-            )
         with naming_damage(self.path), self._snapshot() as connection:
             found = [connection.execute(sql, values).fetchone() for sql, values in queries]
         oldest = [ms for _, ms in found if ms is not None]
         return sum(count or 0 for count, _ in found), min(oldest) / 1e3 if oldest else None
 
+    def days(self, stream: Stream, position: Position) -> tuple[list[int], Position]:
+        """Return the days (since 1970) of rows that wait after a position, and the newest position."""
+        needed_ms = 2**62 if position.needed_from_ms is None else position.needed_from_ms
+        with naming_damage(self.path), self._snapshot() as connection:
+            found = {
+                day
+                for (day,) in connection.execute(
+                    f"SELECT DISTINCT utc_ms / {DAY_MS} FROM {stream.table} WHERE {stream.id} > ? OR utc_ms >= ?",
+                    (position.row, needed_ms),
+                )
+            }
+            (row,) = connection.execute(f"SELECT coalesce(max({stream.id}), 0) FROM {stream.table}").fetchone()
+            chunks = connection.execute(
+                f"SELECT DISTINCT start_ms / {DAY_MS} FROM chunks WHERE kind = ? AND (start_ms >= ? OR "
+                "CASE WHEN last_row_id IS NULL THEN chunk_id > ? ELSE last_row_id > ? END)",
+                (stream.chunks, needed_ms, position.chunk, position.row),
+            )
+            found |= {day for (day,) in chunks}
+            packed_row, chunk = connection.execute(
+                "SELECT coalesce(max(last_row_id), 0), coalesce(max(chunk_id), 0) FROM chunks WHERE kind = ?",
+                (stream.chunks,),
+            ).fetchone()
+        after = Position(row=max(position.row, row, packed_row), chunk=max(position.chunk, chunk))
+        return sorted(found), after
+
+    def unpacked_rows(self, stream: Stream, from_ms: int, to_ms: int) -> list[Row]:
+        """Return the rows of a stream that is never packed, in an interval."""
+        with naming_damage(self.path):
+            found = self._connection.execute(
+                f"SELECT {', '.join(_names(stream))} FROM {stream.table} WHERE utc_ms >= ? AND utc_ms < ? "
+                f"ORDER BY utc_ms, {stream.id}",
+                (from_ms, to_ms),
+            ).fetchall()
+            return self._completed(stream, found)
+
     # --- rows that are not packed --------------------------------------------------------------
 
     def _raw(self, connection: sqlite3.Connection, stream: Stream, position: Position, before: int) -> Batch | None:
         """Return rows before a number; None when there are none, a batch without rows when the first must wait."""
-        names = {
-            TEMPERATURES: (*CYCLES.names, "counts", "flags", "layout_id"),
-            "references": ("utc_ms", "reference_id", "source", "layout_id", "degc", *stream.columns[-3:]),
-        }.get(stream.name)
-        if names is None:
-            names = KINDS[stream.chunks].names if stream.chunks else stream.columns
+        names = _names(stream)
         found = connection.execute(
             f"SELECT {stream.id}, {', '.join(names)} FROM {stream.table} WHERE {stream.id} > ? AND {stream.id} < ? "
             f"ORDER BY {stream.id} LIMIT ?",
@@ -176,10 +208,10 @@ class Outbox(HistoryReader):
         rows = [row[1:] for row in found]
         if stream.name == TEMPERATURES:
             rows = list(self._cycle_rows(rows))
-        elif stream.name == "references":
-            rows = [(*row[:3], *self._reference(row[3], row[4]), *row[5:]) for row in rows]
         elif stream.chunks:
             rows = _frame_rows(KINDS[stream.chunks], stream, frame_from_rows(KINDS[stream.chunks], names, rows))
+        else:
+            rows = self._completed(stream, rows)
         return Batch(stream=stream, rows=rows, after=replace(position, row=found[-1][0]))
 
     def _now_ms(self, connection: sqlite3.Connection) -> int | None:
@@ -195,6 +227,12 @@ class Outbox(HistoryReader):
             end = next((i for i in range(at, len(rows)) if rows[i][-1] != layout_id), len(rows))
             yield from self._of_block(layout_id, cycle_block(CYCLES.names, [row[:-1] for row in rows[at:end]]))
             at = end
+
+    def _completed(self, stream: Stream, rows: list[Row]) -> list[Row]:
+        """Return rows that are not packed as sinks get them."""
+        if stream.name != "references":
+            return rows
+        return [(*row[:3], *self._reference(row[3], row[4]), *row[5:]) for row in rows]
 
     def _reference(self, layout_id: int, degc: bytes) -> tuple[list[int], list[float | None]]:
         values = [None if np.isnan(value) else value for value in np.frombuffer(degc, dtype="<f8").tolist()]
@@ -242,6 +280,15 @@ class Outbox(HistoryReader):
         found = self._connection.execute("SELECT name, members FROM layouts WHERE layout_id = ?", (layout_id,))
         name, members = found.fetchone()
         return str(name), json.loads(members)
+
+
+def _names(stream: Stream) -> tuple[str, ...]:
+    """Return the columns of a stream's table of which its rows are made."""
+    if stream.name == TEMPERATURES:
+        return (*CYCLES.names, "counts", "flags", "layout_id")
+    if stream.name == "references":
+        return ("utc_ms", "reference_id", "source", "layout_id", "degc", *stream.columns[-3:])
+    return KINDS[stream.chunks].names if stream.chunks else stream.columns
 
 
 def _settled(found: list[Row], names: Sequence[str], now_ms: int | None) -> list[Row]:

@@ -31,6 +31,15 @@ OpenSink = Callable[[SinkConfig, str], Sink]
 
 def make_sink(config: SinkConfig, machine: str) -> Sink:
     """Return the sink that a section describes; its library is loaded here."""
+    if config.driver == "parquet":
+        try:
+            from daemon.sinks.parquet import ParquetSink  # noqa: PLC0415
+        except ImportError as error:
+            raise SinkError(
+                f"sink {config.name}: needs pyarrow, which is missing: install toolpoint[parquet]"
+            ) from error
+
+        return ParquetSink(config, machine)
     from daemon.sinks.postgresql import PostgresqlSink  # noqa: PLC0415
 
     return PostgresqlSink(config, machine)

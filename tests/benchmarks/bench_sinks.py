@@ -1,9 +1,9 @@
 """What a sink costs: sending a day of a full machine, the room that it takes there, and the sender that only waits.
 
-python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20]
+python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20] [--noise-k 0.04]
 
-A machine of 302 sensors on three lines every 10 s with noise of one step, a poll of the CNC every second, an estimate,
-a write and displacements every 10 s. PostgreSQL is a server of its own on this computer.
+A machine of 302 sensors on three lines every 10 s, a poll of the CNC every second, an estimate, a write and
+displacements every 10 s. PostgreSQL is a server of its own on this computer.
 """
 
 import argparse
@@ -29,24 +29,26 @@ from daemon.history import HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor
 from daemon.sinks.running import SinkRunner
 
+MIDNIGHT_S = EPOCH_S - EPOCH_S % 86_400.0
+
 
 def processor_s() -> float:
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
-def fill(store: Path, hours: float) -> None:
-    """A machine that warms up, with one step of noise."""
+def fill(store: Path, hours: float, noise_k: float) -> None:
+    """A machine that warms up."""
     random = np.random.default_rng(1)
     writer = HistoryWriter(store, clock=StillClock(), machine=FULL)
     writer.start()
     with closing(writer):
         for k in range(int(hours * 360)):
-            now_s = EPOCH_S + 10.0 * k
+            now_s = MIDNIGHT_S + 10.0 * k
             writer._clock.utc_s = now_s
             for line, members in FULL.lines.items():
                 warm = 20.0 + 10.0 * (1.0 - np.exp(-k / 1000.0)) * np.linspace(0.2, 1.0, len(members))
-                degc = np.round((warm + random.normal(0.0, 0.04, len(members))) / 0.0625) * 0.0625
+                degc = np.round((warm + random.normal(0.0, noise_k, len(members))) / 0.0625) * 0.0625
                 writer.temperatures(None, make.cycle(line, k + 1, now_s, degc))
             for second in range(10):
                 writer.cnc_sample(make.cnc_sample(now_s + second, macros={600: k / 1e3, 601: k / 2e3, 602: 0.0}))
@@ -58,7 +60,7 @@ def fill(store: Path, hours: float) -> None:
             writer.displacement(make.displacement(now_s, np.round(random.normal(0.0, 1.0, 5), 2)))
             if k % 500 == 499:
                 writer.event("note", "filling").result(60.0)
-    housekeeping(store, HistoryConfig(), EPOCH_S + hours * 3600.0)
+    housekeeping(store, HistoryConfig(), MIDNIGHT_S + hours * 3600.0)
 
 
 def send(config: SinkConfig, store: Path, wait: Callable[[threading.Event], Callable[[float], object]]) -> Cursor:
@@ -103,17 +105,34 @@ def into_postgresql(server: Server, store: Path, folder: Path, hours: float, wai
     print(f"  most memory of this process, with NumPy and the bench: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
 
 
+def into_files(store: Path, folder: Path) -> None:
+    """Sizes are of temperatures, which are most of it."""
+    (folder / "files").mkdir()
+    section = {"name": "files", "driver": "parquet", "parquet": {"folder": str(folder / "files")}}
+    used_s = processor_s()
+    cursor = send(SinkConfig.model_validate(section), store, lambda stop: lambda _duration_s: stop.set())
+    used_s = processor_s() - used_s
+    made = sorted((folder / "files").rglob("*.parquet"))
+    size = sum(path.stat().st_size for path in made)
+    whole = [path.stat().st_size for path in made if path.parts[-3] == "temperatures"]
+    print(f"{len(made)} Parquet files of {cursor.sent_rows} rows, {size / 2**20:.2f} MiB, {used_s:.1f} s used")
+    print(f"  temperatures: {max(whole) / 1e6:.2f} MB a day, {max(whole) * 365.25 / 1e9:.2f} GB per machine-year")
+    print(f"  most memory of this process: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--waiting-s", type=float, default=20.0)
+    parser.add_argument("--noise-k", type=float, default=0.04, help="of a reading, before it is rounded to 1/16 K")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, postgresql() as server:
         folder = Path(name)
         store = folder / "history.sqlite"
-        fill(store, given.hours)
+        fill(store, given.hours, given.noise_k)
         print(f"store: {store.stat().st_size / 2**20:.1f} MiB for {given.hours:g} h")
         into_postgresql(server, store, folder, given.hours, given.waiting_s)
+        into_files(store, folder)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.driver_section import drivers_of
+from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from daemon.cli import main
@@ -34,6 +35,8 @@ def everything_in_use() -> str:
         text = re.sub(rf"^  {driver}:\n(?:    .*\n)*", "", text, flags=re.MULTILINE)
     for driver in drivers_of(SourceConfig)[1:]:
         text = re.sub(rf"^      {driver}:\n(?:        .*\n)*", "", text, flags=re.MULTILINE)
+    for driver in drivers_of(SinkConfig)[1:]:
+        text = re.sub(rf"^    {driver}:\n(?:      .*\n)*", "", text, flags=re.MULTILINE)
     text = re.sub(r"^( +)serial_port: .*\n", "", text, flags=re.MULTILINE)  # instead of `host`
     return text.replace("profile: checked", "profile: custom")
 

@@ -1,0 +1,214 @@
+"""The Parquet sink: one file per machine, kind of record and day (UTC), written when the day is over, or not at all.
+
+A day is written again when rows of it come late, always from the store, so that a repeat makes the same file. A file
+with more rows than the store still has of its day is left alone.
+"""
+
+import io
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import numpy as np
+import pyarrow
+from pyarrow import fs, parquet
+
+from config.files import write_whole
+from config.schema.sinks import SinkConfig
+from daemon.history.columns.kinds import KINDS, TEMPERATURES
+from daemon.history.cursors import Cursor, Position
+from daemon.history.export import Tabular, arrow_type
+from daemon.history.tables import Table, TableColumn, TableType, Values
+from daemon.sinks.contract import Progress, SinkError
+from daemon.sinks.outbox import STREAMS, Outbox, Stream
+
+DAY_S = 86_400.0
+GRACE_S = 7200.0
+"""A day is written this long after its end: its last writes have found their outcome by then."""
+LOOK_PERIOD_S = 60.0
+LEVEL = 19
+"""Of the compression: two seconds of processor time for a day, an eighth less room than 9."""
+
+
+class ParquetSink:
+    """Files in a folder, or in a bucket of an object store."""
+
+    def __init__(self, config: SinkConfig, machine: str, now_utc_s: Callable[[], float] = time.time) -> None:
+        assert config.parquet is not None
+        self._config, self._machine, self._now_utc_s = config.parquet, machine, now_utc_s
+        self._where = f"sink {config.name}: {config.place}"
+        self._files: _Files | None = None
+        self._look_after_s = float("-inf")
+
+    def open(self, cursor: Cursor) -> Mapping[str, Position]:
+        """Reach the folder or the bucket; the cursor says how far it is."""
+        folder = self._config.folder
+        try:
+            self._files = _Folder(Path(folder)) if folder.startswith("/") else _ObjectStore(folder)
+        except (OSError, ValueError) as error:
+            raise SinkError(f"{self._where} cannot be reached: {error}") from error
+        return cursor.positions
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+        """Write a day that is over; where there is none, look again in a minute."""
+        if time.monotonic() < self._look_after_s:
+            return False
+        today = int((self._now_utc_s() - GRACE_S) // DAY_S)
+        for stream in STREAMS.values():
+            before = progress.position(stream.name)
+            days, after = outbox.days(stream, before)
+            if days and days[0] < today:
+                rows = self._write(outbox, stream, days[0])
+                newest_utc_s = (days[0] + 1) * DAY_S
+                progress.acknowledged(stream.name, _waiting(after, days[1:]), newest_utc_s, sent=rows, stored=rows)
+                return True
+            if (position := _waiting(after, days)) != before:
+                progress.acknowledged(stream.name, position, None, sent=0, stored=0)
+        self._look_after_s = time.monotonic() + LOOK_PERIOD_S
+        return False
+
+    def _write(self, outbox: Outbox, stream: Stream, day: int) -> int:
+        """Write one day of a stream; return its rows, 0 where the file there has more."""
+        assert self._files is not None
+        date = datetime.fromtimestamp(day * DAY_S, UTC).date().isoformat()
+        name = f"{stream.name}/machine={quote(self._machine, safe=' ')}/{date}.parquet"
+        content, rows = day_file(outbox, stream, day)
+        try:
+            if rows == 0 or rows < self._files.rows(name):
+                return 0
+            self._files.put(name, content)
+        except (OSError, pyarrow.ArrowException) as error:
+            raise SinkError(f"{self._where}: {name} cannot be written: {error}") from error
+        return rows
+
+
+def _waiting(after: Position, days: list[int]) -> Position:
+    """Return a position from which these days are still to be written."""
+    needed_from_ms = int(days[0] * DAY_S * 1e3) if days else None
+    return Position(row=after.row, chunk=after.chunk, needed_from_ms=needed_from_ms)
+
+
+# --- where the files go --------------------------------------------------------------------
+
+
+class _Files(Protocol):
+    def rows(self, name: str) -> int:
+        """Return how many rows a file has, 0 where there is none."""
+        ...
+
+    def put(self, name: str, content: bytes) -> None:
+        """Put a file in its place, whole or not at all."""
+        ...
+
+
+class _Folder:
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        if not folder.is_dir():
+            raise OSError("there is no such folder: make it, and let the service's user write in it")
+
+    def rows(self, name: str) -> int:
+        path = self._folder / name
+        return int(parquet.read_metadata(path).num_rows) if path.exists() else 0
+
+    def put(self, name: str, content: bytes) -> None:
+        path = self._folder / name
+        for folder in (path.parent.parent, path.parent):
+            if not folder.is_dir():
+                folder.mkdir()
+                folder.chmod(0o755)
+        write_whole(path, content, 0o644)
+
+
+class _ObjectStore:
+    """A bucket; what is put there appears when it is complete."""
+
+    def __init__(self, address: str) -> None:
+        self._files, self._root = fs.FileSystem.from_uri(address)
+
+    def rows(self, name: str) -> int:
+        path = f"{self._root}/{name}"
+        if self._files.get_file_info(path).type == fs.FileType.NotFound:
+            return 0
+        return int(parquet.read_metadata(path, filesystem=self._files).num_rows)
+
+    def put(self, name: str, content: bytes) -> None:
+        with self._files.open_output_stream(f"{self._root}/{name}") as stream:
+            stream.write(content)
+
+
+# --- the content of a day ------------------------------------------------------------------
+
+
+def day_file(outbox: Outbox, stream: Stream, day: int) -> tuple[bytes, int]:
+    """Return a day of a stream as a Parquet file, and its rows."""
+    span = day * DAY_S, (day + 1) * DAY_S
+    packed = stream.name == TEMPERATURES or stream.name in KINDS
+    table: Tabular = Table(outbox, stream.name, *span) if packed else _Unpacked(outbox, stream, *span)
+    schema = pyarrow.schema([(column.name, _type(column)) for column in table.columns])
+    windows = [
+        pyarrow.Table.from_arrays(
+            [
+                pyarrow.array(values, type=field.type, from_pandas=True)
+                for field, values in zip(schema, each, strict=True)
+            ],
+            schema=schema,
+        )
+        for each in table.windows()
+    ]
+    whole = pyarrow.concat_tables(windows) if windows else schema.empty_table()
+    floats = [field.name for field in schema if pyarrow.types.is_floating(field.type)]
+    content = io.BytesIO()
+    parquet.write_table(
+        whole,
+        content,
+        row_group_size=max(1, whole.num_rows),
+        compression="zstd",
+        compression_level=LEVEL,
+        use_dictionary=[field.name for field in schema if field.name not in floats],
+        column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+    )
+    return content.getvalue(), whole.num_rows
+
+
+def _type(column: TableColumn) -> "pyarrow.DataType":
+    """Return the type of a column; a temperature has a step of 1/160 degC, which 32 bits hold."""
+    return pyarrow.float32() if column.name.endswith("_degc") else arrow_type(pyarrow, column.type)
+
+
+class _Unpacked:
+    """Rows of a stream that is never packed, as a table."""
+
+    def __init__(self, outbox: Outbox, stream: Stream, from_utc_s: float, to_utc_s: float) -> None:
+        self._rows = outbox.unpacked_rows(stream, int(from_utc_s * 1e3), int(to_utc_s * 1e3))
+        names = ("time_utc", *stream.columns[1:])
+        self.columns = [TableColumn(name=name, type=_TYPES.get(name, TableType.TEXT)) for name in names]
+
+    def windows(self) -> Iterator[list[Values]]:
+        """Yield all of it."""
+        if self._rows:
+            columns = zip(*self._rows, strict=True)
+            yield [_values(column.type, values) for column, values in zip(self.columns, columns, strict=True)]
+
+
+_TYPES = {
+    "time_utc": TableType.TIME,
+    **dict.fromkeys(("monotonic_ms", "program", "work_offset", "power_on_count"), TableType.INTEGER),
+    **dict.fromkeys(("deviation_um", "applied_um", "thermal_error_um"), TableType.NUMBER),
+    "accepted": TableType.FLAG,
+}
+
+
+def _values(type_: TableType, values: tuple[Any, ...]) -> Values:
+    if type_ is TableType.TEXT:
+        return [json.dumps(value) if isinstance(value, list) else value for value in values]
+    numbers = {TableType.TIME: "datetime64[ms]", TableType.NUMBER: "f8", TableType.FLAG: "?"}
+    made: Values = np.array(values, dtype=numbers.get(type_, "i8"))
+    return made

@@ -1,0 +1,176 @@
+"""The history as Parquet files by machine and day: whole files, each row once, read by DuckDB as the page says."""
+
+import re
+import resource
+import threading
+from pathlib import Path
+
+import history_records as make
+import numpy as np
+import pytest
+from history_records import EPOCH_S, SMALL, StillClock
+
+from config.schema.service import HistoryConfig
+from config.schema.sinks import SinkConfig
+from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history.cursors import Cursor, cursor_path
+from daemon.sinks.outbox import STREAMS, Outbox
+from daemon.sinks.running import SinkRunner
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+from daemon.sinks.parquet import ParquetSink  # noqa: E402 - needs pyarrow
+
+PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
+DAY_S = 86_400.0
+MIDNIGHT_S = EPOCH_S - EPOCH_S % DAY_S
+MACHINE = "mill/7 north"
+
+
+def fill(store: Path, start_s: float, hours: float) -> None:
+    """Rows of every stream, every ten minutes."""
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for k in range(int(hours * 6)):
+        first_s = start_s + 600.0 * k
+        writer._clock.utc_s = first_s
+        writer.temperatures(None, make.cycle("spindle", k + 1, first_s, 20.0 + np.array([k % 7, np.nan, 3.0]) / 16.0))
+        writer.cnc_sample(make.cnc_sample(first_s + 1))
+        writer.estimate(make.estimate(first_s + 2, np.array([1.0, np.nan, k])))
+        written = make.macros(k + 1, np.array([0.0, k, 1.0]))
+        write_id = writer.write_intent(make.command(np.array([0.0, k, 1.0])), written, "cycle")
+        writer.write_outcome(write_id, make.receipt(first_s + 2, written))
+        writer.displacement(make.displacement(first_s, np.array([1.0, 2.0, k])))
+        writer.event("note", f"number {k}", "Ada")
+    writer.reference(make.reference(start_s, len(SMALL.sensor_ids)))
+    writer.close()
+
+
+def config(folder: Path) -> SinkConfig:
+    folder.mkdir(exist_ok=True)
+    return SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": str(folder)}})
+
+
+def send(store: Path, folder: Path, now_s: float, kind: type[ParquetSink] = ParquetSink) -> Cursor:
+    """Write all that is over at a time."""
+    stop = threading.Event()
+
+    def sink(section: SinkConfig, machine: str) -> ParquetSink:
+        return kind(section, machine, now_utc_s=lambda: now_s)
+
+    runner = SinkRunner(config(folder), store, MACHINE, stop, sink, wait=lambda _duration_s: stop.set())
+    runner.run()
+    return runner.cursor
+
+
+def files(folder: Path) -> dict[str, int]:
+    """File -> rows."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): parquet.read_metadata(path).num_rows for path in found}
+
+
+def test_a_day_becomes_a_file_of_each_kind_when_it_is_over(tmp_path: Path) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 30.0)
+    assert send(store, folder, MIDNIGHT_S + DAY_S + 7100.0).sent_rows == 0 and files(folder) == {}
+    with Outbox(store) as outbox:
+        position = Cursor.read(cursor_path(store, "files")).positions["cnc"]
+        assert outbox.waiting(STREAMS["cnc"], position) == (180, MIDNIGHT_S + 1.0), "they were seen, and still wait"
+    cursor = send(store, folder, MIDNIGHT_S + DAY_S + 7300.0)
+    assert cursor.problem == ""
+    kinds = ("cnc", "displacements", "estimates", "events", "temperatures", "writes")
+    place = "machine=mill%2F7 north/2025-10-09.parquet"
+    expected = {f"{kind}/{place}": 144 for kind in kinds} | {f"references/{place}": 1}
+    assert files(folder) == dict(sorted(expected.items()))
+    table = parquet.read_table(folder / "temperatures" / place)
+    with HistoryReader(store) as reader:
+        history = reader.temperatures(None, MIDNIGHT_S, MIDNIGHT_S + DAY_S)
+    for column, sensor_id in enumerate(history.sensor_ids):
+        got = np.array(table[f"t{sensor_id}_degc"].to_pylist(), dtype=float)
+        assert np.allclose(got, history.degc[:, column], atol=1e-5, equal_nan=True)
+    assert send(store, folder, MIDNIGHT_S + DAY_S + 7300.0).sent_rows == cursor.sent_rows, "nothing is written twice"
+
+
+def test_rows_that_come_late_make_their_day_anew(tmp_path: Path) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 30.0)
+    send(store, folder, MIDNIGHT_S + 1.5 * DAY_S)
+    housekeeping(store, HistoryConfig(), MIDNIGHT_S + 1.5 * DAY_S)
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    writer.displacement(make.displacement(MIDNIGHT_S + 90.0, np.zeros(3)))
+    writer.close()
+    send(store, folder, MIDNIGHT_S + 1.5 * DAY_S)
+    found = files(folder)
+    assert found["displacements/machine=mill%2F7 north/2025-10-09.parquet"] == 145
+    assert found["cnc/machine=mill%2F7 north/2025-10-09.parquet"] == 144
+    send(store, folder, MIDNIGHT_S + 2.5 * DAY_S)
+    assert files(folder)["cnc/machine=mill%2F7 north/2025-10-10.parquet"] == 36
+
+
+def test_a_store_that_lost_rows_does_not_take_them_from_the_files(tmp_path: Path) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 24.0)
+    send(store, folder, MIDNIGHT_S + 2 * DAY_S)
+    before = files(folder)
+    store.unlink()
+    fill(store, MIDNIGHT_S + 3600.0, 2.0)
+    send(store, folder, MIDNIGHT_S + 2 * DAY_S)
+    assert files(folder) == before
+
+
+def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 24.0)
+
+    class Full(ParquetSink):
+        def _write(self, outbox, stream, day):
+            limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+            try:
+                return super()._write(outbox, stream, day)
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    said = send(store, folder, MIDNIGHT_S + 2 * DAY_S, Full).problem
+    assert "cannot be written" in said and "2025-10-09.parquet" in said
+    assert all(rows == 144 for rows in files(folder).values()), "every file that is there is whole"
+    assert send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem == "" and len(files(folder)) == 7
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, MIDNIGHT_S, 1.0)
+    stop = threading.Event()
+    section = config(tmp_path / "files")
+    (tmp_path / "files").rmdir()
+    runner = SinkRunner(section, store, MACHINE, stop, wait=lambda _duration_s: stop.set())
+    runner.run()
+    assert f"sink files: {tmp_path / 'files'} cannot be reached: there is no such folder" in runner.cursor.problem
+
+
+@pytest.mark.parametrize("folder", ["history", "s3:/plant", "http://plant", ""])
+def test_a_place_is_a_folder_from_the_root_or_a_bucket(folder: str) -> None:
+    with pytest.raises(ValueError, match="folder"):
+        SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
+
+
+def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:
+    duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
+    store, folder = tmp_path / "h.sqlite", tmp_path / "history"
+    fill(store, MIDNIGHT_S, 48.0)
+    send(store, folder, MIDNIGHT_S + 3 * DAY_S)
+    section = PAGE.read_text("utf-8").split("## Read the files with DuckDB", 1)[1].split("\n## ", 1)[0]
+    (block,) = re.findall(r"```sql\n(.*?)```", section, re.S)
+    shapes = {
+        "/srv/plant/history": str(folder),
+        "t61": "t13",
+        "my machining centre": MACHINE,
+        "2026-01-31": "2025-10-09",
+    }
+    for shown, here in shapes.items():
+        block = block.replace(shown, here)
+    queries = [query for query in block.split(";\n") if query.strip()]
+    assert len(queries) == 3
+    for query in queries:
+        rows = duckdb.sql(query).fetchall()
+        assert rows and all(value is not None for value in rows[0]), query
