@@ -1,5 +1,7 @@
 """Decides when the block is written, and handles the outcome."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from daemon.cnc.events import Journal
@@ -7,7 +9,7 @@ from daemon.cnc.session import CncSession
 from daemon.compensation.applied_tracker import EchoWatch
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
-from drivers.contract import FatalDriverError
+from drivers.contract import DriverError, FatalDriverError
 from models.records import CompensationCommand, OutputState, Receipt, ThermalErrorEstimate, Trace, WriteOutcome
 
 
@@ -31,6 +33,25 @@ class BlockWriter:
         """Read what stands in the block while the estimate that will be written is made: the two take as long."""
         if session is not None and command is not None and command.write and command.state is not OutputState.OFF:
             await session.look_ahead()
+
+    async def write_and_settle(
+        self,
+        session: CncSession | None,
+        command: CompensationCommand,
+        estimate: ThermalErrorEstimate | None,
+        settle: Callable[[str | None], None],
+    ) -> None:
+        """Write what is due, then settle with the fault that it ended in; a lost link is none: all may have arrived."""
+        fault: str | None = "a defect in the write, see the log"
+        try:
+            if session is not None and command.write:
+                await self.write_when_due(session, command, estimate)
+            fault = self._journal.fault
+        except DriverError:
+            fault = None
+            raise
+        finally:
+            settle(fault)
 
     async def write_when_due(
         self, session: CncSession, command: CompensationCommand, estimate: ThermalErrorEstimate | None

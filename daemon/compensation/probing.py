@@ -55,7 +55,7 @@ class MeasuredByNc:
 
     def set_tool(self, axis: str) -> str:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
-        output, reference, tool = self._look(), self._references.current, self.tool
+        output, reference = self._look(), self._references.current
         if output.memory is None or reference is None:
             return "a tool setting counts from the work's reference, and there is none: position the work first"
         if output.estimate is None or output.estimate.reference_id != reference.reference_id:
@@ -63,8 +63,6 @@ class MeasuredByNc:
         if refusal := _tool_setting_inhibit(output, self._limits):
             return str(refusal)
         self.tool_setting = tuple(name == axis for name in self._limits.axes)
-        tool.begin(tool.number, output.estimate)
-        self._journal.say("tool", f"T{tool.number} set on axis {axis}")
         return ""
 
     def change_tool(self, tool_number: int) -> None:
@@ -84,9 +82,14 @@ class MeasuredByNc:
             self._history.probe(sample)
         return sample.reason
 
+    @property
+    def waiting(self) -> bool:
+        """Something was taken that the next step counts."""
+        return self.tool_setting is not None or self._probe is not None
+
     def settle(self, inputs: OutputInputs, memory: OutputMemory) -> str:
-        """See after a step whether it took effect; return why not, '' when it did or when there was nothing."""
-        if self.tool_setting is None and self._probe is None:
+        """See after the write of a step if it took effect; return why not, '' when it did or nothing was taken."""
+        if not self.waiting:
             return ""
         effective = inputs.link and bool(np.all(np.isfinite(inputs.applied_um))) and memory.reference_id is not None
         lost = LOST if inputs.output_fault is None else FAULTY
@@ -95,6 +98,10 @@ class MeasuredByNc:
             self._history.probe(self._probe if effective else replace(self._probe, accepted=False, reason=lost))
             if effective:
                 self._skill.probe(self._probe, memory)
+        if self.tool_setting is not None and effective:
+            self.tool.begin(self.tool.number, self._look().estimate)
+            axis = self._limits.axes[self.tool_setting.index(True)]
+            self._journal.say("tool", f"T{self.tool.number} set on axis {axis}")
         self.tool_setting = self.probe_um = self._probe = None
         return "" if effective else lost
 

@@ -32,7 +32,7 @@ def control_snapshot(control: "ControlTask") -> ControlSnapshot:
         phase=control.phase,
         limits_hit=memory.limits_hit if memory is not None else (),
         weight=memory.weight if memory is not None else None,
-        guard_silent_s=control.guard_silent_s,
+        guard_silent_s=control.guard_watch.silent_s,
         axes=limits.axes,
         wanted=memory.wanted if memory is not None else none,
         enabled=command.enable if command is not None else none,

@@ -5,6 +5,8 @@ is taken in its own stack. An exception that nobody expected becomes a latched F
 """
 
 from collections.abc import Awaitable
+from dataclasses import replace
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -51,6 +53,7 @@ class ControlTask:
 
     def __init__(self, parts: ControlParts) -> None:
         configuration, history = parts.configuration, parts.history
+        self._output = configuration.compensation.output
         self._parts, self._clock, self._link = parts, parts.clock, parts.link
         self.limits, self.journal = parts.limits, parts.journal
         self.modelled = parts.interlocks.modelled
@@ -60,7 +63,7 @@ class ControlTask:
         self.skill = SkillWatch(self._sources, configuration)
         self._measured = MeasuredByNc(self.limits, history, self.journal, self.skill, self._references, self._now)
         self._desk = RequestDesk(handshake, self._references, self.journal, self._measured)
-        self._guard_watch = GuardWatch()
+        self.guard_watch = GuardWatch()
         self._echo_watch = EchoWatch(parts.telemetry, echo_slack_um(configuration), history.write_echoed)
         self.writer = BlockWriter(self._clock, parts.telemetry, self.journal, self._echo_watch, parts.validity_s)
         self._startup = StartupRecovery(
@@ -100,11 +103,6 @@ class ControlTask:
         return f"FAULT: {self.journal.fault}" if self.journal.fault else self._startup.not_begun
 
     @property
-    def guard_silent_s(self) -> float:
-        """Time of running program since the guard's last run [s]."""
-        return self._guard_watch.silent_s
-
-    @property
     def reference(self) -> Reference | None:
         """The reference in force."""
         return self._references.current
@@ -130,10 +128,8 @@ class ControlTask:
 
     def thermal_error_um(self) -> FloatArray:
         """Return the estimated error per axis since the reference, tool included [um], NaN without an estimate."""
-        tool_number = self._measured.tool.number
-        return error_of_tool_point_um(self._sources, self._estimate, self._references.memory, tool_number)
-
-    # --- the loop ------------------------------------------------------------------------
+        tool, memory = self._measured.tool.number, self._references.memory
+        return error_of_tool_point_um(self._sources, self._estimate, memory, tool)
 
     async def run(self) -> None:
         """Serve until stopped: messages and estimates as they come, polls and ticks as they fall due."""
@@ -227,7 +223,7 @@ class ControlTask:
         self._parts.on_sample(sample)
         self._echo_watch.seen(session.echo, sample.time)
         self.journal.raise_fault(*problems)
-        self._guard_watch.follow(session.echo, sample)
+        self.guard_watch.follow(session.echo, sample)
         self._references.on_sample(sample, asked_s)
         self._measured.tool.on_sample(sample.tool_number, self._estimate)
         await self._desk.look(session)
@@ -245,10 +241,7 @@ class ControlTask:
         inputs = self._inputs(self.requests.take())
         self.memory, self.command = step(before, inputs, self.limits)
         self._record(before, self.memory, inputs)
-        if lost := self._measured.settle(inputs, self.memory):  # before a write that may lose the link: the step counts
-            self._desk.fail(lost)
-        if session is not None and self.command.write:
-            await self.writer.write_when_due(session, self.command, estimate)
+        await self.writer.write_and_settle(session, self.command, estimate, partial(self._settle, before, inputs))
         if session is not None and self.session is session and inputs.link and not self.journal.fault:
             await self._desk.answer(session, self.memory)
         self._parts.telemetry.output(self.command, inputs.applied_um)
@@ -257,16 +250,25 @@ class ControlTask:
         self._parts.on_change()
         self.requests.decided()
 
+    def _settle(self, before: OutputMemory, inputs: OutputInputs, fault: str | None) -> None:
+        """Settle what the NC program measured; where the write ended in a fault the step is made without it."""
+        assert self.memory is not None
+        if fault is not None and self._measured.waiting:
+            inputs = replace(inputs, output_fault=fault, tool_setting=None, probe_um=None)
+            after, (self.memory, self.command) = self.memory, step(before, inputs, self.limits)
+            self._record(after, self.memory, inputs)
+        if lost := self._measured.settle(inputs, self.memory):
+            self._desk.fail(lost)
+
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
         inhibit = follow_inhibit(after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
-        output = self._parts.configuration.compensation.output
-        alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self._guard_watch, config=output, inhibit=inhibit)
+        alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self.guard_watch, config=self._output, inhibit=inhibit)
         record_changes(self.journal, self.limits.axes, before, after, alarm)
 
     def _now(self) -> OutputNow:
-        memory, inputs = self.memory, self._inputs(NO_REQUEST)
-        return OutputNow(memory=memory, estimate=self._estimate, inputs=inputs, now=self._clock.now())
+        inputs, now = self._inputs(NO_REQUEST), self._clock.now()
+        return OutputNow(memory=self.memory, estimate=self._estimate, inputs=inputs, now=now)
 
     def _inputs(self, request: OperatorRequest) -> OutputInputs:
         session, interlocks = self.session, self._parts.interlocks
@@ -293,6 +295,5 @@ class ControlTask:
 
     def _inhibits(self, asked: frozenset[str]) -> tuple[Inhibit, ...]:
         wanted = compress(self.limits.axes, self.memory.wanted if self.memory is not None else ())
-        own = self._startup.inhibit(), self.skill.inhibit()
         inhibits = self._parts.interlocks.inhibits(self.session, asked.union(wanted))
-        return (*inhibits, *(inhibit for inhibit in own if inhibit is not None))
+        return (*inhibits, *filter(None, (self._startup.inhibit(), self.skill.inhibit())))

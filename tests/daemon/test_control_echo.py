@@ -120,9 +120,9 @@ async def test_a_guard_that_never_runs_raises_the_alarm(bench):
         await rig.active(handshake=True)
         for _ in range(20):
             await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
-        assert rig.control.guard_silent_s > 90.0
+        assert rig.control.guard_watch.silent_s > 90.0
         limit_s = rig.configuration.compensation.output.guard_alarm_after_s
-        while rig.control.guard_silent_s <= limit_s:
+        while rig.control.guard_watch.silent_s <= limit_s:
             await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
         await rig.turn(rig.estimate(0.0, 0.0), after_s=4.9, safe=False)
         assert rig.state == "ACTIVE" and "has not run for 30 min" in rig.control.journal.alarm

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from control_rig import Bench, Z, running
+from control_rig import SEQUENCE_A, Bench, Z, running
 from nc_requests import (
     ACKNOWLEDGE,
     KIND,
@@ -18,6 +18,7 @@ from nc_requests import (
 
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from drivers.contract import LinkError
 from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
@@ -138,6 +139,63 @@ async def test_a_probe_in_a_fault_moves_nothing_after_the_acknowledgement(rig, b
     with HistoryReader(rig.history.path) as reader:
         (probe,) = reader.probes(0.0, 2.0**40)
     assert not probe.accepted and "in FAULT" in probe.reason
+
+
+@pytest.mark.parametrize("waits", [True, False])
+@pytest.mark.parametrize("kind", ["read back otherwise", "refused", "defect"])
+async def test_a_probe_whose_step_ends_in_a_fault_is_refused_and_moves_nothing(rig, bench, monkeypatch, kind, waits):
+    """The write of the step that took it is what finds the fault: the program gets no answer until somebody comes."""
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    before = rig.applied["z"]
+    ask(bench, 1, PROBE, Z_AXIS, 0.003)
+    await rig.control._guarded(rig.control._poll())
+    bench.nc.forgets = Z if kind == "read back otherwise" else None
+    bench.nc.refuses = Z if kind == "refused" else None
+    if kind == "defect":
+        monkeypatch.setattr(rig.control.writer, "write_when_due", _defect)
+    bench.clock.monotonic_s += 1.0
+    await rig.control._guarded(rig.control._act(rig.estimate(0.0, -8.0)))
+    assert rig.control.journal.fault and answer(bench) == 0.0
+    bench.nc.forgets = bench.nc.refuses = None
+    monkeypatch.undo()
+    await rig.follow(0.0, -8.0, 3)
+    if not waits:
+        bench.nc.macros.set(KIND, 0.0)
+        await rig.turn(rig.estimate(0.0, -8.0))
+    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    await rig.follow(0.0, -8.0, 40)
+    assert rig.state == "ACTIVE"
+    assert rig.applied["z"] == pytest.approx(before, abs=0.11)
+    assert answer(bench) == (-1.0 if waits else 0.0), "refused where the program still waits"
+    await rig.history.flushed()
+    with HistoryReader(rig.history.path) as reader:
+        (found,) = reader.probes(0.0, 2.0**40)
+    assert not found.accepted and "FAULT" in found.reason
+    ask(bench, 2, PROBE, Z_AXIS, 0.003)
+    await rig.follow(0.0, -8.0, 40)
+    assert (answer(bench), rig.applied["z"]) == (2.0, pytest.approx(before - 3.0, abs=0.11)), "once"
+
+
+async def _defect(*_):
+    raise ZeroDivisionError("in the write")
+
+
+@pytest.mark.parametrize("trouble", ["fault", "link"])
+async def test_a_tool_setting_whose_step_does_not_take_effect_leaves_the_tool_s_expansion_alone(rig, bench, trouble):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    kept = rig.control._references.memory.record.tool
+    ask(bench, 1, REFERENCE, Z_AXIS)
+    await rig.control._guarded(rig.control._poll())
+    if trouble == "fault":
+        bench.nc.refuses = SEQUENCE_A
+    else:
+        rig.link.lost(LinkError("gone"))
+    bench.clock.monotonic_s += 1.0
+    await rig.control._guarded(rig.control._act(rig.estimate(0.0, -9.0)))
+    assert not rig.control.memory.tools
+    assert rig.control._references.memory.record.tool == kept
 
 
 async def test_a_tool_setting_moves_nothing_and_a_tool_change_selects_it(rig, bench):
