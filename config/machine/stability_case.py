@@ -1,8 +1,9 @@
 """A milling case for stability lobes: tool, engagement, cutting coefficients, structure (YAML)."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -49,11 +50,18 @@ class ModeCase(Section):
 
 
 class DirectionCase(Section):
-    """What the tool point does in one direction: modes, or a file with an FRF."""
+    """What the tool point does in one direction: modes, a file with an FRF, or a spindle that is computed."""
+
+    shipped: ClassVar[Mapping[str, str]] = {"spindle": "machine/data/spindles"}
 
     modes: list[ModeCase] | None = Field(None, min_length=1, description="the modes of this direction")
     frf: Path | None = Field(
         None, description="CSV file with frequency_hz,receptance_re,receptance_im [m/N]; relative to this file's folder"
+    )
+    spindle: Path | None = Field(
+        None,
+        description="spindle file with holder and tool, or the name of one that ships; its computed response, with "
+        "gyroscopic moments at each speed; in x and y",
     )
     trust_units: bool = Field(
         False, description="take the units of frf as stated, although no tool point seems to have such a response"
@@ -61,8 +69,8 @@ class DirectionCase(Section):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if (self.modes is None) == (self.frf is None):
-            raise KeyProblems([((), "give either modes or frf; a direction that does not move is `rigid`")])
+        if sum(given is not None for given in (self.modes, self.frf, self.spindle)) != 1:
+            raise KeyProblems([((), "give one of modes, frf and spindle; a direction that does not move is `rigid`")])
         if self.trust_units and self.frf is None:
             raise KeyProblems([(("trust_units",), "belongs to frf; modes have no units to trust")])
         return self
@@ -120,8 +128,8 @@ class StabilityCase(Section):
     )
     kr_ratio: float | None = Field(None, ge=0, le=100, description="radial over tangential coefficient K_rc / K_tc")
     material: str | None = Field(None, description="a material with known coefficients, instead of the two above")
-    x: Direction = Field(description="tool point in the machine's X: modes, frf, or rigid")
-    y: Direction = Field(description="tool point in the machine's Y: modes, frf, or rigid")
+    x: Direction = Field(description="tool point in the machine's X: modes, frf, spindle, or rigid")
+    y: Direction = Field(description="tool point in the machine's Y: modes, frf, spindle, or rigid")
     xy: Direction = Field("rigid", description="displacement in X per force in Y; rigid: none")
     yx: Direction = Field("rigid", description="displacement in Y per force in X; rigid: none")
     feed_deg: Feed = Field(
@@ -157,9 +165,28 @@ class StabilityCase(Section):
             problems.append((("material",), f"{self.material!r} is not known; known are {', '.join(MATERIALS)}"))
         if self.x == "rigid" and self.y == "rigid":
             problems.append((("x",), "x and y are both rigid, so nothing can chatter; give modes or frf for one"))
+        problems += self._spindle_problems()
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def _spindle_problems(self) -> list[tuple[KeyPath, str]]:
+        named = [
+            name
+            for name in ("x", "y", "xy", "yx")
+            if isinstance(each := getattr(self, name), DirectionCase) and each.spindle is not None
+        ]
+        if not named or (named == ["x", "y"] and self.xy == self.yx == "rigid"):
+            return []
+        sentence = (
+            "a spindle is computed in both axes: give x and y a spindle, the same file where they are alike, and "
+        )
+        return [((named[0], "spindle"), sentence + "leave xy and yx out")]
+
+    @property
+    def rotating(self) -> bool:
+        """Whether the dynamics are those of a spindle that is computed at each speed."""
+        return isinstance(self.x, DirectionCase) and self.x.spindle is not None
 
     def _pitch_problems(self) -> list[tuple[KeyPath, str]]:
         if self.pitch_deg is None:

@@ -11,6 +11,10 @@ Rigid rotary inertia: the dissertation normalises the rigid rotation mode of a s
 inertia rho I L. `published` reproduces that: the receptance of a free segment gets a rank-one term, the
 stiffness its inverse (`_with_published_rotation`). It makes results depend on how a shaft is divided.
 
+Rotation: a shaft that turns with Omega has gyroscopic moments. In the whirl at w in the sense of the rotation they make
+the rotary inertia rho I w^2 to rho I (w^2 - 2 Omega w), against it to rho I (w^2 + 2 Omega w) (Rayleigh and Timoshenko,
+H. D. Nelson, J. Mech. Des. 102 (1980) 793-803); the polar inertia of a round section is twice the one across it.
+
 Sign of the axial load: positive is compression, as in 4-8. The dissertation's 4-2 and 4-4 together are not
 self-adjoint when N_L is not zero (the receptance would depend on which end is hit); here the load acts
 through its potential ``-N y'^2 / 2``. For N_L = 0 the equations are the dissertation's.
@@ -59,6 +63,8 @@ class Segment:
     """zeta: E and G are multiplied by (1 + j zeta) where a response is asked for."""
     rigid_rotary_inertia: RotaryInertia = "correct"
     """Whether the rigid rotation mode counts rho I L (`correct`) or, as printed in 4-12, not (`published`)."""
+    spin_rad_s: float = 0.0
+    """Speed at which it turns in the sense of the whirl; negative: the whirl goes against it; 0: it stands [rad/s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -79,6 +85,10 @@ class Segment:
                 f"axial_load_n {self.axial_load_n:g} must stay below a quarter of the shear stiffness "
                 f"{self.shear_stiffness_n:g} N"
             )
+        if not np.isfinite(self.spin_rad_s):
+            raise ValueError(f"spin_rad_s must be finite, got {self.spin_rad_s:g}")
+        if self.spin_rad_s and self.rigid_rotary_inertia == "published":
+            raise ValueError("a turning shaft needs its whole rotary inertia: rigid_rotary_inertia correct")
 
     def cut(self, length_m: float) -> "Segment":
         """Return a piece of this segment with another length [m]."""
@@ -111,20 +121,21 @@ def longest_element_m(segment: Segment, highest_rad_per_s: float) -> float:
     needs no clamped ones, and its characteristic values stay below `LARGEST_VALUE`.
     """
     omega_squared = highest_rad_per_s**2
+    turning_squared = omega_squared + 2.0 * abs(segment.spin_rad_s) * highest_rad_per_s
     shear, bending = segment.shear_stiffness_n, segment.bending_stiffness_nm2
     load = max(segment.axial_load_n, 0.0)
-    bend = np.pi * np.sqrt(bending / (shear + omega_squared * segment.rotary_inertia_kgm))
+    bend = np.pi * np.sqrt(bending / (shear + turning_squared * segment.rotary_inertia_kgm))
     slide = np.pi * np.sqrt((0.5 * shear - load) / (omega_squared * segment.mass_kg_per_m))
-    largest = max(abs(value) for value in np.roots([1.0, *_polynomial(segment, omega_squared)]))
+    largest = max(abs(value) for value in np.roots([1.0, *_polynomial(segment, omega_squared, turning_squared)]))
     return float(0.95 * min(bend, slide, np.sqrt(LARGEST_VALUE / largest)))
 
 
-def _polynomial(segment: Segment, omega_squared: float) -> tuple[float, float]:
+def _polynomial(segment: Segment, omega_squared: float, turning_squared: float) -> tuple[float, float]:
     """Return b and c of the characteristic polynomial p^2 + b p + c, with p the squared wave number [1/m^2]."""
     free = segment.shear_stiffness_n - segment.axial_load_n
     ratio = segment.shear_stiffness_n / free
     inertia = segment.mass_kg_per_m * omega_squared
-    turning = segment.rotary_inertia_kgm * omega_squared + ratio * segment.axial_load_n
+    turning = segment.rotary_inertia_kgm * turning_squared + ratio * segment.axial_load_n
     bending = segment.bending_stiffness_nm2
     return inertia / free + turning / bending, inertia / bending * (turning / free - ratio**2)
 
@@ -227,7 +238,8 @@ def transfer_matrix(segment: Segment, frequency_hz: FloatArray, structural_dampi
     The state is (y [m], theta [rad]; T [N], B [Nm]). The segment must not be longer than
     `longest_element_m` says.
     """
-    omega_squared = (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** 2
+    omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    omega_squared = omega**2
     complex_factor = 1.0 + 1j * structural_damping if structural_damping else 1.0
     length = segment.length_m
     shear = segment.shear_stiffness_n * complex_factor
@@ -236,7 +248,7 @@ def transfer_matrix(segment: Segment, frequency_hz: FloatArray, structural_dampi
     e = 1.0 / (segment.bending_stiffness_nm2 * complex_factor)
     g = shear * a
     m = segment.mass_kg_per_m * omega_squared
-    r = segment.rotary_inertia_kgm * omega_squared + g * load
+    r = segment.rotary_inertia_kgm * (omega_squared - 2.0 * segment.spin_rad_s * omega) + g * load
     square = length * length
     am, er = a * m * square, e * r * square
     c0, c1, c2, c3 = _coefficients(am + er, e * m * (a * r - g * g) * square * square)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from config.machine.stability_case import load_stability_case
 from daemon.cli import main
+from daemon.workbench.stability.case_files import RotatingSpindle
 from models.stability.response import ModalResponse, mode_from_mass
 
 CASE = """\
@@ -97,6 +99,72 @@ def test_every_form_of_a_direction_gives_the_same_lobes(case: Path, form: str) -
     assert answer("lobes", path)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
     (point,) = answer("lobes", path, "--method", "sdm", "--at", "9000:1.0")["points"]
     assert point["spectral_radius"] == pytest.approx(0.69188, abs=1e-4)
+
+
+TURNING = """\
+teeth: 4
+diameter_mm: 10
+radial_depth_mm: 5
+milling: down
+material: al7075_t6
+x: {spindle: simulated_machine}
+y: {spindle: simulated_machine}
+"""
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("turning") / "case.yaml"
+    path.write_text(TURNING, encoding="utf-8")
+    return path
+
+
+def test_a_spindle_is_computed_at_each_speed(turning: Path) -> None:
+    """The same as an FRF of all four entries, computed at that speed alone."""
+    found = answer("lobes", turning, "--from-rpm", 9000, "--to-rpm", 12000, "--points", 2)
+    spindle = RotatingSpindle(load_stability_case(turning), 12000.0)
+    samples = spindle.at(12000.0)
+    for place, name in enumerate(("x", "xy", "yx", "y")):
+        entry = samples.receptance[:, place // 2, place % 2]
+        rows = np.column_stack((samples.frequency_hz, entry.real, entry.imag)).tolist()
+        lines = ["frequency_hz,receptance_re,receptance_im", *(f"{hz!r},{re!r},{im!r}" for hz, re, im in rows)]
+        (turning.parent / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
+    measured = turning.parent / "measured.yaml"
+    both = "x: {frf: x.csv}\ny: {frf: y.csv}\nxy: {frf: xy.csv}\nyx: {frf: yx.csv}\n"
+    measured.write_text(TURNING.partition("x: {")[0] + both, encoding="utf-8")
+    expected = answer("lobes", measured, "--from-rpm", 12000, "--to-rpm", 12012, "--points", 2)
+    assert found["limiting_depth_mm"][1] == pytest.approx(expected["limiting_depth_mm"][0], rel=1e-6)
+    assert found["speed_rpm"] == [9000.0, 12000.0]
+    assert found["minimum"]["depth_mm"] == pytest.approx(min(found["limiting_depth_mm"]))
+
+
+@pytest.mark.slow
+def test_modes_follow_the_spindle_that_turns(turning: Path) -> None:
+    """Four teeth in a slot, where both methods are exact."""
+    slot = turning.parent / "slot.yaml"
+    slot.write_text(TURNING.replace("milling: down", "milling: slot").replace("radial_depth_mm: 5\n", ""), "utf-8")
+    limit = answer("lobes", slot, "--from-rpm", 12000, "--to-rpm", 12012, "--points", 2)["limiting_depth_mm"][0]
+    (point,) = answer("lobes", slot, "--method", "sdm", "--at", f"12000:{limit}")["points"]
+    assert point["spectral_radius"] == pytest.approx(1.0, abs=2e-3)
+
+
+def test_where_a_spindle_cannot_be_computed(turning: Path) -> None:
+    assert "leave out --band for a spindle" in refusal("lobes", turning, "--band", "--points", 2)
+    one = turning.parent / "one.yaml"
+    one.write_text(TURNING.replace("y: {spindle: simulated_machine}", "y: rigid"), encoding="utf-8")
+    assert "a spindle is computed in both axes: give x and y a spindle" in run_config(one)
+    published = turning.parent / "published.yaml"
+    published.write_text(TURNING.replace("simulated_machine", "tool_cold_y"), encoding="utf-8")
+    assert "state `rigid_rotary_inertia: correct`" in refusal("lobes", published, "--points", 2)
+    assert "give modes or frf" in refusal(
+        "warm-up", turning, "--programmed-rpm", 9000, "--depth-mm", 1, "--dynamics", "case"
+    )
+
+
+def run_config(path: Path) -> str:
+    result = run("lobes", path)
+    assert result.exit_code != 0
+    return result.stderr
 
 
 def test_greatest_depth_shows_where_nothing_is_found(case: Path) -> None:

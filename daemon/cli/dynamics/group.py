@@ -8,6 +8,7 @@ import click
 from daemon.cli.common import (
     PLACE,
     POSITIVE,
+    FiniteFloat,
     csv_option,
     json_option,
     option,
@@ -29,6 +30,13 @@ if TYPE_CHECKING:
     from config.machine.spindle import Rotary
 
 
+turning_option = option(
+    "--speed-rpm",
+    type=FiniteFloat(min=0.0, min_open=True, max=1e6),
+    help="The shaft turns at this speed, with gyroscopic moments; bearings alike in both axes [1/min].",
+)
+
+
 @click.group()
 def dynamics() -> None:
     """Spindle dynamics: modes, frequency responses, bearing properties, design studies."""
@@ -38,22 +46,40 @@ def dynamics() -> None:
 @spindle_argument
 @rotary_option
 @option("--count", type=click.IntRange(1, 100), default=6, help="How many modes.")
+@turning_option
 @picture_option
 @json_option
-def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path | None, json_path: str | None) -> None:
+def modes(
+    spindle_path: Path,
+    rotary: "Rotary | None",
+    count: int,
+    speed_rpm: float | None,
+    picture: Path | None,
+    json_path: str | None,
+) -> None:
     """Undamped natural frequencies and mode shapes of SPINDLE, free or on its bearings as the file says.
 
     SPINDLE is a file or the name of one that ships. Positions count from the nose backwards.
     """
     from config.machine.spindle_chain import read_spindle
-    from daemon.workbench.dynamics.responses import modes_summary
+    from daemon.workbench.dynamics.responses import ResponseError, modes_summary, whirls_of
 
     spindle = read_spindle(spindle_path, rotary)
     found = modes_summary(spindle, count)
+    if speed_rpm is not None:
+        try:
+            found["whirl"] = whirls_of(spindle, speed_rpm, count)
+        except ResponseError as error:
+            refuse(f"{spindle_path}: {error}")
     show_warnings(found)
     say(f"{found['mass_kg']:.3f} kg, {found['length_mm']:.1f} mm long")
     for number, mode in enumerate(found["modes"], start=1):
         say(f"mode {number:2}: {mode['frequency_hz']:10.2f} Hz")
+    if speed_rpm is not None:
+        say(f"at {speed_rpm:g} 1/min, whirling against and with the rotation:")
+        pairs = zip(found["whirl"]["backward_hz"], found["whirl"]["forward_hz"], strict=True)
+        for number, (against, along) in enumerate(pairs, start=1):
+            say(f"mode {number:2}: {against:10.2f} Hz {along:10.2f} Hz")
     if picture is not None:
         from daemon.workbench.dynamics.pictures import modes_picture
 
@@ -74,6 +100,7 @@ def modes(spindle_path: Path, rotary: "Rotary | None", count: int, picture: Path
 @option("--to-hz", type=POSITIVE, default=2500.0, help="Last frequency [Hz].")
 @option("--points", type=click.IntRange(2, 1_000_000), help="Number of frequencies.")
 @option("--df", "step_hz", type=POSITIVE, help="Step between frequencies [Hz]. Without both: 12800/16384.")
+@turning_option
 @csv_option
 @picture_option
 @json_option
@@ -85,6 +112,7 @@ def frf(
     to_hz: float,
     points: int | None,
     step_hz: float | None,
+    speed_rpm: float | None,
     csv_path: Path | None,
     picture: Path | None,
     json_path: str | None,
@@ -95,7 +123,7 @@ def frf(
 
     try:
         spindle = read_spindle(spindle_path, rotary)
-        found = response_summary(spindle, at, frequencies(from_hz, to_hz, points, step_hz))
+        found = response_summary(spindle, at, frequencies(from_hz, to_hz, points, step_hz), speed_rpm or 0.0)
     except ResponseError as error:
         refuse(f"{spindle_path}: {error}")
     show_warnings(found)

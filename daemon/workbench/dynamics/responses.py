@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from config.machine.spindle_chain import Spindle
-from models.dynamics.assembly import CondensedAssembly
+from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import BearingProperties
 from models.dynamics.chain import SpringDamper
 from models.dynamics.modes import HIGHEST_HZ as SEARCH_END_HZ
 from models.dynamics.modes import Mode, modes, rigid_body_modes
+from models.dynamics.rotation import rotating_receptance, whirl_frequencies
 from models.errors import RefusedInputError
 from models.records import FloatArray
 
@@ -76,9 +77,14 @@ def parts_at(spindle: Spindle, at: str) -> str:
     return at
 
 
-def response(spindle: Spindle, at: str, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the receptance at a place [m/N], shape (n,); raises ResponseError where it is not finite."""
+def response(spindle: Spindle, at: str, frequency_hz: FloatArray, speed_rpm: float = 0.0) -> ComplexArray:
+    """Return the receptance at a place [m/N], shape (n,); raises ResponseError where it is not finite.
+
+    With a speed [1/min] the shaft turns on bearings that are alike in both axes.
+    """
     assembly = spindle.assembly(parts_at(spindle, at))
+    if speed_rpm:
+        return _direct(turning_receptance(spindle, assembly, assembly, speed_rpm, frequency_hz))
     # Every bearing has a group of its own here, so that those of one group may differ.
     supports = tuple(replace(each, group=str(number)) for number, each in enumerate(assembly.shaft.supports))
     assembly = replace(assembly, shaft=replace(assembly.shaft, supports=supports))
@@ -94,6 +100,45 @@ def response(spindle: Spindle, at: str, frequency_hz: FloatArray) -> ComplexArra
     return receptance
 
 
+def turning_receptance(
+    spindle: Spindle, along_x: SpindleAssembly, along_y: SpindleAssembly, speed_rpm: float, frequency_hz: FloatArray
+) -> ComplexArray:
+    """Return the receptance matrix of a shaft that turns [m/N], shape (n, 2, 2); raises ResponseError."""
+    if spindle.rotary != "correct":
+        raise ResponseError(
+            "rigid_rotary_inertia published leaves out a part of the inertia that a turning shaft needs; state "
+            "`rigid_rotary_inertia: correct`, with bearings that were identified so"
+        )
+    try:
+        with np.errstate(all="ignore"):
+            found = rotating_receptance(along_x, along_y, speed_rpm, frequency_hz)
+    except ValueError as error:
+        raise ResponseError(str(error)) from error
+    except np.linalg.LinAlgError:
+        found = np.full((len(frequency_hz), 2, 2), np.nan, dtype=np.complex128)
+    _direct(found)
+    return found
+
+
+def _direct(receptance: ComplexArray) -> ComplexArray:
+    """Return the response along X to a force along X; raises ResponseError where the matrix is not finite."""
+    if not np.isfinite(receptance).all():
+        raise ResponseError("the response is infinite: an undamped resonance; give structural_damping")
+    direct: ComplexArray = receptance[:, 0, 0]
+    return direct
+
+
+def whirls_of(spindle: Spindle, speed_rpm: float, count: int) -> dict[str, Any]:
+    """Return the whirls of all that the file describes against and with the rotation; raises ResponseError."""
+    if spindle.rotary != "correct":
+        raise ResponseError("whirls need the whole rotary inertia; add --rotary correct")
+    try:
+        against, along = whirl_frequencies(spindle.assembly().whole(), speed_rpm, count)
+    except ValueError as error:
+        raise ResponseError(str(error)) from error
+    return {"speed_rpm": speed_rpm, "backward_hz": against.tolist(), "forward_hz": along.tolist()}
+
+
 def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[dict[str, float]]:
     """Return the resonances: the frequencies at which the magnitude is larger than at both neighbours."""
     size = np.abs(receptance)
@@ -101,10 +146,11 @@ def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[dict[str, 
     return [{"frequency_hz": float(frequency_hz[k]), "magnitude_m_per_n": float(size[k])} for k in inside]
 
 
-def response_summary(spindle: Spindle, at: str, frequency_hz: FloatArray) -> dict[str, Any]:
+def response_summary(spindle: Spindle, at: str, frequency_hz: FloatArray, speed_rpm: float = 0.0) -> dict[str, Any]:
     """Return what `toolpoint dynamics frf` prints."""
-    receptance = response(spindle, at, frequency_hz)
+    receptance = response(spindle, at, frequency_hz, speed_rpm)
     return {
+        **({"speed_rpm": speed_rpm} if speed_rpm else {}),
         "name": spindle.description.name,
         "at": at,
         "rigid_rotary_inertia": spindle.rotary,

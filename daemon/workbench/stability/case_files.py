@@ -4,13 +4,16 @@ from pathlib import Path
 
 import numpy as np
 
+from config.machine.spindle_chain import read_spindle
 from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase
+from daemon.workbench.dynamics.responses import ResponseError, turning_receptance
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.measurement import Measurement, MeasurementError
 from models.dynamics.plausibility import check_tool_point
 from models.errors import StabilityError
-from models.stability.frf_modal_fit import fit_modes
+from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.lobes import check_lines
+from models.stability.milling import tooth_passing_hz
 from models.stability.response import (
     ModalResponse,
     Mode,
@@ -27,6 +30,62 @@ LARGEST_RECEPTANCE_M_PER_N = 1e-2
 FEWEST_LINES = 4
 PLACES = {"x": (0, 0), "xy": (0, 1), "yx": (1, 0), "y": (1, 1)}
 """Key of a case -> row and column of the receptance matrix."""
+
+
+LINES_HZ = 2.0
+"""Distance of the frequencies at which a spindle is computed."""
+STANDING_RPM = 1e-3
+AROUND = np.linspace(0.98, 1.02, 81)
+"""Frequencies beside each peak of the spindle that stands, as shares of it: peaks are narrower than the lines."""
+LOWEST_LINE_HZ, HIGHEST_LINE_HZ = 20.0, 4000.0
+"""Where they begin, and where they end at least; the highest tooth-passing frequency lies inside."""
+
+
+class RotatingSpindle:
+    """The tool point of a case whose axes name a spindle, at any speed."""
+
+    def __init__(self, case: StabilityCase, highest_rpm: float) -> None:
+        """Read the spindles; raises ConfigurationError and StabilityError. `highest_rpm`: highest speed [1/min]."""
+        assert isinstance(case.x, DirectionCase)
+        assert isinstance(case.y, DirectionCase)
+        assert case.x.spindle is not None
+        assert case.y.spindle is not None
+        self._files = (case.x.spindle, case.y.spindle)
+        self._spindles = tuple(read_spindle(path) for path in self._files)
+        self._assemblies = tuple(spindle.assembly("tool") for spindle in self._spindles)
+        self.warnings = tuple(dict.fromkeys(text for spindle in self._spindles for text in spindle.warnings))
+        end_hz = max(HIGHEST_LINE_HZ, 1.2 * tooth_passing_hz(highest_rpm, case.teeth))
+        self._fits: dict[str, ModalFit] = {}
+        self._frequency_hz = np.arange(LOWEST_LINE_HZ, end_hz + LINES_HZ, LINES_HZ)
+        near = [peak * AROUND for peak in self._peaks_hz()]
+        self._frequency_hz = np.unique(np.round(np.concatenate((self._frequency_hz, *near)), 6))
+        self._frequency_hz = self._frequency_hz[self._frequency_hz <= end_hz]
+
+    def _peaks_hz(self) -> list[float]:
+        size = np.abs(self.at(STANDING_RPM).receptance[:, [0, 1], [0, 1]])
+        tops = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
+        return [float(self._frequency_hz[place + 1]) for place in np.flatnonzero(tops.any(axis=1))]
+
+    def at(self, speed_rpm: float) -> SampledResponse:
+        """Return the response at a speed [1/min]; raises StabilityError."""
+        along_x, along_y = self._assemblies
+        try:
+            found = turning_receptance(self._spindles[0], along_x, along_y, speed_rpm, self._frequency_hz)
+        except ResponseError as error:
+            raise StabilityError(f"{self._files[0]}, {self._files[1]}: {error}") from error
+        return SampledResponse(frequency_hz=self._frequency_hz, receptance=found)
+
+    def modes_at(self, speed_rpm: float) -> ModalResponse:
+        """Return modes that follow the response at a speed [1/min]; raises StabilityError where none do."""
+        samples = self.at(speed_rpm)
+        modes = {}
+        for name, (row, column) in PLACES.items():
+            fit = fit_modes(samples.frequency_hz, samples.receptance[:, row, column], start=self._fits.get(name))
+            self._fits[name] = fit
+            if fit.warnings:
+                raise StabilityError(f"{self._files[0]}, {name} at {speed_rpm:g} 1/min: {fit.warnings[0]}")
+            modes[name] = fit.modes
+        return modal_response(modes)
 
 
 def response_of(case: StabilityCase) -> ToolPointResponse:
@@ -117,6 +176,11 @@ def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tu
 
 
 def _modes(direction: DirectionCase) -> tuple[Mode, ...]:
+    if direction.spindle is not None:
+        raise StabilityError(
+            f"{direction.spindle}: a spindle is computed at each speed for lobes and what is chosen from them; here "
+            "give modes or frf"
+        )
     return tuple(_mode(mode) for mode in direction.modes or ())
 
 

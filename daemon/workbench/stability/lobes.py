@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
-from daemon.workbench.stability.case_files import modal_response_of, response_of
+from daemon.workbench.stability.case_files import RotatingSpindle, modal_response_of, response_of
 from models.errors import StabilityError
 from models.records import FloatArray
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed
 from models.spindle_speed.tuning import SpeedChoice
 from models.stability.collocation import follows, spectral_radii
-from models.stability.lobes import StabilityLobes
-from models.stability.lobes_sdm import semi_discretised_lobes, semi_discretised_over_feed_directions
+from models.stability.lobes import LobeMinimum, StabilityLobes, check_range
+from models.stability.lobes_sdm import limiting_depth, semi_discretised_lobes, semi_discretised_over_feed_directions
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut
 from models.stability.response import ModalResponse, ToolPointResponse
@@ -30,6 +30,11 @@ from models.stability.state_space import state_space
 POINTS = {"zoa": 400, "sdm": 100}
 DRAWS = {"zoa": 60, "sdm": 20}
 """Cuts from which a band is made; 20 of the slow kind reach from the lowest to the highest."""
+TURNING_POINTS = 60
+"""Speeds at which a spindle that turns is computed."""
+FEEDS_DEG = tuple(22.5 * number for number in range(8))
+NEARBY = 1e-3
+"""The zeroth order takes two speeds at least; the second lies this share above the one that counts."""
 CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 """Speeds among which one is chosen."""
 
@@ -57,6 +62,8 @@ class DepthBand:
 
 def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
     """Return the lobes of a case; raises MeasurementFileError and StabilityError."""
+    if case.rotating:
+        return _turning_lobes(case, request)
     if request.method == "zoa":
         return _lobes(response_of(case), case.cut(), case, request)
     modes, warnings = modal_response_of(case, request.from_rpm, request.to_rpm)
@@ -65,6 +72,10 @@ def find_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
 
 def find_band(case: StabilityCase, request: LobesRequest) -> DepthBand:
     """Return the limiting depths at the speeds of `find_lobes` as a band; raises as it does."""
+    if case.rotating:
+        raise StabilityError(
+            "a band needs modes or FRFs; leave out --band for a spindle that is computed at each speed"
+        )
     modes, _ = modal_response_of(case, request.from_rpm, request.to_rpm)
 
     def limits(drawn: ModalResponse, cut: Cut) -> FloatArray:
@@ -74,6 +85,52 @@ def find_band(case: StabilityCase, request: LobesRequest) -> DepthBand:
         limits, modes, case.cut(), Uncertainty(**case.uncertainty.model_dump()), DRAWS[request.method]
     )
     return DepthBand(low_mm=low, high_mm=high)
+
+
+def _turning_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes:
+    """Return lobes in which every speed has dynamics of its own; the minimum is that of the sampled speeds."""
+    spindle, cut = RotatingSpindle(case, request.to_rpm), case.cut()
+    check_range(request.from_rpm, request.to_rpm, request.points or TURNING_POINTS)
+    speeds_rpm = np.linspace(request.from_rpm, request.to_rpm, request.points or TURNING_POINTS)
+    feeds_deg = FEEDS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
+    found = np.array([_turning_limits(spindle, cut, request, speed, feeds_deg) for speed in speeds_rpm.tolist()])
+    lowest, columns = np.argmin(found[:, :, 0], axis=1), np.arange(len(speeds_rpm))
+    depths_mm, chatter_hz = found[columns, lowest].T
+    place = int(np.argmin(depths_mm))
+    minimum = None
+    if np.isfinite(depths_mm[place]):
+        minimum = LobeMinimum(
+            speed_rpm=float(speeds_rpm[place]),
+            depth_mm=float(depths_mm[place]),
+            chatter_hz=float(chatter_hz[place]),
+        )
+    return StabilityLobes(
+        speed_rpm=speeds_rpm,
+        limiting_depth_mm=depths_mm,
+        chatter_hz=chatter_hz,
+        minimum=minimum,
+        feed_deg=feeds_deg[int(lowest[place])],
+        warnings=spindle.warnings,
+        max_depth_mm=request.max_depth_mm or np.inf,
+    )
+
+
+def _turning_limits(
+    spindle: RotatingSpindle, cut: Cut, request: LobesRequest, speed_rpm: float, feeds_deg: tuple[float, ...]
+) -> list[tuple[float, float]]:
+    """Return limiting depth [mm] and chatter frequency [Hz] at one speed for each direction of the feed."""
+    if request.method == "zoa":
+        samples, nearby_rpm = spindle.at(speed_rpm), speed_rpm * (1.0 + NEARBY)
+        both = [
+            zeroth_order_lobes(samples, cut, from_rpm=speed_rpm, to_rpm=nearby_rpm, points=2, feed_deg=feed_deg)
+            for feed_deg in feeds_deg
+        ]
+        return [(float(lobes.limiting_depth_mm[0]), float(lobes.chatter_hz[0])) for lobes in both]
+    modes = spindle.modes_at(speed_rpm)
+    return [
+        limiting_depth(modes, cut, speed_rpm=speed_rpm, feed_deg=feed_deg, max_depth_mm=request.max_depth_mm)
+        for feed_deg in feeds_deg
+    ]
 
 
 def _lobes(response: ToolPointResponse, cut: Cut, case: StabilityCase, request: LobesRequest) -> StabilityLobes:
@@ -106,10 +163,13 @@ def radii_at(case: StabilityCase, points: tuple[tuple[float, float], ...], steps
     if case.feed_deg == ALL_DIRECTIONS:
         raise StabilityError("a spectral radius needs one direction of the feed; give feed_deg a number")
     speeds = [speed for speed, _ in points]
-    modes, warnings = modal_response_of(case, min(speeds), max(speeds))
+    spindle = RotatingSpindle(case, max(speeds)) if case.rotating else None
+    modes, warnings = (None, spindle.warnings) if spindle else modal_response_of(case, min(speeds), max(speeds))
     cut, feed_deg = case.cut(), float(case.feed_deg)
     found = []
     for speed, depth in points:
+        modes = spindle.modes_at(speed) if spindle else modes
+        assert modes is not None
         radius = _radius(modes, cut, feed_deg, speed, depth, steps)
         if not np.isfinite(radius):
             raise StabilityError(
