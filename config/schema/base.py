@@ -34,8 +34,9 @@ RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
 READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 TOPIC_PATTERN = r"^[^+#\x00]+$"
-ENDPOINT_PATTERN = r"^opc\.tcp://[^\s/]+"
-AGENT_PATTERN = r"^http://[^\s/?#@]+(/[^\s?#]*)?$"
+HOST_PATTERN = r"^[^\x00-\x20\x7f/@]+$"
+ENDPOINT_PATTERN = r"^opc\.tcp://[^\x00-\x20\x7f/]+(/[^\x00-\x1f\x7f]*)?$"
+AGENT_PATTERN = r"^http://[^\x00-\x20\x7f/?#@]+(/[^\x00-\x20\x7f?#]*)?$"
 FOLDER_OR_BUCKET_PATTERN = r"^(/|(s3|gs)://[^\s/])"
 
 FORMS = {
@@ -46,6 +47,7 @@ FORMS = {
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     TOPIC_PATTERN: "a topic without the wildcards + and #",
     AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
+    HOST_PATTERN: "a name or an address, without blanks and control characters",
     FOLDER_OR_BUCKET_PATTERN: "a folder from / such as /srv/plant/history, or s3://plant/history",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }
@@ -54,6 +56,8 @@ FORMS = {
 Seconds = Annotated[float, Field(gt=0)]
 Days = Annotated[float, Field(gt=0)]
 MacroNumber = Annotated[int, Field(ge=1, le=99999)]
+Host = Annotated[str, Field(pattern=HOST_PATTERN, max_length=253)]
+"""Where a link goes, or what is listened on."""
 Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=40)]
 ChannelName = Annotated[str, Field(pattern=CHANNEL_PATTERN, max_length=80)]
 """A displacement channel is called what the column of its recording is: `Weg Z [um]`."""

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, Field, model_validator
 
-from config.schema.base import AGENT_PATTERN, ENDPOINT_PATTERN, KeyPath, KeyProblems, MacroNumber, Section
+from config.schema.base import AGENT_PATTERN, ENDPOINT_PATTERN, Host, KeyPath, KeyProblems, MacroNumber, Section
 from config.schema.driver_section import SectionOfDriver
 
 Connection = TypeVar("Connection", bound="CncConnection")
@@ -186,7 +186,7 @@ class FocasConfig(CncConnection):
 
     driver: ClassVar[str] = "focas"
 
-    host: str = Field(min_length=1, description="name or address of the control", examples=["192.168.10.20"])
+    host: Host = Field(description="name or address of the control", examples=["192.168.10.20"])
     port: int = Field(8193, ge=1, le=65535, description="TCP port of its FOCAS2/Ethernet server")
     path: int = Field(1, ge=1, le=15, description="path (channel) of the control")
     tool_macro: MacroNumber = Field(4120, description="variable that holds the number of the tool in the spindle")
@@ -209,7 +209,7 @@ class HaasConfig(CncConnection):
 
     driver: ClassVar[str] = "haas"
 
-    host: str = Field(min_length=1, description="name or address of the control", examples=["192.168.10.20"])
+    host: Host = Field(description="name or address of the control", examples=["192.168.10.20"])
     port: int = Field(5051, ge=1, le=65535, description="TCP port of its machine data collection (setting 143)")
     program_macro: MacroNumber = Field(4115, description="variable that holds the number of the program")
     sequence_number_macro: MacroNumber = Field(4114, description="variable that holds the last N number")

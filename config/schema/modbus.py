@@ -12,7 +12,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from config.schema.base import KeyPath, KeyProblems, Seconds
+from config.schema.base import Host, KeyPath, KeyProblems, Seconds
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
 LAST_ADDRESS = 65535
@@ -83,9 +83,7 @@ class ModbusWire(SourceConnection):
 
     driver: ClassVar[str] = "modbus"
 
-    host: str | None = Field(
-        None, min_length=1, description="name or address of the box or gateway", examples=["192.168.10.30"]
-    )
+    host: Host | None = Field(None, description="name or address of the box or gateway", examples=["192.168.10.30"])
     port: int = Field(502, ge=1, le=65535, description="its TCP port")
     framing: Literal["tcp", "rtu"] = Field(
         "tcp", description="rtu where a serial device server passes the bytes of its line on; only with `host`"

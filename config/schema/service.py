@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Days, KeyPath, KeyProblems, Seconds, Section
+from config.schema.base import Days, Host, KeyPath, KeyProblems, Seconds, Section
 
 LONGEST_SOCKET_PATH = 107
 """Bytes that Linux takes for the path of a local socket."""
@@ -57,7 +57,7 @@ class ServiceConfig(Section):
     socket_group: str | None = Field(
         None, description="group that may use the socket; none: the daemon's own", examples=["operators"]
     )
-    http_host: str = Field(
+    http_host: Host = Field(
         "127.0.0.1",
         description="address of the monitor and of /metrics; any but this computer's own takes tls_certificate, "
         "tls_key and users",
@@ -121,7 +121,7 @@ class ServiceConfig(Section):
 class OpcUaServerConfig(Section):
     """The daemon as an OPC UA server: every sensor, estimate, compensation and state as tags, methods for operators."""
 
-    host: str = Field("127.0.0.1", min_length=1, description="address that is listened on; 0.0.0.0: every one")
+    host: Host = Field("127.0.0.1", description="address that is listened on; 0.0.0.0: every one")
     port: int = Field(4841, ge=1, le=65535, description="TCP port; clients find it at opc.tcp://HOST:PORT/")
     certificate: Path = Field(
         description="certificate of the server (PEM or DER); its subject alternative name holds the application URI",
@@ -140,7 +140,7 @@ class OpcUaServerConfig(Section):
 class ShdrConfig(Section):
     """The daemon as an SHDR adapter, from which an MTConnect agent reads temperatures, estimate and state."""
 
-    host: str = Field(
+    host: Host = Field(
         "127.0.0.1",
         min_length=1,
         description="address that is listened on; whoever reaches it may read, without a login and in the clear",

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, TOPIC_PATTERN, KeyPath, KeyProblems, Seconds
+from config.schema.base import ENDPOINT_PATTERN, TOPIC_PATTERN, Host, KeyPath, KeyProblems, Seconds
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.logger_file import LoggerFileConfig
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
@@ -161,7 +161,7 @@ class MqttBroker(SourceConnection):
 
     driver: ClassVar[str] = "mqtt"
 
-    host: str = Field(min_length=1, description="name or address of the broker", examples=["192.168.10.40"])
+    host: Host = Field(description="name or address of the broker", examples=["192.168.10.40"])
     port: int = Field(1883, ge=1, le=65535, description="its TCP port; with TLS mostly 8883")
     user_name: str | None = Field(None, description="user at the broker", examples=["toolpoint"])
     password_file: Path | None = Field(

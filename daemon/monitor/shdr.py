@@ -71,6 +71,8 @@ class ShdrAdapter:
         while True:
             if writer.transport.get_write_buffer_size() < MOST_UNSENT:
                 present = self.present()
+                for gone in known.keys() - present.keys():  # such as the channel of a model that is no more in use
+                    present[gone] = (_time(math.nan), UNAVAILABLE)
                 lines = [f"{time}|{key}|{text}\n" for key, (time, text) in present.items() if known.get(key) != text]
                 known = {key: text for key, (_, text) in present.items()}
                 writer.write("".join(lines).encode())

@@ -160,7 +160,7 @@ class MtconnectCnc(LinkedCnc):
         except ConnectionRefusedError as error:
             sentence = "refuses the connection: check cnc.mtconnect.url, and that the agent runs"
             self._lose(f"{self._name} {sentence}", error)
-        root = parsed(content)
+        root = await parsed(content)
         if root.name == "MTConnectError":
             error_ = root.first("Error")
             code = "" if error_ is None else error_.attributes.get("errorCode", "")

@@ -1,14 +1,17 @@
 """Reads the XML of an agent: of bounded size and depth, without document types and entities."""
 
+import asyncio
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Self
 from xml.parsers import expat
 
-LONGEST_DOCUMENT = 4 << 20
+LONGEST_DOCUMENT = 2 << 20
 """A longer document of an agent is refused [byte]."""
 DEEPEST = 40
-MOST_ELEMENTS = 50_000
+MOST_ELEMENTS = 20_000
+PIECE = 16_384
+"""After so much the event loop turns to other work [byte]."""
 
 
 class XmlError(ValueError):
@@ -63,8 +66,8 @@ class _Builder:
         raise XmlError("it declares a document type or an entity, which no agent needs")
 
 
-def parsed(content: bytes) -> Element:
-    """Return the document's element; raises XmlError."""
+async def parsed(content: bytes) -> Element:
+    """Return the document's element, piece by piece between other work; raises XmlError."""
     if len(content) > LONGEST_DOCUMENT:
         raise XmlError(f"it is longer than {LONGEST_DOCUMENT} byte")
     builder = _Builder()
@@ -74,7 +77,10 @@ def parsed(content: bytes) -> Element:
     parser.CharacterDataHandler = builder.text
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = builder.refuse
     try:
-        parser.Parse(content, True)
+        for at in range(0, len(content), PIECE):
+            parser.Parse(content[at : at + PIECE], False)
+            await asyncio.sleep(0)
+        parser.Parse(b"", True)
     except (expat.ExpatError, UnicodeError, LookupError) as error:
         raise XmlError(f"it is no XML ({error})") from error
     assert builder.root is not None

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
-from asyncua.client.client import Client
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import LinkError
+from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import load_credentials
 from drivers.opcua.cnc import abort, cancelled_plainly, secure
 from drivers.opcua.log import limit_library_log
+from drivers.opcua.services import UNREADABLE
 
 MOST_NODES = 20_000
 """So many nodes are looked at; a control may have hundreds of thousands."""
@@ -61,7 +62,7 @@ class Browser:
         self._endpoint = endpoint
         self._timeout_s = timeout_s
         credentials = load_credentials(security) if security else None
-        self._client = Client(endpoint, timeout=timeout_s)
+        self._client = bounded_client(endpoint, timeout_s)
         self._client.name, self._client.product_uri = "Toolpoint", "urn:toolpoint"
         if credentials:
             secure(self._client, credentials)
@@ -141,7 +142,7 @@ class Browser:
                 return await cancelled_plainly(call)
         except TimeoutError as error:
             raise LinkError(f"{self._endpoint} did not answer within {self._timeout_s:g} s while {what}") from error
-        except (OSError, UaError, ValueError) as error:
+        except (OSError, UaError, *UNREADABLE) as error:
             words = str(error) or type(error).__name__
             raise LinkError(f"{self._endpoint} was lost while {what}: {words}") from error
 

@@ -8,8 +8,9 @@ is left to the library untouched, which judges it.
 import struct
 from typing import Any
 
-from asyncua.common.utils import Buffer
 from asyncua.crypto import uacrypto
+
+from drivers.opcua.received import Received
 
 HEADER = struct.Struct("<4sIII")
 """Type and that the chunk is the only one, size, number of the channel, number of its token."""
@@ -74,7 +75,7 @@ class Channel:
             return False
         connection._peer_sequence_number = number
         del self._protocol._callbackmap[request]
-        answered.set_result(Buffer(plain[SEQUENCE.size :]))
+        answered.set_result(Received(plain[SEQUENCE.size :]))
         return True
 
 

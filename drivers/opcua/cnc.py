@@ -23,9 +23,10 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.clock import Clock
 from drivers.contract import ClockWatch, DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
+from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
-from drivers.opcua.services import Services
+from drivers.opcua.services import UNREADABLE, Services
 from drivers.opcua.variables import FANUC_NODES, NodeMap, Variables
 from models.records import CncSample
 
@@ -36,6 +37,7 @@ SESSION_TIMEOUT_MS = 60_000
 """A CNC keeps an abandoned session this long; few sessions are all that it offers."""
 RENEW_AT = 0.75
 """Share of the secure channel's lifetime after which it is renewed (OPC 10000-4, 5.5.2.1)."""
+CONNECTING, RENEWING = "connecting", "renewing the secure channel"
 REFUSALS = {
     StatusCodes.BadUserAccessDenied: "refuses the user name or password",
     StatusCodes.BadIdentityTokenRejected: "refuses the user name or password",
@@ -92,7 +94,7 @@ class OpcUaCnc:
         security = self._opcua.security
         credentials = load_credentials(security) if security else None
         try:
-            await self._call("connecting", self._connect(credentials))
+            await self._call(CONNECTING, self._connect(credentials))
         except BaseException as error:
             if isinstance(error, asyncio.CancelledError):
                 self._lost = "cancelled"
@@ -103,7 +105,7 @@ class OpcUaCnc:
         """Read the machine's state and the given macro variables in one request."""
         services, variables = self._connected()
         if self._clock.now().real_s >= self._renew_at_s and self._client is not None:
-            await self._call("renewing the secure channel", self._renew(self._client))
+            await self._call(RENEWING, self._renew(self._client))
         request = variables.read_request(macros, state=True)
         answers = await self._call("reading", services.read(request))
         sample = variables.sample(self._clock.now(), macros, answers)
@@ -150,9 +152,9 @@ class OpcUaCnc:
 
     async def _connect(self, credentials: OpcUaCredentials | None) -> None:
         mode, policy = _security_of(credentials)
-        offered = await Client(self._endpoint, timeout=self._config.timeout_s).connect_and_get_server_endpoints()
+        offered = await bounded_client(self._endpoint, self._config.timeout_s).connect_and_get_server_endpoints()
         self._check_offer(offered, mode, policy, credentials)
-        client = self._client = Client(self._endpoint, timeout=self._config.timeout_s)
+        client = self._client = bounded_client(self._endpoint, self._config.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         client.session_timeout = SESSION_TIMEOUT_MS
         if credentials:
@@ -266,7 +268,7 @@ class OpcUaCnc:
         except InvalidSignature as error:
             raise FatalDriverError(f"{self._endpoint} signs with another key than its certificate's") from error
         except UaStatusCodeError as error:
-            if what == "connecting" and error.code in REFUSALS:
+            if what == CONNECTING and error.code in REFUSALS:
                 name = ua.StatusCode(error.code).name
                 raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
             self._lose(f"{self._endpoint} reported {ua.StatusCode(error.code).name} while {what}", error)
@@ -274,6 +276,10 @@ class OpcUaCnc:
             self._lose(
                 f"{self._endpoint} was lost while {what}: {error or type(error).__name__}{self._suspicion()}", error
             )
+        except UNREADABLE as error:
+            if what not in (CONNECTING, RENEWING):  # elsewhere the answer is decoded here, and this is a defect
+                raise
+            self._lose(f"{self._endpoint} answers what cannot be read while {what} ({type(error).__name__})", error)
 
     def _suspicion(self) -> str:
         """Say what a server that breaks off the secure handshake without a word usually means."""

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 from asyncua import ua
 from asyncua.client.ua_client import UaClient
-from asyncua.common.utils import Buffer
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_from_binary, struct_to_binary
 from asyncua.ua.uaerrors import UaError
 
 from drivers.opcua.channel import Channel
+from drivers.opcua.received import Received
 
 
 class Answer(NamedTuple):
@@ -55,6 +55,17 @@ LENGTH = struct.Struct("<i")
 STATUS = struct.Struct("<I")
 NUMBERS = {kind: struct.Struct("<" + code) for kind, code in enumerate("?bBhHiIqQfd", start=1)}
 """Built-in type on the wire -> its bytes (OPC 10000-6, 5.1.2)."""
+UNREADABLE = (
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    RecursionError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    struct.error,
+)
+"""What the library raises, beside its own errors, when it decodes an answer that makes no sense."""
 NOTHING = ua.DataValue(None, StatusCode=None)
 EPOCH_100NS = 116_444_736_000_000_000
 """1970-01-01 in the time of OPC UA, which counts steps of 100 ns from 1601."""
@@ -146,10 +157,14 @@ def _plain(body: bytes, type_id: bytes) -> tuple[int, int] | None:
 def _decoded(kind: Any, body: bytes, type_id: bytes) -> Any:
     """Return the answer as the library reads it; raises UaError when it is another, UaStatusCodeError a refusal."""
     if body[:4] == SERVICE_FAULT:
-        struct_from_binary(ua.ResponseHeader, Buffer(body[4:])).ServiceResult.check()
+        status = RESPONSE_HEADER.unpack_from(body.ljust(RESPONSE_HEADER.size, b"\0"))[3]
+        ua.StatusCode(ua.UInt32(status)).check()
     if body[:4] != type_id:
         raise UaError(f"the server answers with a message of type {body[:4].hex()} to a {kind.__name__[:-8]}")
-    response = struct_from_binary(kind, Buffer(body))
+    try:
+        response = struct_from_binary(kind, Received(body))
+    except UNREADABLE as error:
+        raise UaError(f"the answer cannot be read ({type(error).__name__}: {error})") from error
     response.ResponseHeader.ServiceResult.check()
     return response
 
@@ -190,5 +205,5 @@ class Services:
         protocol._request_id = number
         answered = protocol._callbackmap[number] = asyncio.get_running_loop().create_future()
         protocol.transport.write(message)
-        body: Buffer = await answered
+        body: Received = await answered
         return body.read(len(body))

@@ -14,9 +14,11 @@ from config.schema.source_sections import OpcUaServer
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of
+from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import load_credentials
 from drivers.opcua.cnc import abort, cancelled_plainly, secure
 from drivers.opcua.log import limit_library_log
+from drivers.opcua.services import UNREADABLE
 from drivers.polling import PolledSource
 from drivers.readings import NoReading, Readings
 from models.quality import Reason
@@ -41,7 +43,7 @@ class TagSession:
         """Connect; return the library's client and the namespaces. Raises LinkError or FatalDriverError."""
         security = self._config.security
         credentials = load_credentials(security) if security else None
-        client = self._client = Client(self._config.endpoint, timeout=self._config.timeout_s)
+        client = self._client = bounded_client(self._config.endpoint, self._config.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         if credentials:
             secure(client, credentials)
@@ -62,6 +64,9 @@ class TagSession:
             raise LinkError(f"{words}: check address, network, and that the server runs") from error
         except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
             raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
+        except UNREADABLE as error:
+            words = f"{self._where} answers what cannot be read while {what} ({type(error).__name__})"
+            raise LinkError(words) from error
 
     async def close(self) -> None:
         """Close the session and the socket; never waits longer than the time-out."""

@@ -65,6 +65,12 @@ async def test_an_agent_gets_everything_then_what_has_changed_and_its_ping_is_an
         old = temperatures(ago_s=rig.configuration.temperatures.cleansing.stale_after_s + 1.0)
         rig.snapshots.thermal = replace(rig.snapshots.thermal, temperatures=old)
         assert (await heard(reader, "temperature_1"))["temperature_1"][1] == "UNAVAILABLE", "every line is silent"
+        rig.snapshots.thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(1.5, 2.5))
+        rig.snapshots.thermal = replace(rig.snapshots.thermal, temperatures=temperatures())
+        assert (await heard(reader, "estimate_Z1_um"))["estimate_Z1_um"][1] == "2.500"
+        rig.snapshots.thermal = replace(rig.snapshots.thermal, estimate=None)
+        found = await heard(reader, "estimate_Z1_um", "estimate_Y1_um", "confidence")
+        assert {text for _, text in found.values()} == {"UNAVAILABLE"}, "there is no estimate any more"
         rig.snapshots.control = replace(
             rig.snapshots.control, state=OutputState.FAULT, reason="foreign | value", alarm="look\nat it"
         )

@@ -184,7 +184,7 @@ def test_an_agent_that_invents_items_or_faults_does_not_fill_the_memory():
     def tell(events, conditions):
         text = f"<Events>{events}</Events><Condition>{conditions}</Condition>"
         text = f"<a><DeviceStream><ComponentStream>{text}</ComponentStream></DeviceStream></a>"
-        device.observe(parsed(text.encode()), anew=False)
+        device.observe(asyncio.run(parsed(text.encode())), anew=False)
 
     tell('<E dataItemId="other">1</E><E dataItemId="EXECUTION">ACTIVE</E>', '<Fault dataItemId="none"/>')
     assert device.values == {"EXECUTION": "ACTIVE"} and not device.alarm and not device.faults
@@ -210,14 +210,14 @@ def test_an_agent_that_invents_items_or_faults_does_not_fill_the_memory():
 )
 def test_a_document_that_could_harm_is_refused(document):
     with pytest.raises(XmlError):
-        parsed(document)
+        asyncio.run(parsed(document))
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=300) | st.text(alphabet="<>/ab=\"'&;! -[]", max_size=200).map(str.encode))
 def test_any_bytes_are_a_document_or_refused(content):
     with contextlib.suppress(XmlError):
-        assert parsed(content).name
+        assert asyncio.run(parsed(content)).name
 
 
 @pytest.mark.wires

@@ -19,7 +19,7 @@ from asyncua.crypto import security_policies
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import header_from_binary, struct_from_binary, struct_to_binary, uatcp_to_binary
 
-from drivers.opcua.server.received import Received
+from drivers.opcua.received import Received
 from drivers.opcua.server.settings import Identity, Trusted
 
 LONGEST_CHUNK = 65_535
@@ -34,6 +34,8 @@ SHORTEST_LIFE_MS, LONGEST_LIFE_MS = 60_000, 3_600_000
 HANDSHAKE_PAUSE_S = 0.05
 """After each use of the private key, whoever asked for it: the daemon has other work [s]."""
 NONCE = 32
+MOST_BLOCKS = 8
+"""Blocks of the server's key in a request for a channel, each a use of the private key; clients need two to four."""
 HEAD = struct.Struct("<3scI")
 POLICIES: Any = security_policies
 TYPES: Any = ua
@@ -91,6 +93,7 @@ class Wire:
         limits = TransportLimits(LONGEST_CHUNK, LONGEST_CHUNK, LONGEST_MESSAGE // LEAST_CHUNK, LONGEST_MESSAGE)
         self._secure = SecureConnection(POLICIES.SecurityPolicyNone(), limits)
         self._limits = limits
+        self._block = identity.private_key.key_size // 8
         modes = ua.MessageSecurityMode.Sign, ua.MessageSecurityMode.SignAndEncrypt
         certificate, key = identity.certificate, identity.private_key
         factories = [
@@ -181,10 +184,13 @@ class Wire:
         """Open the channel, or renew its keys."""
         if not self._greeted:
             raise WireError(StatusCodes.BadConnectionRejected, "a channel before the hello")
-        header = _decoded(lambda: struct_from_binary(ua.AsymmetricAlgorithmHeader, Received(data[HEAD.size + 4 :])))
+        rest = Received(data[HEAD.size + 4 :])
+        header = _decoded(lambda: struct_from_binary(ua.AsymmetricAlgorithmHeader, rest))
         secured = header.SecurityPolicyURI != POLICIES.SecurityPolicyNone.URI
         if secured:
             self._check(header)
+            if len(rest) > MOST_BLOCKS * self._block:
+                raise WireError(StatusCodes.BadTcpMessageTooLarge, f"{len(rest)} enciphered bytes to open a channel")
         elif self._secure.is_open() and self.peer is not None:
             raise WireError(StatusCodes.BadSecurityChecksFailed, "a secured channel stays secured")
         async with self._handshakes.turn() if secured else contextlib.nullcontext():

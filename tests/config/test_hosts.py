@@ -1,0 +1,38 @@
+"""Names and addresses in the configuration: what no name can be is refused with the key, before anything is opened."""
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from config.schema.cnc_drivers import FocasConfig, HaasConfig, MtconnectConfig, OpcUaConfig
+from config.schema.modbus import ModbusConfig
+from config.schema.service import OpcUaServerConfig, ServiceConfig, ShdrConfig
+from config.schema.source_sections import MqttConfig
+
+
+@pytest.mark.parametrize("host", ["a\0b", "a b", "a\n", "", "a/b", "a@b", "x" * 254, "\x7f"])
+@pytest.mark.parametrize(
+    ("section", "key", "form"),
+    [
+        (FocasConfig, "host", "{}"),
+        (HaasConfig, "host", "{}"),
+        (MtconnectConfig, "url", "http://{}/x"),
+        (OpcUaConfig, "endpoint", "opc.tcp://{}"),
+        (ModbusConfig, "host", "{}"),
+        (MqttConfig, "host", "{}"),
+        (ShdrConfig, "host", "{}"),
+        (OpcUaServerConfig, "host", "{}"),
+        (ServiceConfig, "http_host", "{}"),
+    ],
+    ids=lambda value: value.__name__ if isinstance(value, type) else None,
+)
+def test_what_no_host_is_called_is_refused(section: type[BaseModel], key: str, form: str, host: str) -> None:
+    if form != "{}" and host in ("a/b", "a@b", "x" * 254):
+        return  # a path, a user or a long name may stand there
+    with pytest.raises(ValidationError) as refused:
+        section.model_validate({key: form.format(host)})
+    assert key in {error["loc"][0] for error in refused.value.errors()}
+
+
+@pytest.mark.parametrize("host", ["192.168.10.20", "::1", "fe80::1%eth0", "cnc-1.shop", "münchen.example"])
+def test_hosts_that_there_are_are_taken(host: str) -> None:
+    assert FocasConfig(host=host).host == host
