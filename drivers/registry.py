@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import FocasConfig
 from config.schema.displacement_sources import DisplacementSourceConfig
 from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
 from config.schema.source_drivers import SourceEntry
@@ -33,9 +34,16 @@ def _opcua() -> CncFactory:
 
 
 def _focas() -> CncFactory:
-    from drivers.focas.cnc import FocasCnc
+    def own_or_the_vendors(config: CncConfig, clock: Clock) -> Cnc:
+        if config.connection_as(FocasConfig).library is not None:
+            from drivers.focas.library import LibraryFocasCnc
 
-    return FocasCnc
+            return LibraryFocasCnc(config, clock)
+        from drivers.focas.cnc import FocasCnc
+
+        return FocasCnc(config, clock)
+
+    return own_or_the_vendors
 
 
 def _haas() -> CncFactory:

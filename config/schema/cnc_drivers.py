@@ -197,6 +197,12 @@ class FocasConfig(CncConnection):
         description="number of the diagnosis that shows the spindle motor [degC]; none: not read",
         examples=[403],
     )
+    library: Path | None = Field(
+        None,
+        description="FANUC's own library (libfwlib32.so of this computer's kind), asked by a process of its own; none: "
+        "Toolpoint's own client, which needs no library",
+        examples=["/opt/fanuc/libfwlib32-linux-x64.so"],
+    )
 
     @property
     def address(self) -> str:

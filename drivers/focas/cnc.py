@@ -10,6 +10,7 @@ import asyncio
 import logging
 import struct
 from collections.abc import Sequence
+from typing import ClassVar
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig
@@ -55,7 +56,6 @@ OPEN_BODY = struct.pack(">H", 2)
 """The socket that carries data; the vendor's library opens one more, which nothing needs."""
 MOST_BLOCKS = 28
 """Blocks of one request besides its tag [to verify]; more are split."""
-TAG_BITS = 3
 CLOCK_ASK = Ask(Function.READ_MACRO, (CLOCK, CLOCK))
 SIMULATED_SYSTEM = "TP-SM-TOOL-PNT0"
 """What the simulated control says of itself."""
@@ -64,7 +64,9 @@ SIMULATED_SYSTEM = "TP-SM-TOOL-PNT0"
 class FocasCnc(LinkedCnc):
     """Implements `drivers.contract.Cnc` over FOCAS2/Ethernet."""
 
-    wrong_answers = (FocasFormatError, CalendarError)
+    wrong_answers: ClassVar[tuple[type[Exception], ...]] = (FocasFormatError, CalendarError)
+    tag_bits = 3
+    """Blocks of the tag that tells one answer from another."""
 
     def __init__(self, config: CncConfig, clock: Clock) -> None:
         self._focas = config.connection_as(FocasConfig)
@@ -117,6 +119,10 @@ class FocasCnc(LinkedCnc):
             )
         if (opened.kind, opened.direction) != (Kind.OPEN, Direction.ANSWER):
             raise FocasFormatError(f"opening was answered with {opened.kind:02X}{opened.direction:02X}")
+        await self._introduced()
+
+    async def _introduced(self) -> None:
+        """Ask the control what it is."""
         (answer,) = await self._exchange([Ask(Function.SYSTEM)])
         system = SystemInfo.parse(answer)
         self.identity = SIMULATED_CNC_IDENTITY if system.text == SIMULATED_SYSTEM else f"{system.text}@{self._name}"
@@ -188,9 +194,11 @@ class FocasCnc(LinkedCnc):
         answers: list[Answer] = []
         for first in range(0, max(len(asks), 1), MOST_BLOCKS):
             self._asked += 1
-            bits = (self._asked >> bit & 1 for bit in range(TAG_BITS))
+            bits = (self._asked >> bit & 1 for bit in range(self.tag_bits))
             tag = [Ask(Function.SYSTEM if bit else Function.STATUS) for bit in bits]
-            clock, *found = (await self._exchange([*tag, CLOCK_ASK, *asks[first : first + MOST_BLOCKS]]))[TAG_BITS:]
+            clock, *found = (await self._exchange([*tag, CLOCK_ASK, *asks[first : first + MOST_BLOCKS]]))[
+                self.tag_bits :
+            ]
             clock_ms = macro_values(macro_asks([CLOCK]), [clock])[CLOCK]
             if clock_ms is None or clock_ms < self._clock_ms:
                 raise FocasFormatError(

@@ -9,18 +9,20 @@ import math
 import re
 import zlib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import LinuxcncConfig
+from drivers.bridge_link import BridgeError, BridgeLink
 from drivers.clock import Clock
 from drivers.contract import Capability, FatalDriverError, NotSentError
 from drivers.linked_cnc import LinkedCnc
-from drivers.linuxcnc.link import BridgeError, BridgeLink
 from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun, CncSample
 
 NAME = "LinuxCNC"
+RUNS_AS = "cnc.linuxcnc.command must run as LinuxCNC's own user"
 MODES = {1: CncMode.JOG, 2: CncMode.MEMORY, 3: CncMode.MDI}
 RUNS = {1: CncRun.RESET, 2: CncRun.START, 3: CncRun.HOLD, 4: CncRun.START}
 """State of the interpreter: idle, reading, paused, waiting."""
@@ -58,8 +60,9 @@ class LinuxcncCnc(LinkedCnc):
 
     async def _connect(self) -> None:
         command = self._linuxcnc.command
+        text = files("drivers.linuxcnc").joinpath("bridge.py").read_text(encoding="utf-8")
         try:
-            self._link = await BridgeLink.start(command, NAME)
+            self._link = await BridgeLink.start(command, text, NAME, RUNS_AS)
         except OSError as error:
             raise FatalDriverError(
                 f"cnc.linuxcnc.command: {command[0]} cannot be started ({error.strerror}): name the Python that "

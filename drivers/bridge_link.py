@@ -1,11 +1,10 @@
-"""The bridge to LinuxCNC as a child process: one request at a time, each answered with its own number."""
+"""A bridge to a control's own library as a child process: one request at a time, each answered with its own number."""
 
 import asyncio
 import contextlib
 import json
 import os
 import signal
-from importlib.resources import files
 from typing import Any
 
 from drivers.contract import LinkError
@@ -22,16 +21,15 @@ class BridgeError(ValueError):
 class BridgeLink:
     """A running bridge; a request that was given up ends it, so that no answer comes late."""
 
-    def __init__(self, process: asyncio.subprocess.Process, name: str) -> None:
-        self._process, self._name = process, name
+    def __init__(self, process: asyncio.subprocess.Process, name: str, when_it_ends: str) -> None:
+        self._process, self._name, self._when_it_ends = process, name, when_it_ends
         self._asked = 0
         self.lost: str | None = None
         """Why the link is lost; None while it stands."""
 
     @classmethod
-    async def start(cls, command: list[str], name: str) -> "BridgeLink":
-        """Start the bridge; raises OSError."""
-        text = files("drivers.linuxcnc").joinpath("bridge.py").read_text(encoding="utf-8")
+    async def start(cls, command: list[str], text: str, name: str, when_it_ends: str) -> "BridgeLink":
+        """Start the bridge, whose program is `text`; raises OSError. `when_it_ends`: what to do about that."""
         process = await asyncio.create_subprocess_exec(
             *command,
             "-c",
@@ -43,7 +41,7 @@ class BridgeLink:
             start_new_session=True,
             env={"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LC_ALL": "C.UTF-8"},
         )
-        return cls(process, name)
+        return cls(process, name, when_it_ends)
 
     async def ask(self, **request: Any) -> dict[str, Any]:
         """Send a request and return its answer; raises LinkError and BridgeError."""
@@ -58,7 +56,7 @@ class BridgeLink:
             self.abort(f"{self._name}: an answer was given up")
             raise
         if not line:
-            self.abort(f"{self._name}: the bridge has ended; cnc.linuxcnc.command must run as LinuxCNC's own user")
+            self.abort(f"{self._name}: the bridge has ended; {self._when_it_ends}")
             raise LinkError(self.lost or "")
         try:
             answer = json.loads(line)
