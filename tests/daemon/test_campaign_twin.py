@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,12 @@ from daemon.simulation.faults.operations_check import Request
 from daemon.simulation.faults.truth_watch import DELAY_S, PASSED_S, TruthWatch
 from daemon.simulation.faults.twin import Twin
 from daemon.simulation.processes import write_simulation_configuration
+from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import ThermalModel, model_from_json
+from models.thermal.linear import LinearModel
+from models.thermal.training.train_family import train_family
 
 FAULTS = Path(__file__).resolve().parents[2] / "daemon" / "simulation" / "faults"
 APPLIED = {"x": 0.0, "y": 4.0, "z": 10.0}
@@ -83,6 +88,44 @@ def test_the_oracles_import_nothing_of_the_control() -> None:
     for name in ("twin.py", "truth_watch.py", "state_oracle.py", "invariants.py"):
         found = {module for module in _imported(FAULTS / name) if module.startswith(("daemon", "models"))}
         assert not {m for m in found if m.startswith(("models.control", "daemon.compensation", "daemon.cnc"))}, name
+
+
+def test_the_twin_leaves_no_sensor_out_because_its_own_are_right(configuration: Configuration) -> None:
+    """A watch now and then takes the machine for a fault: what the twin said then was off by what is imputed."""
+    ids = [sensor.id for sensor in configuration.temperatures.sensors]
+    own, minutes = [ids.index(each) for each in (26, 64, 72, 87, 93)], 150
+    rng = np.random.default_rng(1)
+    table = 25.0 + np.sin(np.arange(minutes) / 25.0)[:, None] + rng.normal(0.0, 0.02, (minutes, len(own)))
+    recording = Recording(
+        name="day",
+        time_s=60.0 * np.arange(float(minutes)),
+        speed_rpm=None,
+        temperature_names=tuple(f"T{ids[place]}" for place in own),
+        temperatures_degc=table,
+        displacement_names=("Y1", "Z1"),
+        displacements_um=table[:, :2] * 10.0,
+    )
+    model = train_family([recording], "lags", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    assert isinstance(model, LinearModel)
+    model = replace(model, sensor_ids=tuple(ids[place] for place in own))
+    watching, twin = model.runtime(Machine(components={})), Twin(configuration, {MODEL: model}, ids)
+    counting = replace(model, watch=None).runtime(Machine(components={}))
+    departs_k = np.zeros(len(own))
+    for minute in range(minutes):
+        departs_k[0] = max(minute - 90, 0) * 0.1
+        degc = np.full(len(ids), 25.0)
+        degc[own] = table[minute] + departs_k
+        for each in (watching, counting):
+            each.on_sample(float(minute), degc[own], 0.0)
+        twin.sample(60.0 * minute, degc, 0.0, 1)
+        if minute == 60:
+            reference = OnlineReference(time_min=60.0, now_min=60.0, degc=degc[own])
+            watching.set_reference(reference)
+            counting.set_reference(reference)
+            twin.reference(3600.0, MODEL, APPLIED)
+    found, _ = counting.estimate(float(minutes - 1), degc[own], np.zeros(len(own), dtype=bool))
+    assert found is not None and watching.excluded, "a watch would leave it out"
+    assert twin.request_um("y") == pytest.approx(APPLIED["y"] - found.thermal_error_um[0], abs=1e-6)
 
 
 def _imported(path: Path) -> Iterator[str]:

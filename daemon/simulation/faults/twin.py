@@ -1,16 +1,17 @@
 """The twin of a fault campaign: where the tool stands while nothing goes wrong, worked out from the law alone.
 
-The twin stands on the same machine and hears the same NC program, but reads every sensor itself: no wire, no node
-and no disk lies between. What it asks for is what the page on what may move the machine says: what was applied at
-the reference becomes the baseline, from which the estimate since the reference is taken; a tool counts from its own
-setting and expands from when it came into the spindle; another model contributes from now on; a probe's deviation
-is cancelled. Nothing of the control's code is used here.
+The twin stands on the same machine and hears the same NC program, but reads every sensor itself: no wire, no node and
+no disk lies between. What it asks for is what the page on what may move the machine says: what was applied at the
+reference becomes the baseline, from which the estimate since the reference is taken; a tool counts from its own
+setting and expands from when it came into the spindle; another model contributes from now on; a probe's deviation is
+cancelled. Nothing of the control's code is used here. Its sensors are right: no watch leaves one out that departs, as
+the machine now and then lets one do.
 """
 
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from config.schema import Configuration
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineModel, OnlineReference
 from models.thermal.family import ThermalModel
+from models.thermal.linear import LinearModel
 
 MEAN_S = 60.0
 """Temperatures are means of the last minute [s]."""
@@ -60,7 +62,7 @@ class Twin:
         sensors = configuration.temperatures.sensors
         told = Machine(components={sensor.id: sensor.component for sensor in sensors})
         self._models = models
-        self._online: dict[str, OnlineModel] = {name: model.runtime(told) for name, model in models.items()}
+        self._online: dict[str, OnlineModel] = {name: _all_counted(m).runtime(told) for name, m in models.items()}
         self._places = {name: np.array([position[i] for i in m.sensor_ids]) for name, m in models.items()}
         self._labels: dict[str, list[int]] = {}
         for sensor in sensors:
@@ -205,3 +207,8 @@ class Twin:
         errors_um = dict(zip(self._models[self._model].channels, found.thermal_error_um.tolist(), strict=True))
         for axis in self._axes.values():
             axis.nose_um = axis.before_um + errors_um.get(axis.channel, math.nan)
+
+
+def _all_counted(model: ThermalModel) -> ThermalModel:
+    """Return the model without the watch of its sensors."""
+    return replace(model, watch=None) if isinstance(model, LinearModel) else model
