@@ -50,8 +50,8 @@ WORDS = (
 """Component of the simulated machine -> words in a foreign one's name, the first that fits."""
 SIMULATED_WIRES = ("opcua", "focas", "haas")
 """Drivers for which there is a simulated control."""
-LEFT_OUT = ("displacements", "spindle_speed", "signatures", "opcua_server", "shdr")
-"""The last two would tell others what is simulated, where they look for the machine."""
+LEFT_OUT = ("displacements", "spindle_speed", "signatures", "opcua_server", "shdr", "sinks")
+"""The last three would tell others what is simulated, where they look for the machine."""
 COMMON = ("id", "label", "unit", "scale", "offset", "open", "min_degc", "max_degc")
 
 

@@ -2,6 +2,10 @@
 
 import contextlib
 import itertools
+import json
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -12,10 +16,12 @@ import history_records as make
 import numpy as np
 import psycopg
 import pytest
+import yaml
 from certificates import make_certificate
 from history_records import EPOCH_S, SMALL, StillClock
 from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
 
+from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
@@ -208,6 +214,43 @@ def test_killed_and_restarted_under_load_nothing_is_lost_and_nothing_doubled(ser
     assert {name: counts(server)[name] for name in expected} == expected
     assert server.ask("SELECT count(*), count(DISTINCT (line, time)) FROM toolpoint.temperatures") == [(288, 288)]
     assert deaths
+
+
+def test_the_command_is_killed_and_goes_on_where_it_was(server: Server, tmp_path: Path) -> None:
+    """`toolpoint sink run` as systemd runs it, killed without a word; `sink status` says how far it is."""
+    store, config = tmp_path / "h.sqlite", tmp_path / "t.yaml"
+    there = section(server, tmp_path).model_dump(mode="json")
+    document = yaml.safe_load(sample_configuration())
+    config.write_text(
+        yaml.safe_dump(document | {"history": {"path": str(store)}, "sinks": [there | {"period_s": 0.05}]})
+    )
+    command = [sys.executable, "-P", "-m", "daemon.cli", "sink"]
+    fill(store, hours=1.0)
+    for turn, number in enumerate((signal.SIGKILL, signal.SIGTERM)):
+        process = subprocess.Popen([*command, "run", "--config", str(config)], stderr=subprocess.DEVNULL)
+        try:
+            deadline_s = time.monotonic() + PATIENCE_S
+            while time.monotonic() < deadline_s and stored(server) < 12 * (turn + 1):
+                time.sleep(0.05)
+            process.send_signal(number)
+            assert process.wait(PATIENCE_S) == (0 if number == signal.SIGTERM else -number)
+        finally:
+            process.kill()
+        fill(store, start_s=EPOCH_S + 3600.0 * (turn + 1), hours=1.0)
+    assert stored(server) == 24
+    done = subprocess.run([*command, "status", "-c", str(config), "--json", "-"], capture_output=True, check=True)
+    (said,) = json.loads(done.stdout)["sinks"]
+    assert said["running"] and said["problem"] == "" and said["rows"]["waiting"]["cnc"] == 12
+    words = subprocess.run([*command, "status", "-c", str(config)], capture_output=True, check=True, text=True).stdout
+    assert "plant (postgresql, 127.0.0.1:" in words and "12 cnc" in words
+
+
+def stored(server: Server) -> int:
+    """Return the polls that arrived; 0 before there is a table."""
+    try:
+        return counts(server)["cnc"]
+    except psycopg.errors.UndefinedTable:
+        return 0
 
 
 def test_a_store_that_was_begun_anew_is_sent_from_its_beginning(server: Server, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ def stranger(path: Path) -> Path:
     del content["cnc"]["opcua"]
     content["compensation"]["axes"]["z"]["estimate"] = "Weg Z"
     content["shdr"] = {"port": 7878}
+    content["sinks"] = [{"name": "plant", "driver": "postgresql", "postgresql": {"host": "192.0.2.1"}}]
     content["opcua_server"] = {
         "certificate": "/pki/c.der",
         "private_key": "/pki/k.pem",
@@ -62,5 +63,5 @@ def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     assert numbers["error_um"]["z"]["verdict"] == "passed"
     written = yaml.safe_load((tmp_path / "folder" / "toolpoint.yaml").read_text(encoding="utf-8"))
     assert written["cnc"]["driver"] == "focas"
-    for section in ("shdr", "opcua_server"):
+    for section in ("shdr", "opcua_server", "sinks"):
         assert f"{section}: left out" in done.output and section not in written
