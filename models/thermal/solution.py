@@ -14,7 +14,10 @@ from models.thermal.features import BoolArray, Design, IntArray, Layout, canonic
 FULL_DISTANCE = 8.0
 """Up to so many times the farthest that training went, distance alone takes nothing from confidence ..."""
 NO_DISTANCE = 16.0
-"""... and here it leaves nothing: no machine is linear for ever."""
+"""... and here it leaves nothing: no machine is linear for ever ..."""
+KNOWN_SHARE = 0.01
+"""... the less, the smaller than this is the share of the change that training does not know: where it knows the
+direction so well, the ranges of temperatures and speed say how far is too far."""
 FULL_SPEED = 1.05
 """Up to so many times the highest spindle speed of training, speed takes nothing from confidence ..."""
 NO_SPEED = 2.1
@@ -259,7 +262,8 @@ def far_confidence(distance: float, unknown_share: float) -> float:
 
     `distance`: see `band_factor`. `unknown_share`: leverage over what it would be if training said nothing, 0..1.
     """
-    near = float(np.clip((NO_DISTANCE - distance) / (NO_DISTANCE - FULL_DISTANCE), 0.0, 1.0))
+    beyond = max(distance - FULL_DISTANCE, 0.0) * min(unknown_share / KNOWN_SHARE, 1.0)
+    near = max(1.0 - beyond / (NO_DISTANCE - FULL_DISTANCE), 0.0)
     unknown = min(unknown_share / max(1.0 - unknown_share, 1e-9), 1e3) if distance > 1.0 else 0.0
     return near / (1.0 + unknown * unknown)
 

@@ -15,6 +15,7 @@ from models.records import FloatArray
 from models.thermal.features import BRIDGE_MIN, lag_step, speed_inputs
 from models.thermal.sensor_watch import (
     FAST_MIN,
+    FLAT_MIN,
     SAME_K,
     SLOW_MIN,
     SensorWatch,
@@ -22,6 +23,9 @@ from models.thermal.sensor_watch import (
     without_columns,
 )
 
+MOVED = 0.5
+"""A sensor that stands still has moved when the others say so by more than this share of its limit: by more than they
+were ever wrong about it in training."""
 CONFIRM_MIN = 10.0
 """A departure must last so long [min] before it is a fault."""
 MOST_MAP_VALUES = 500_000
@@ -77,6 +81,12 @@ class WatchState:
     """The same over the long time."""
     over_min: FloatArray
     """For how long each sensor has departed [min], shape (n_sensors,)."""
+    departed: FloatArray
+    """How far each sensor departs from what the others say, over its limit, with sign, shape (n_sensors,)."""
+    flat_from: FloatArray
+    """The same when each sensor took the value that it has."""
+    moved_since_min: FloatArray
+    """Since when the others say that each sensor has left that value [min]; now where they do not."""
     heard: npt.NDArray[np.bool_]
     """Which sensors have ever had a value; before, one stands at its mean of training."""
     faults: tuple[SensorFault, ...] = field(default=())
@@ -174,6 +184,9 @@ class Watcher:
             fast=columns,
             slow=columns.copy(),
             over_min=np.zeros(count),
+            departed=np.zeros(count),
+            flat_from=np.zeros(count),
+            moved_since_min=np.full(count, time_min),
             heard=np.isfinite(degc),
         )
 
@@ -210,7 +223,8 @@ class Watcher:
         if len(first := np.flatnonzero(advanced.heard & ~state.heard)):
             advanced = self.reinitialised(advanced, first.tolist())
         if not find_faults:
-            return replace(advanced, over_min=np.zeros_like(advanced.over_min), faults=state.faults)
+            departed = self._departed(advanced, advanced.excluded)
+            return replace(advanced, over_min=np.zeros_like(advanced.over_min), departed=departed, faults=state.faults)
         at_once = self._faults_at_once(state, advanced, degc)
         if at_once:
             advanced = replace(advanced, faults=(*advanced.faults, *at_once))
@@ -231,6 +245,7 @@ class Watcher:
             speed_lagged[index] = lag_step(state.speed_lagged[index], state.speed, speed, elapsed_min, constant_min)
         columns = self._columns(filled, lagged, speed_lagged)
         fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
+        moved = state.departed - state.flat_from
         same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
         return WatchState(
             time_min=time_min,
@@ -243,6 +258,9 @@ class Watcher:
             fast=fast,
             slow=fast + np.exp(-elapsed_min / SLOW_MIN) * (state.slow - fast),
             over_min=state.over_min,
+            departed=state.departed,
+            flat_from=np.where(same, state.flat_from, state.departed),
+            moved_since_min=np.where(same & (np.abs(moved) > MOVED), state.moved_since_min, time_min),
             heard=state.heard | known,
             faults=state.faults,
         )
@@ -253,7 +271,7 @@ class Watcher:
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
-            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min),
+            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min) & self._stands(now),
         }
         found = []
         for sign, applies in signs.items():
@@ -263,16 +281,27 @@ class Watcher:
                     found.append(SensorFault(sensor=int(sensor), time_min=now.time_min, sign=sign))
         return found
 
+    def _stands(self, state: WatchState) -> npt.NDArray[np.bool_]:
+        """Return which sensors must not stand still: they never did, or the others say that they have moved for long.
+
+        A sensor that counts in steps keeps its value for as long as the machine hardly warms.
+        """
+        return np.asarray((self.watch.flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN))
+
     def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""
+        return np.abs(self._departed(state, excluded))
+
+    def _departed(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         maps, expected = self._map(excluded)
         widening = np.divide(expected, self._usual, out=np.ones_like(expected), where=self._usual > 0.0)
         limit_k = self.watch.threshold_k * np.maximum(widening, 1.0)
-        return np.asarray(np.abs(maps @ (state.fast - state.slow)) / limit_k)
+        return np.asarray(maps @ (state.fast - state.slow) / limit_k)
 
     def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
         excluded = state.excluded
-        departures = self.relative_departures(state, excluded)
+        state = replace(state, departed=self._departed(state, excluded))
+        departures = np.abs(state.departed)
         over_min = np.where(departures > 1.0, state.over_min + min(elapsed_min, 0.5 * CONFIRM_MIN), 0.0)
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)

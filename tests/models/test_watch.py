@@ -10,6 +10,7 @@ from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.features import Layout, lag_table
 from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
+from models.thermal.solution import KNOWN_SHARE, far_confidence
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.watch_fit import fit_watch, smoothed
@@ -196,3 +197,39 @@ def test_a_smoothed_step_follows_its_time_constant() -> None:
     found = smoothed(time_min, np.array([[0.0], [1.0], [1.0]]), 10.0)[:, 0]
     assert found[1] == pytest.approx(1.0 - np.exp(-0.1))
     assert found[2] == pytest.approx(1.0 - np.exp(-1.1))
+
+
+def in_steps(recorded: Recording, step_k: float = 0.25) -> Recording:
+    """The recording of sensors that count in steps, as many loggers do."""
+    return replace(recorded, temperatures_degc=np.round(recorded.temperatures_degc / step_k) * step_k)
+
+
+def test_a_sensor_that_counts_in_steps_may_stand_still_with_the_machine_and_not_against_it(whole: Recording) -> None:
+    stepped = in_steps(whole)
+    inputs = build_inputs([stepped], sample_s=60.0)
+    rows = inputs.rows_between(0.0, 12.0)
+    stepped_watch = fit_watch([stepped], 60.0, rows, inner_folds(inputs, rows)[0])
+    assert stepped.speed_rpm is not None
+    rest = np.repeat(stepped.temperatures_degc[:1], 400, axis=0)
+    resting = replace(
+        stepped,
+        time_s=60.0 * np.arange(float(stepped.rows + 400)),
+        speed_rpm=np.concatenate([np.repeat(stepped.speed_rpm[:1], 400), stepped.speed_rpm]),
+        temperatures_degc=np.vstack([rest, stepped.temperatures_degc]),
+        displacements_um=np.zeros((stepped.rows + 400, 1)),
+    )
+    assert (stepped_watch.flat_min < 400.0).all()
+    assert follow(stepped_watch, resting, resting.temperatures_degc, first=10).faults == (), (
+        "the whole machine stands still"
+    )
+    stuck = stepped.temperatures_degc.copy()
+    stuck[700:, 2] = stuck[700, 2]
+    found = [fault.sensor for fault in follow(stepped_watch, stepped, stuck).faults]
+    assert found == [2]
+
+
+def test_far_in_a_direction_that_training_knows_is_not_far() -> None:
+    assert far_confidence(11.5, 0.0) == 1.0
+    assert far_confidence(16.0, 2.0 * KNOWN_SHARE) == 0.0
+    assert far_confidence(12.0, KNOWN_SHARE) == pytest.approx(0.5, abs=1e-3)
+    assert far_confidence(12.0, KNOWN_SHARE) < far_confidence(12.0, 0.5 * KNOWN_SHARE) < 1.0
