@@ -143,6 +143,9 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
         for index, each in enumerate(sources_of):
             at = f"{key_of}.sources[{index}].{each.driver}"
             secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
+    for index, sink in enumerate(configuration.sinks or ()):
+        if sink.postgresql is not None and (path := sink.postgresql.password_file) is not None:
+            secrets.append(f"sinks[{index}].postgresql.password_file: {path}")
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,

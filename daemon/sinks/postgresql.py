@@ -4,9 +4,11 @@ Every table has a key, so that a repeat changes nothing. The position stands in 
 restored from an older copy gets again what it lost.
 """
 
+import ssl
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import psycopg
@@ -31,6 +33,8 @@ PARTITIONED = ("temperatures", "estimates", "writes", "cnc", "displacements")
 TABLES = {"references": "reference_points"}
 """Stream -> its table, where that is called otherwise."""
 COLUMNS = {"utc_ms": "time", "cycle_utc_ms": "cycle_time"}
+AUTHORITIES = ("/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt")
+"""Where Debian and Fedora keep them."""
 Convert = Callable[[Any], Any]
 
 
@@ -54,6 +58,12 @@ def scripts() -> list[tuple[int, str]]:
     folder = resources.files("daemon.sinks") / "schema"
     files = sorted((each for each in folder.iterdir() if each.name.endswith(".sql")), key=lambda each: each.name)
     return [(int(each.name.partition("_")[0]), each.read_text(encoding="utf-8")) for each in files]
+
+
+def authorities() -> str:
+    """Return the file of the authorities that this computer knows; the library that psycopg brings looks elsewhere."""
+    known = (ssl.get_default_verify_paths().cafile, *AUTHORITIES)
+    return next((path for path in known if path is not None and Path(path).is_file()), "system")
 
 
 class PostgresqlSink:
@@ -165,7 +175,7 @@ class PostgresqlSink:
         answer_ms = int(ANSWER_TIMES * config.timeout_s * 1e3)
         tls: dict[str, Any] = {"sslmode": "disable"}
         if config.tls:
-            tls = {"sslmode": "verify-full", "sslrootcert": str(config.ca_certificate or "system")}
+            tls = {"sslmode": "verify-full", "sslrootcert": str(config.ca_certificate or authorities())}
             if config.ca_certificate is not None and not config.ca_certificate.is_file():
                 raise SinkError(f"{self._where}: {unreadable('ca_certificate', config.ca_certificate, 'no file')}")
         connection: psycopg.Connection[Any] = psycopg.connect(

@@ -59,12 +59,15 @@ def test_the_manifest_names_the_secrets_that_are_not_in_it(installation):
         "private_key": "/run/credentials/own.pem",
         "server_certificate": "/etc/cnc.der",
     }
+    database = {"host": "db", "password_file": "/run/credentials/database"}
+    content["sinks"] = [{"name": "plant", "driver": "postgresql", "postgresql": database}]
     installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
     path = installation.folder / "secured.tar"
     make_backup(load_configuration(installation.config_path), installation.config_path, path)
     left_out = read_manifest(path).left_out
     assert "cnc.opcua.security.password_file: /run/credentials/password" in left_out
     assert "cnc.opcua.security.private_key: /run/credentials/own.pem" in left_out
+    assert "sinks[0].postgresql.password_file: /run/credentials/database" in left_out
 
 
 def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):

@@ -28,7 +28,7 @@ from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.postgresql import PostgresqlSink
+from daemon.sinks.postgresql import PostgresqlSink, authorities
 from daemon.sinks.running import SinkRunner, make_sink
 
 MACHINE = "mill 7"
@@ -273,20 +273,17 @@ def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Pat
 
 
 def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path: Path) -> None:
-    stores = [tmp_path / f"{number}.sqlite" for number in range(3)]
-    problems = []
+    config, problems = section(server, tmp_path), []
 
     def work(number: int) -> None:
         stop = threading.Event()
-        runner = SinkRunner(
-            section(server, tmp_path), stores[number], f"m{number}", stop, wait=lambda _duration_s: stop.set()
-        )
+        store = tmp_path / f"{number}.sqlite"
+        runner = SinkRunner(config, store, f"m{number}", stop, wait=lambda _duration_s: stop.set())
         runner.run()
         problems.append(runner.cursor.problem)
 
-    section(server, tmp_path)
-    for store in stores:
-        fill(store, hours=1.0)
+    for number in range(3):
+        fill(tmp_path / f"{number}.sqlite", hours=1.0)
     threads = [threading.Thread(target=work, args=(number,)) for number in range(3)]
     for thread in threads:
         thread.start()
@@ -358,3 +355,6 @@ def test_tls_takes_a_server_that_is_vouched_for_and_no_other(
     assert "none that `ca_certificate` vouches for" in wrong.problem
     elsewhere = send(server, tmp_path, store, **known | {"host": "127.0.0.1"})
     assert "`host` must be a name in its certificate" in elsewhere.problem
+    unknown = send(server, tmp_path, store, **known | {"ca_certificate": None})
+    assert "none that `ca_certificate` vouches for" in unknown.problem, "this computer's authorities do not"
+    assert authorities() == "system" or "BEGIN CERTIFICATE" in Path(authorities()).read_text("utf-8")
