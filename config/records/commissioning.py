@@ -1,7 +1,7 @@
 """The record of a commissioning: proof that sign, scale and axis of the compensation are right."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from config.files import write_whole
 from config.schema.base import Section
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
+from config.schema.compensation import SlopeConfig
 from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
 from models.errors import RefusedInputError
 
@@ -39,6 +40,14 @@ class AxisReadings(Section):
         return self.at_offset_um - 0.5 * (self.before_um + self.after_um)
 
 
+class CommissionedSlope(Section):
+    """Which slope a person has seen, and where."""
+
+    of: str = Field(description="axis that it acts on")
+    pivot_mm: float = Field(description="machine position at which it adds nothing [mm]")
+    positions_mm: tuple[float, float] = Field(description="machine positions at which the instrument was read [mm]")
+
+
 class CommissionedAxis(Section):
     """One axis that a person has seen moving the right way."""
 
@@ -49,6 +58,9 @@ class CommissionedAxis(Section):
     readings: AxisReadings | None = Field(None, description="what the instrument showed")
     others_um: dict[str, float] = Field(
         default_factory=dict, description="movement of the axes that were not commanded, as far as observed [um]"
+    )
+    slope: CommissionedSlope | None = Field(
+        None, description="of a slope: the movement is that of the second position against the first; else left out"
     )
 
     @model_validator(mode="after")
@@ -122,7 +134,11 @@ def load_commissioning(path: Path, trusted: Path | None = None) -> Commissioning
 
 def commissioning_text(record: CommissioningRecord) -> str:
     """Return a record as the text of its file."""
-    return json.dumps(record.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+    content = record.model_dump(mode="json")
+    for axis in content["axes"].values():
+        if axis["slope"] is None:
+            del axis["slope"]  # versions before know nothing of it
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def save_commissioning(record: CommissioningRecord, path: Path, key: SigningKey | None = None) -> None:
@@ -150,6 +166,7 @@ def commissioning_inhibit(
     macros: MacroMapConfig,
     axes: Sequence[str],
     guard_version: float | None = None,
+    slopes: Mapping[str, SlopeConfig] | None = None,
 ) -> str:
     """Return why these axes may not be compensated, '' when the record covers them.
 
@@ -169,11 +186,26 @@ def commissioning_inhibit(
         )
     if missing := [axis for axis in axes if axis not in record.axes]:
         return f"not commissioned: axis {', '.join(missing)}; {ADVICE} for it"
+    for axis in axes:
+        if changed := _slope_inhibit(axis, record.axes[axis].slope, (slopes or {}).get(axis)):
+            return changed
     if axes and macros.check is None:
         return f"cnc.macros.check {CHECK_MISSING}"
     if axes and record.guard_version is not None and (older := older_guard(record.guard_version)):
         return f"the commissioning was made with {older}, and {ADVICE} again"
     return "" if guard_version is None else _guard_inhibit(record, guard_version)
+
+
+def _slope_inhibit(axis: str, proved: CommissionedSlope | None, slope: SlopeConfig | None) -> str:
+    """Return that an axis was proved as an offset and is a slope, the other way round, or a slope elsewhere."""
+    was, now = (None if one is None else (one.of, one.pivot_mm) for one in (proved, slope))
+    if was == now:
+        return ""
+    words = ["an offset" if one is None else f"a slope of {one[0]} about {one[1]:g} mm" for one in (was, now)]
+    return (
+        f"axis {axis} was commissioned as {words[0]} and is {words[1]} now (compensation.axes.{axis}.slope): load the "
+        f"guard's text again, and {ADVICE} for it"
+    )
 
 
 def older_guard(guard_version: float) -> str:

@@ -68,6 +68,7 @@ class Configuration(Section):
             problems.append((("compensation", "output", "validity_s"), sentence))
         problems += self._speed_macros()
         problems += self._positionings()
+        problems += self._slopes()
         names = [sink.name for sink in self.sinks or ()]
         for index, name in enumerate(names):
             if name in names[:index]:
@@ -83,7 +84,7 @@ class Configuration(Section):
         """Yield which channels belong to no axis, and which sources of displacements take a port that is taken."""
         if (displacements := self.displacements) is None:
             return
-        axes = sorted(self.compensation.axes)
+        axes = sorted(set(self.compensation.axes) - set(self.compensation.slopes))
         for at, channel in displacements.placed_channels:
             if channel.axis is not None and channel.axis not in axes:
                 yield ("displacements", *at, "axis"), f"there is no axis {channel.axis}; there are {', '.join(axes)}"
@@ -116,6 +117,18 @@ class Configuration(Section):
             elif number in macros.ours and number not in cnc.macros.allowed:
                 problems.append((at, f"#{number} lies outside `writable` ({', '.join(cnc.macros.writable)})"))
         return problems
+
+    def _slopes(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield which slopes this control cannot take."""
+        for name in self.compensation.slopes:
+            if not self.cnc.is_sinumerik:
+                sentence = (
+                    "only a SINUMERIK takes a slope (SD43910; cnc.opcua.preset sinumerik): this control gets offsets "
+                    f"alone, so take {name} out of compensation.axes and cnc.macros"
+                )
+                yield ("compensation", "axes", name, "slope"), sentence
+            if name in self.cnc.guard.axes:
+                yield ("cnc", "guard", "axes", name), "a slope acts on the axis that its `slope.of` names; take it out"
 
     def _positionings(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield what is wrong with how positionings are seen."""

@@ -1,13 +1,19 @@
 """What may move the machine, how far and how fast."""
 
+import math
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import ChannelName, Days, KeyProblems, MacroNumber, Name, Seconds, Section
+from config.schema.base import ChannelName, Days, KeyPath, KeyProblems, MacroNumber, Name, Seconds, Section
 
 SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
+
+SHARED_LIMITS = ("absolute_bound_um", "slew_um_per_min", "step_um")
+"""Limits of an axis that its offset and its slope share."""
 
 
 class ToolTermConfig(Section):
@@ -31,6 +37,35 @@ class ToolTermConfig(Section):
         return self
 
 
+class SlopeConfig(Section):
+    """Makes an entry of `axes` a slope along an axis: its micrometres count at one metre from the pivot (um/m)."""
+
+    of: Name = Field(description="axis that the slope acts on", examples=["z"])
+    pivot_mm: float = Field(
+        allow_inf_nan=False,
+        description="machine position at which the slope adds nothing [mm]: the model's pivot, and SD43920 on a "
+        "SINUMERIK",
+        examples=[250.0],
+    )
+    travel_mm: tuple[float, float] = Field(
+        description="lowest and highest machine position of the axis [mm]: between them offset and slope together stay "
+        "within the axis' bound, slew rate and step",
+        examples=[[0.0, 500.0]],
+    )
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "SlopeConfig":
+        lowest, highest = self.travel_mm
+        if not -math.inf < lowest < highest < math.inf:
+            raise KeyProblems([(("travel_mm",), "the lowest position comes first, then the highest [mm]")])
+        return self
+
+    @property
+    def reach_m(self) -> float:
+        """Distance from the pivot to the farther end of the travel [m]."""
+        return max(abs(end - self.pivot_mm) for end in self.travel_mm) / 1000.0
+
+
 class AxisConfig(Section):
     """One axis of the machine. Bound, slew rate and step have no defaults: a person must choose them."""
 
@@ -50,6 +85,10 @@ class AxisConfig(Section):
         gt=0, le=100, description="the guard macro never applies a larger change at once [um]", examples=[5.0]
     )
     deadband_um: float = Field(0.1, ge=0, description="a smaller change of the request is not written [um]")
+    slope: SlopeConfig | None = Field(
+        None,
+        description="this entry is a slope along another axis, and all its um are um/m; none: an offset",
+    )
 
     @model_validator(mode="after")
     def _sensible(self) -> "AxisConfig":
@@ -57,6 +96,8 @@ class AxisConfig(Section):
             raise KeyProblems([(("deadband_um",), "must be below absolute_bound_um, or nothing is ever written")])
         if self.tool_term is not None and self.estimate is None:
             raise KeyProblems([(("tool_term",), "an axis without `estimate` stays disabled and takes no tool term")])
+        if self.tool_term is not None and self.slope is not None:
+            raise KeyProblems([(("tool_term",), "a slope takes no tool term: a tool grows the same everywhere")])
         return self
 
 
@@ -218,3 +259,61 @@ class CompensationConfig(Section):
     )
     reference: ReferenceConfig = Field(default_factory=ReferenceConfig, description="work positioning")
     output: OutputConfig = Field(default_factory=OutputConfig, description="timing and states")
+
+    @model_validator(mode="after")
+    def _slopes_leave_room(self) -> "CompensationConfig":
+        problems: list[tuple[KeyPath, str]] = []
+        sloped: dict[str, str] = {}
+        for name, slope in self.slopes.items():
+            at: KeyPath = ("axes", name, "slope", "of")
+            if slope.of not in self.axes or slope.of in self.slopes:
+                offsets = ", ".join(axis for axis in self.axes if axis not in self.slopes)
+                problems.append(
+                    (at, f"there is no axis {slope.of} that takes an offset; there are {offsets or 'none'}")
+                )
+            elif slope.of in sloped:
+                problems.append((at, f"{sloped[slope.of]} is the slope of {slope.of} already"))
+            else:
+                problems += self._without_room(name, slope)
+            sloped.setdefault(slope.of, name)
+        if problems:
+            raise KeyProblems(problems)
+        return self
+
+    def _without_room(self, name: str, slope: SlopeConfig) -> Iterator[tuple[KeyPath, str]]:
+        """Yield which limits of a slope leave its axis' offset nothing."""
+        for key in SHARED_LIMITS:
+            of_slope, of_axis = getattr(self.axes[name], key), getattr(self.axes[slope.of], key)
+            if (taken := of_slope * slope.reach_m) >= of_axis:
+                sentence = (
+                    f"makes {taken:g} um at {1000.0 * slope.reach_m:g} mm from the pivot, the far end of the travel, "
+                    f"and leaves the offset nothing of the {of_axis:g} um of compensation.axes.{slope.of}.{key}"
+                )
+                yield ("axes", name, key), sentence
+
+    @property
+    def slopes(self) -> dict[str, SlopeConfig]:
+        """Entries of `axes` that are slopes, by name."""
+        return {name: axis.slope for name, axis in self.axes.items() if axis.slope is not None}
+
+    @property
+    def asked_for(self) -> tuple[str, ...]:
+        """Axes that a request of the NC program may name by their places, '' for a slope, which it may not."""
+        return tuple("" if axis in self.slopes else axis for axis in self.axes)
+
+    def unit_of(self, axis: str) -> dict[str, str]:
+        """Return what status says of the unit of a slope; nothing of an offset, which is in um."""
+        return {"unit": "um/m"} if axis in self.slopes else {}
+
+    @cached_property
+    def outputs(self) -> dict[str, AxisConfig]:
+        """The axes with what offset and slope may do alone, so that they never exceed an axis' limits together.
+
+        What the slope may make at the far end of the travel is taken off the offset's bound, slew rate and step.
+        """
+        found = dict(self.axes)
+        for name, slope in self.slopes.items():
+            whole = found[slope.of]
+            left = {key: getattr(whole, key) - getattr(found[name], key) * slope.reach_m for key in SHARED_LIMITS}
+            found[slope.of] = whole.model_copy(update=left)
+        return found

@@ -100,7 +100,11 @@ def _record(configuration: Configuration) -> Finding:
         return Finding(subject="commissioning", passed=False, detail=str(error))
     axes = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
     inhibit = refused or commissioning_inhibit(
-        record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=axes
+        record,
+        cnc_identity=record.cnc_identity,
+        macros=configuration.cnc.macros,
+        axes=axes,
+        slopes=configuration.compensation.slopes,
     )
     detail = inhibit or f"{record.cnc_identity} by {record.person} on {record.date}"
     return Finding(subject="commissioning", passed=not inhibit, detail=detail)

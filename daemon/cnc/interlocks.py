@@ -93,6 +93,7 @@ class Interlocks:
             macros=self._configuration.cnc.macros,
             axes=sorted(axes),
             guard_version=guard_version,
+            slopes=self._configuration.compensation.slopes,
         )
 
     def request_inhibit(

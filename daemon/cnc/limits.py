@@ -44,7 +44,7 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
     further than sign and scale say, bound, step and slew rate shrink by as much, so that what moves
     stays within the configured limits.
     """
-    axes = configuration.compensation.axes
+    axes = configuration.compensation.outputs
     excess = factors.excess if isinstance(factors, CommissionedFactors) else {}
     certain = np.array([1.0 / excess.get(axis, 1.0) for axis in axes])
     share = np.minimum(certain, [abs((factors or {}).get(axis, 1.0)) for axis in axes])

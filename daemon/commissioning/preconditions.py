@@ -90,8 +90,8 @@ def refuse_offset(configuration: Configuration, axes: tuple[str, ...], offset_um
             f"an offset of {offset_um:g} um is no whole number of the control's increments of {increment_um:g} um "
             "(cnc.guard.increment_mm), so the guard could not apply it exactly; choose another --offset-um"
         )
-    for axis in axes:
-        bound_um = configuration.compensation.axes[axis].absolute_bound_um
+    for axis in (each for each in axes if each not in configuration.compensation.slopes):
+        bound_um = configuration.compensation.outputs[axis].absolute_bound_um
         if abs(offset_um) > bound_um:
             raise CommissioningRefusedError(
                 f"axis {axis}: an offset of {offset_um:g} um is outside its absolute bound of {bound_um:g} um; choose "

@@ -8,8 +8,9 @@ from importlib.metadata import version
 
 import numpy as np
 
-from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.records.commissioning import CommissionedAxis, CommissionedSlope, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
+from config.schema.compensation import AxisConfig
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError
 from daemon.commissioning.judgement import judge, refuse_noise
@@ -25,7 +26,8 @@ from daemon.commissioning.preconditions import (
     told_text,
 )
 from daemon.commissioning.readings import WORDS, DisplacementLog, Instruments, Moment, Reading
-from daemon.commissioning.station import Station
+from daemon.commissioning.slope import Positions, positions_of, read_at, slope_to_write
+from daemon.commissioning.station import UM_PER_MM, Station
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import WantedAxes
 from daemon.state_store.store import StateStore
@@ -46,6 +48,8 @@ class Plan:
     overwrite_foreign: bool = False
     accept_reversed: frozenset[str] = frozenset()
     accept_scale: frozenset[str] = frozenset()
+    positions: Mapping[str, Positions] = field(default_factory=dict)
+    """Machine positions of an axis [mm] at which its slope is read, by the slope's name; else a person is asked."""
     guard_program_sha256: str | None = None
 
 
@@ -205,9 +209,11 @@ class Commissioning:
         await self._movement.switch_off()
 
     async def _prove_axis(self, axis: str) -> CommissionedAxis:
+        limits = self._configuration.compensation.outputs[axis]
+        if limits.slope is not None:
+            return await self._prove_slope(axis, limits)
         station, offset_um = self._station, self._plan.offset_um
         index = station.axes.index(axis)
-        limits = self._configuration.compensation.axes[axis]
         minutes = abs(offset_um) / limits.slew_um_per_min
         self._say(
             f"Axis {axis}: {offset_um:+g} um, at {limits.slew_um_per_min:g} um/min ({minutes:.1f} min); read by "
@@ -220,9 +226,44 @@ class Commissioning:
         taken[Moment.AT_OFFSET] = await self._read(axis, Moment.AT_OFFSET)
         await self._movement.move(index, 0.0)
         taken[Moment.AFTER] = await self._read(axis, Moment.AFTER)
+        return self._judged(axis, offset_um, taken)
+
+    async def _prove_slope(self, axis: str, limits: AxisConfig) -> CommissionedAxis:
+        """Prove a slope at two positions of its axis."""
+        station, plan = self._station, self._plan
+        index = station.axes.index(axis)
+        positions = await positions_of(axis, limits, plan.positions, self._dialogue)
+        increment_um = self._configuration.cnc.guard.increment_mm * UM_PER_MM
+        assert limits.slope is not None
+        um_per_m = slope_to_write(axis, limits, plan.offset_um, positions, increment_um)
+        moves_um = um_per_m * (positions[1] - positions[0]) / 1000.0
+        self._say(
+            f"Axis {axis}: a slope of {um_per_m:+g} um/m, which moves {positions[1]:g} mm by {moves_um:+.2f} um "
+            f"against {positions[0]:g} mm; read at both by {self._instruments.observed_by(axis)}."
+        )
+
+        async def read(moment: Moment) -> dict[str, Reading]:
+            self._refuse_motion(axis, moment)
+            readings = await read_at(axis, limits, moment, positions, self._instruments, self._dialogue)
+            await station.next_beat()
+            self._refuse_motion(axis, moment)
+            refuse_noise(axis, moves_um, readings[axis])
+            return readings
+
+        taken: dict[Moment, Mapping[str, Reading]] = {Moment.BEFORE: await read(Moment.BEFORE)}
+        station.enable = [other == axis for other in station.axes]
+        await self._movement.move(index, um_per_m)
+        taken[Moment.AT_OFFSET] = await read(Moment.AT_OFFSET)
+        await self._movement.move(index, 0.0)
+        taken[Moment.AFTER] = await read(Moment.AFTER)
+        proved = self._judged(axis, moves_um, taken)
+        seen = CommissionedSlope(of=limits.slope.of, pivot_mm=limits.slope.pivot_mm, positions_mm=positions)
+        return proved.model_copy(update={"slope": seen})
+
+    def _judged(self, axis: str, written_um: float, taken: Mapping[Moment, Mapping[str, Reading]]) -> CommissionedAxis:
         found = judge(
             axis,
-            offset_um,
+            written_um,
             taken,
             accept_reversed=axis in self._plan.accept_reversed,
             accept_scale=axis in self._plan.accept_scale,
@@ -233,7 +274,8 @@ class Commissioning:
     async def _read(self, axis: str, moment: Moment) -> Mapping[str, Reading]:
         station = self._station
         self._refuse_motion(axis, moment)
-        readings = await self._instruments.take(axis, moment, station.axes)
+        offsets = [each for each in station.axes if each not in self._configuration.compensation.slopes]
+        readings = await self._instruments.take(axis, moment, offsets)
         await station.next_beat()
         self._refuse_motion(axis, moment)
         refuse_noise(axis, self._plan.offset_um, readings[axis])

@@ -93,7 +93,7 @@ def _limits(record: CommissioningRecord, configuration: Configuration) -> Sectio
     rows = tuple(
         (name, "yes" if name in record.axes else "no", f"{axis.absolute_bound_um:g}", f"{axis.slew_um_per_min:g}",
          f"{axis.step_um:g}")
-        for name, axis in configuration.compensation.axes.items()
+        for name, axis in configuration.compensation.outputs.items()
     )  # fmt: skip
     head = ("axis", "commissioned", "bound [um]", "slew rate [um/min]", "step [um]")
     return Section(title="Limits in the configuration", head=head, rows=rows)

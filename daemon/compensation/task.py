@@ -58,7 +58,7 @@ class ControlTask:
         self.limits, self.journal = parts.limits, parts.journal
         self.modelled = parts.interlocks.modelled
         self._sources = axis_sources(configuration)
-        handshake = Handshake(configuration.cnc.macros.request, self.limits.axes)
+        handshake = Handshake(configuration.cnc.macros.request, configuration.compensation.asked_for)
         self._references = References(configuration, self._clock, history, parts.tell_thermal, self.journal, handshake)
         self.skill = SkillWatch(self._sources, configuration)
         self._measured = MeasuredByNc(self.limits, history, self.journal, self.skill, self._references, self._now)

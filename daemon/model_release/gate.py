@@ -25,6 +25,27 @@ def training_inhibit(model: ThermalModel) -> str:
     return ""
 
 
+def slope_inhibit(model: ThermalModel, configuration: Configuration) -> str:
+    """Return why a model's slopes do not fit the axes that take them, '' when they do."""
+    for name, axis in configuration.compensation.axes.items():
+        if axis.estimate is None or axis.estimate not in model.channels:
+            continue
+        key, pivot_mm = f"compensation.axes.{name}.estimate", model.pivots_mm.get(axis.estimate)
+        if axis.slope is None and pivot_mm is not None:
+            return (
+                f"channel {axis.estimate} is a slope along an axis [um/m], and axis {name} takes an offset; "
+                f"name the channel of the offset ({key})"
+            )
+        if axis.slope is not None and pivot_mm is None:
+            return f"channel {axis.estimate} is no slope along an axis, and {name} is one; name the slope's ({key})"
+        if axis.slope is not None and pivot_mm != axis.slope.pivot_mm:
+            return (
+                f"channel {axis.estimate} is a slope about {pivot_mm:g} mm, and {name} about "
+                f"{axis.slope.pivot_mm:g} mm (compensation.axes.{name}.slope.pivot_mm): train with that pivot"
+            )
+    return ""
+
+
 def gate_inhibit(model: ThermalModel, configuration: Configuration) -> str:
     """Return why a model may not be released, judged by its own figures; '' when it may."""
     return next(_inhibits(model, configuration), "")
@@ -33,6 +54,8 @@ def gate_inhibit(model: ThermalModel, configuration: Configuration) -> str:
 def _inhibits(model: ThermalModel, configuration: Configuration) -> Iterator[str]:
     if refused := training_inhibit(model):
         yield refused
+    if unfit := slope_inhibit(model, configuration):
+        yield unfit
     for channel, widest_um in channels_in_use(configuration).items():
         band_um = float(model.band_um[model.channels.index(channel)])
         if np.isnan(band_um):

@@ -11,7 +11,7 @@ from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError
 from daemon.model_release.file_access import Account, how_it_could_change
-from daemon.model_release.gate import training_inhibit
+from daemon.model_release.gate import slope_inhibit, training_inhibit
 from daemon.model_release.repository import release_signer, released
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
@@ -81,6 +81,8 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
     def read(content: bytes, source: str) -> tuple[ThermalModel | None, str, str]:
         """Return the thermal model, and what stands against it."""
         model, inhibit = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
+        if model is not None and (inhibit := slope_inhibit(model, configuration)):
+            return None, f"{source}: {inhibit}", ""
         return model, inhibit, "" if model is None else training_inhibit(model)
 
     return load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
@@ -180,9 +182,4 @@ def model_from_text(
         return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):
         return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
-    if along := sorted(set(channels) & set(model.pivots_mm)):
-        return None, (
-            f"{source}: channel {', '.join(along)} is a slope along an axis [um/m], and the axis that takes it "
-            "(compensation.axes, `estimate`) takes an offset; name the channel of the offset"
-        )
     return model, ""

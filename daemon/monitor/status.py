@@ -98,6 +98,7 @@ class StatusBoard:
                 "bound_um": control.bound_um[i],
                 "baseline_um": control.baseline_um[i],
                 "slew_um_per_min": control.slew_um_per_min[i],
+                **self._configuration.compensation.unit_of(axis),
             }
             for i, axis in enumerate(control.axes)
         }

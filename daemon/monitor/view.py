@@ -200,7 +200,8 @@ class _Axes:
         width = min(options.max_width - self.NUMBERS_END, 45)
         if not narrow:
             table.add_column(self.HEADINGS[-1] if width >= len(self.HEADINGS[-1]) else "", no_wrap=True)
-        for name, axis in self._axes.items():
+        for called, axis in self._axes.items():
+            name = f"{called} um/m" if axis.get("unit") else called
             if axis["estimate_from"] is None:
                 words = "no model for this axis" if width >= 23 else "no model"
                 table.add_row(name, "–", *["–"] * 4, *([] if narrow else [Text(words, style="dim")]))

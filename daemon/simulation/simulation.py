@@ -115,7 +115,7 @@ def simulated_day(
         standing_program() if standing else demo_program(),
         [as_simulated(sensor) for sensor in configuration.temperatures.every_sensor],
         configuration.cnc.macros,
-        configuration.compensation.axes,
+        configuration.compensation.outputs,
         configuration.cnc.guard,
     )
     return Simulation(machine=machine, configuration=configuration, clock=clock)
@@ -135,7 +135,7 @@ def packed_simulation(configuration: Configuration, clock: ScaledClock, path: Pa
         standing_program(),
         configuration.temperatures.sensors,
         configuration.cnc.macros,
-        configuration.compensation.axes,
+        configuration.compensation.outputs,
     )
     packed = PackedMachine(machine, script, line.name, clock, report)
     return Simulation(machine=packed, configuration=configuration, clock=clock, witness=packed)
@@ -158,7 +158,7 @@ def recorded_simulation(
             recording,
             configuration.temperatures.sensors,
             configuration.cnc.macros,
-            configuration.compensation.axes,
+            configuration.compensation.outputs,
             configuration.cnc.guard,
             block_s=recording_map.sample_s,
         )

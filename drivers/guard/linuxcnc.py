@@ -36,6 +36,7 @@ def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: st
     """Return the text of toolpoint.ngc; raises GuardTextError."""
     if cnc.driver != "linuxcnc":
         raise GuardTextError("cnc.guard.dialect linuxcnc is for cnc.driver linuxcnc")
+    fanuc.refuse_slopes(axes, cnc.guard)
     macros, guard, pins = cnc.macros, cnc.guard, Pins.of(cnc)
     pin = {**pins.inputs, **pins.outputs}
     memory = memory_of(guard, len(axes))

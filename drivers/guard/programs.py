@@ -17,8 +17,8 @@ def guard_program(configuration: Configuration) -> str:
     if cnc.guard.dialect == "linuxcnc":
         from drivers.guard.linuxcnc import linuxcnc_text
 
-        return linuxcnc_text(cnc, configuration.compensation.axes, machine=configuration.machine)
-    return guard_text(cnc.macros, configuration.compensation.axes, cnc.guard, machine=configuration.machine)
+        return linuxcnc_text(cnc, configuration.compensation.outputs, machine=configuration.machine)
+    return guard_text(cnc.macros, configuration.compensation.outputs, cnc.guard, machine=configuration.machine)
 
 
 def guard_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:

@@ -122,7 +122,7 @@ def _limits(configuration: Configuration) -> Section:
             f"{axis.absolute_bound_um:g}",
             f"{axis.step_um:g}",
         )
-        for name, axis in configuration.compensation.axes.items()
+        for name, axis in configuration.compensation.outputs.items()
     )
     return Section(title="Limits", head=("axis", "control", "external offset", "bound um", "step um"), rows=rows)
 
@@ -188,7 +188,7 @@ def _tests(configuration: Configuration) -> Section:
 
 def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
-    name, axis = next(iter(configuration.compensation.axes.items()))
+    name, axis = next(iter(configuration.compensation.outputs.items()))
     offset = 5200 + guard_axes(configuration.compensation.axes, guard)[name].number
     value, echo, status = macros.values[name], macros.echo_applied[name], macros.echo_status
     unit, increment_um = macros.unit_um, guard.increment_mm * 1000.0

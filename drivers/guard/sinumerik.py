@@ -15,6 +15,8 @@ from config.schema.guard import VACANT_R, GuardConfig
 from drivers.guard import text as fanuc
 
 LONGEST_LINE = 120
+MM_PER_M = 1000.0
+"""A slope is in mm per m in the block and in the guard's memory, SD43910 in mm per mm."""
 FIRST_ALARM = 65_000
 """User's alarms from here on stop the interpreter until RESET."""
 _POINT = re.compile(r"(?<=\d)\.(?!\d)")
@@ -44,8 +46,12 @@ def sinumerik_text(
 ) -> str:
     """Return the archive with all NC programs, each with its head; raises GuardTextError."""
     programs = fanuc.GuardPrograms.of(macros, guard)
-    rows = [_decimals(row) for row in fanuc.axis_rows(macros, axes, guard)]
-    fields = _decimals(_fields(macros, guard, len(rows)))
+    rows = [
+        _decimals(row | _datum(axes[name]))
+        for name, row in zip(axes, fanuc.axis_rows(macros, axes, guard), strict=True)
+    ]
+    words = WORDS | ({11: "MD32750 MD32760 SD43920"} if any("pivot" in row for row in rows) else {})
+    fields = _decimals(_fields(macros, guard, len(rows), words))
     numbers = {name: getattr(programs, name) for name in ("start", "guard", "initialise", "request", "enter", "leave")}
     parts = [
         f"%_N_TP{number}_SPF\n;$PATH=/_N_CUS_DIR\n"
@@ -70,19 +76,33 @@ def _head(
     yield f";TEXT {fanuc.guard_digest(body)[:16].upper()} MAP {macro_map_digest(macros)[:16].upper()}"
     for name, axis in axes.items():
         bound, step = fanuc.decimal(axis.absolute_bound_um / 1000.0), fanuc.decimal(axis.step_um / 1000.0)
-        yield f";AXIS {fanuc.comment(name)} BOUND {bound} STEP {step} MM"
+        along = "" if axis.slope is None else f" PER M, 0 AT {fanuc.decimal(axis.slope.pivot_mm)} (SD43920)"
+        yield f";AXIS {fanuc.comment(name)} BOUND {bound} STEP {step} MM{along}"
     stop = "MESSAGE" if guard.alarm == "message" else "ALARM"
     yield f";EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {fanuc.decimal(guard.max_validity_s)} S"
 
 
-def _fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict[str, str]:
+def _datum(axis: AxisConfig) -> dict[str, str]:
+    """Return what holds the value of an axis, and how it counts: SD43900 in mm, SD43910 in mm per mm from SD43920."""
+    if axis.slope is None:
+        return {"datum": "$SA_TEMP_COMP_ABS_VALUE", "of_datum": "", "per_datum": "", "type_bit": "1"}
+    return {
+        "datum": "$SA_TEMP_COMP_SLOPE",
+        "of_datum": f"*{MM_PER_M}",
+        "per_datum": f"/{MM_PER_M}",
+        "type_bit": "2",
+        "pivot": fanuc.decimal(axis.slope.pivot_mm),
+    }
+
+
+def _fields(macros: MacroMapConfig, guard: GuardConfig, axes: int, words: Mapping[int, str]) -> dict[str, str]:
     seconds = {"retry_s": fanuc.RETRY_MS, "poll_s": fanuc.POLL_MS, "timeout_s": guard.request_timeout_s * 1000.0}
     return {
         **fanuc.common_fields(macros, guard, axes),
         **{name: fanuc.decimal(ms / 1000.0) for name, ms in seconds.items()},
         **{
-            f"alarm{n}": _stop("stop" if n >= 110 else guard.alarm, ALARMS.get(n, n if n >= 110 else 100 + n), words)
-            for n, words in WORDS.items()
+            f"alarm{n}": _stop("stop" if n >= 110 else guard.alarm, ALARMS.get(n, n if n >= 110 else 100 + n), text)
+            for n, text in words.items()
         },
         "timed_out": _stop(guard.on_timeout, 122, "GIVES NO ANSWER"),
         "refused": _stop(guard.alarm, 123, "REFUSES REQUEST"),

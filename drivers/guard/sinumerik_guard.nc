@@ -41,10 +41,10 @@ GOTOF TP_BAD
 TP_S{number}:
 _NEW=R{planned}
 ;DONE
-IF ABS($SA_TEMP_COMP_ABS_VALUE[{letter}]-R{after})<{half} GOTOF TP_T{number}
+IF ABS({datum}[{letter}]{of_datum}-R{after})<{half} GOTOF TP_T{number}
 _NEW=R{planned}-(R{after}-R{before})
 ;NOT DONE
-IF ABS($SA_TEMP_COMP_ABS_VALUE[{letter}]-R{before})<{half} GOTOF TP_T{number}
+IF ABS({datum}[{letter}]{of_datum}-R{before})<{half} GOTOF TP_T{number}
 _MEM=9
 GOTOF TP_JUDGE
 TP_T{number}:
@@ -91,8 +91,11 @@ IF ($P_GG[13]<>2) AND ($P_GG[13]<>4) GOTOF TP_F6
 IF $P_GG[7]<>1 GOTOF TP_F7
 IF _MEM<>0 GOTOF TP_FM
 @axes
-IF ($MA_TEMP_COMP_TYPE[{letter}] B_AND 1)==0 GOTOF TP_F11
+IF ($MA_TEMP_COMP_TYPE[{letter}] B_AND {type_bit})==0 GOTOF TP_F11
 IF $MA_COMP_ADD_VELO_FACTOR[{letter}]<=0 GOTOF TP_F11
+@end
+@slopes
+IF ABS($SA_TEMP_COMP_REF_POSITION[{letter}]-({pivot}))>{half} GOTOF TP_F11
 @end
 IF _STAT==2 GOTOF TP_EXPIRED
 IF _UNTIL=={vacant} GOTOF TP_EXPIRED
@@ -161,13 +164,13 @@ ENDIF
 IF ABS(_NEW)<{half} GOTOF TP_A{number}
 R{planned}=ROUND((_OLD+_NEW)/{increment})*{increment}
 _NEW=R{planned}-_OLD
-R{before}=$SA_TEMP_COMP_ABS_VALUE[{letter}]
+R{before}={datum}[{letter}]{of_datum}
 R{after}=R{before}+_NEW
 R{pending}={number}
 STOPRE
-$SA_TEMP_COMP_ABS_VALUE[{letter}]=$SA_TEMP_COMP_ABS_VALUE[{letter}]+_NEW
+{datum}[{letter}]={datum}[{letter}]+_NEW{per_datum}
 STOPRE
-IF ABS($SA_TEMP_COMP_ABS_VALUE[{letter}]-R{after})>{half} GOTOF TP_F9
+IF ABS({datum}[{letter}]{of_datum}-R{after})>{half} GOTOF TP_F9
 R{echo}=R{planned}{per_unit}
 R{mirror}=R{planned}
 R{pending}=0

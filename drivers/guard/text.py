@@ -101,9 +101,9 @@ def alarm_number(status: GuardStatus) -> int:
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:
-    """Return letter and number of every axis; raises GuardTextError where they are not configured."""
+    """Return letter and number of every axis, of a slope those of the axis that it acts on; raises GuardTextError."""
     found: dict[str, GuardAxisConfig] = {}
-    for name in axes:
+    for name in (each for each in axes if axes[each].slope is None):
         usual = USUAL_AXES.get(name.lower())
         if name in guard.axes:
             found[name] = guard.axes[name]
@@ -118,11 +118,12 @@ def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, 
         taken = [getattr(axis, part) for axis in found.values()]
         if twice := sorted({str(value) for value in taken if taken.count(value) > 1}):
             raise GuardTextError(f"cnc.guard.axes: {part} {twice[0]} stands for more than one axis")
-    return found
+    return {name: found[name if axis.slope is None else axis.slope.of] for name, axis in axes.items()}
 
 
 def fanuc_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
     """Return the text of all NC programs in custom macro B that the map has macros for; raises GuardTextError."""
+    refuse_slopes(axes, guard)
     programs = GuardPrograms.of(macros, guard)
     rows = list(axis_rows(macros, axes, guard))
     fields = common_fields(macros, guard, len(rows))
@@ -141,6 +142,15 @@ def fanuc_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gu
     text = "%\n" + first + "\n" + "\n".join(_head(macros, axes, guard, machine, body)) + "\n" + rest + "%\n"
     _check(text)
     return text
+
+
+def refuse_slopes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> None:
+    """Refuse a slope in a language whose programs apply none; raises GuardTextError."""
+    if slopes := [name for name, axis in axes.items() if axis.slope is not None]:
+        raise GuardTextError(
+            f"compensation.axes.{slopes[0]}.slope: the guard applies no slope in the language {guard.dialect} "
+            "(cnc.guard.dialect), only on a SINUMERIK; take the entry out"
+        )
 
 
 def decimal(value: float) -> str:
@@ -254,6 +264,7 @@ def filled_program(
     fields = {**common, "program": str(program)}
     sections: dict[str, list[dict[str, str]]] = {
         "@axes": rows,
+        "@slopes": [row for row in rows if "pivot" in row],
         "@keep": [{}] if guard.on_expiry == "keep" else [],
         "@zero": [{}] if guard.on_expiry == "zero" else [],
         "@zero_axes": rows if guard.on_expiry == "zero" else [],

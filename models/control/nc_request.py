@@ -96,7 +96,7 @@ def parse_request(
     numbers
         Which macro holds which part of the request.
     axes
-        Names of the axes; the request counts them from 1, and 0 means all.
+        Names of the axes, '' for one that is a slope; the request counts them from 1, and 0 means all.
 
     """
     try:
@@ -153,8 +153,8 @@ def _kind(macros: Mapping[int, float | None], numbers: RequestMacros) -> Request
 
 def _axis(macros: Mapping[int, float | None], numbers: RequestMacros, axes: Sequence[str]) -> str | None:
     index = _whole(macros, numbers.axis)
-    if index is None or not 0 <= index <= len(axes):
-        known = ", ".join(f"{number} {axis}" for number, axis in enumerate(axes, start=1))
+    if index is None or not 0 <= index <= len(axes) or (index and not axes[index - 1]):
+        known = ", ".join(f"{number} {axis}" for number, axis in enumerate(axes, start=1) if axis)
         raise _wrong("axis", macros, numbers.axis, f"one of 0 (all), {known}")
     return axes[index - 1] if index else None
 

@@ -38,6 +38,7 @@ def everything_in_use() -> str:
     for driver in drivers_of(SinkConfig)[1:]:
         text = re.sub(rf"^    {driver}:\n(?:      .*\n)*", "", text, flags=re.MULTILINE)
     text = re.sub(r"^( +)serial_port: .*\n", "", text, flags=re.MULTILINE)  # instead of `host`
+    text = re.sub(r"^      slope:\n(?:        .*\n)*", "", text, flags=re.MULTILINE)  # of an entry that is no offset
     return text.replace("profile: checked", "profile: custom")
 
 

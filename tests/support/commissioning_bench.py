@@ -103,15 +103,28 @@ class PresentNc:
 class Bench:
     """The machine, and what a commissioning of it needs."""
 
-    def __init__(self, directory: Path, driver: str = "opcua") -> None:
+    def __init__(self, directory: Path, driver: str = "opcua", slope: dict[str, Any] | None = None) -> None:
+        """`slope` is the entry `z_slope` of the axes, at a SINUMERIK."""
         self.directory = directory
         self.driver = driver
         """A driver's name, or `sinumerik`: the OPC UA driver at a SINUMERIK."""
         self.clock = LoopClock(SPEED)
         self._described = load_configuration(shipped_file("cfrpmt.yaml"))
-        self._content = self._described.model_dump_json()
         dialect = "sinumerik" if driver == "sinumerik" else "fanuc"
-        self.guard = simulated_guard(self._described.compensation.axes).model_copy(update={"dialect": dialect})
+        if slope is not None:
+            content = json.loads(self._described.model_dump_json())
+            content["cnc"] |= self._control(0)
+            content["cnc"]["guard"] |= {"dialect": dialect, "memory": 600}
+            content["cnc"]["macros"]["values"]["z_slope"] = 530
+            content["cnc"]["macros"]["echo_applied"]["z_slope"] = 560
+            content["compensation"]["axes"] |= {"z_slope": slope}
+            content["compensation"]["axes"]["z"]["slew_um_per_min"] = 100.0
+            self._described = Configuration.model_validate_json(json.dumps(content))
+        self._content = self._described.model_dump_json()
+        plain = load_configuration(shipped_file("cfrpmt.yaml")).compensation.axes
+        self.guard = simulated_guard(plain).model_copy(
+            update={"dialect": dialect, "memory": self._described.cnc.guard.memory}
+        )
         self.stores = 0
         self.reset()
         served = self._described.cnc.model_dump()
@@ -132,7 +145,7 @@ class Bench:
             program or standing_program(),
             self._described.temperatures.sensors,
             self._described.cnc.macros,
-            self._described.compensation.axes,
+            self._described.compensation.outputs,
             guard or self.guard,
             wiring=wiring,
         )
@@ -142,7 +155,7 @@ class Bench:
 
     def moved_um(self) -> dict[str, float]:
         """What instruments at the tool point would show [um]."""
-        return self.wiring.moved_um(self.machine.guard.applied_um)
+        return self.wiring.moved_um(self.machine.guard.offsets_um)
 
     def call_guard(self) -> None:
         """A person calls it in MDI."""
@@ -226,9 +239,9 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def serving(directory: Path, driver: str = "opcua") -> AsyncIterator[Bench]:
+async def serving(directory: Path, driver: str = "opcua", slope: dict[str, Any] | None = None) -> AsyncIterator[Bench]:
     """Serve the bench's CNC through a relay that a test can cut."""
-    bench = Bench(directory, driver)
+    bench = Bench(directory, driver, slope)
     await bench.server.start()
     bench.relay = TcpRelay(port=0, target_port=bench.server.port)
     await bench.relay.start()

@@ -17,8 +17,11 @@ class MemoryNc:
     def __init__(self, configuration: Configuration, clock: Clock) -> None:
         self.clock = clock
         self.macros = MacroTable()
-        self.guard = SafePointApplication(configuration.cnc.macros, configuration.compensation.axes)
+        guard = configuration.cnc.guard if configuration.cnc.is_sinumerik else None
+        self.guard = SafePointApplication(configuration.cnc.macros, configuration.compensation.outputs, guard)
         self.guard.initialise(self.macros, self.clock_s)
+        if guard is not None:
+            self.guard.control.start_timer(guard.timer, self.clock_s)
         self.identity = SIMULATED_CNC_IDENTITY
         self.security: Security = "insecure"
         self.cannot: dict[str, str] = {}

@@ -61,6 +61,18 @@ def _readings(
     return given
 
 
+def _positions(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Return two positions [mm] by slope: z_slope=20,480."""
+    given = {}
+    for name, content in _pairs(ctx, param, values).items():
+        try:
+            first, second = (float(part) for part in content.split(","))
+        except ValueError as error:
+            raise click.BadParameter(f"{name}={content}: two numbers are needed, FIRST,SECOND") from error
+        given[name] = (first, second)
+    return given
+
+
 @click.command()
 @config_option
 @option(
@@ -91,6 +103,14 @@ def _readings(
     callback=_readings,
     help="Readings [um] that are to be seen while AXIS is commanded, of AXIS or of another axis SEEN (repeatable); "
     "each is confirmed at its moment, so not with --yes.",
+)
+@option(
+    "--position",
+    "positions",
+    metavar="AXIS=FIRST,SECOND",
+    multiple=True,
+    callback=_positions,
+    help="Machine positions [mm] at which the slope AXIS is read (repeatable; else asked).",
 )
 @option("--patience-s", type=POSITIVE, default=300.0, help="Wait this long for the guard to be called [s].")
 @option("--yes", is_flag=True, help="Agree to every step beforehand; foreign values are not covered.")
@@ -128,6 +148,7 @@ def commission(
     channels: dict[str, str],
     samples: int,
     readings: dict[tuple[str, str], tuple[float, float, float]],
+    positions: dict[str, tuple[float, float]],
     patience_s: float,
     yes: bool,
     overwrite_foreign: bool,
@@ -165,6 +186,7 @@ def commission(
     if only_check:
         sys.exit(_check(configuration, record_file, report_path))
     known = tuple(configuration.compensation.axes)
+    _refuse_of_slopes(configuration, positions, readings)
     named = {*axes, *channels, *accept_reversed, *accept_scale, *(axis for pair in readings for axis in pair)}
     if unknown := sorted(named - set(known)):
         refuse(f"there is no axis {', '.join(unknown)}; axes are {', '.join(known)}")
@@ -190,10 +212,24 @@ def commission(
         overwrite_foreign=overwrite_foreign,
         accept_reversed=frozenset(accept_reversed),
         accept_scale=frozenset(accept_scale),
+        positions=positions,
         guard_program_sha256=None if guard_program is None else sha256_of(guard_program.read_bytes()),
     )
     sources = Sources(channels=channels, given=readings, samples=samples)
     sys.exit(_commission(configuration, plan, sources, record_file, report_path, simulated_clock, consent=yes))
+
+
+def _refuse_of_slopes(
+    configuration: "Configuration",
+    positions: dict[str, tuple[float, float]],
+    readings: dict[tuple[str, str], tuple[float, float, float]],
+) -> None:
+    """Refuse positions of what is no slope, and readings of a slope beforehand."""
+    slopes = configuration.compensation.slopes
+    if wrong := sorted(set(positions) - set(slopes)):
+        refuse(f"--position: {wrong[0]} is no slope; slopes are {', '.join(slopes) or 'none'} (compensation.axes)")
+    if wrong := sorted({axis for pair in readings for axis in pair} & set(slopes)):
+        refuse(f"--reading: the slope {wrong[0]} is read at two positions; answer when asked, or name a --channel")
 
 
 def _commission(
@@ -289,7 +325,11 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
         _write_report(report_path, report_html(record, configuration))
     wanted = sorted(name for name, axis in configuration.compensation.axes.items() if axis.estimate)
     inhibit = commissioning_inhibit(
-        record, cnc_identity=record.cnc_identity, macros=configuration.cnc.macros, axes=wanted
+        record,
+        cnc_identity=record.cnc_identity,
+        macros=configuration.cnc.macros,
+        axes=wanted,
+        slopes=configuration.compensation.slopes,
     )
     if inhibit:
         say(f"It does not permit what the configuration wants: {inhibit}")

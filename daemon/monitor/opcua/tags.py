@@ -84,16 +84,18 @@ class Tags:
         for axis in self._configuration.compensation.axes.values():
             if axis.estimate is not None and axis.estimate not in self._channels:
                 name = f"estimate.{axis.estimate}"
+                unit = "µm" if axis.slope is None else "µm/m"
                 self._channels[axis.estimate] = (
-                    self._number(f"{name}.thermal_error_um", folder, "µm", "actual minus nominal"),
-                    self._number(f"{name}.band_um", folder, "µm", "half width of the prediction band"),
+                    self._number(f"{name}.thermal_error_um", folder, unit, "actual minus nominal"),
+                    self._number(f"{name}.band_um", folder, unit, "half width of the prediction band"),
                 )
         yield
-        for axis_name in self._configuration.compensation.axes:
-            axis_folder = self._folder(f"compensation.{axis_name}", f"offset of axis {axis_name}")
+        for axis_name, axis in self._configuration.compensation.axes.items():
+            kind, unit = ("offset of axis", "µm") if axis.slope is None else ("slope", "µm/m")
+            axis_folder = self._folder(f"compensation.{axis_name}", f"{kind} {axis_name}")
             for value, words in AXIS_VALUES.items():
                 name = f"compensation.{axis_name}.{value}"
-                self._values[name] = self._number(name, axis_folder, "µm", words)
+                self._values[name] = self._number(name, axis_folder, unit, words)
             for value, words in (("wanted", "a person switched it on"), ("enabled", "its enable bit is set")):
                 name = f"compensation.{axis_name}.{value}"
                 self._values[name] = self._add(

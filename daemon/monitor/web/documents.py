@@ -110,6 +110,7 @@ class Documents:
                 "enabled": control.enabled[i],
                 "confidence": estimate.confidence if estimate is not None and channel else None,
                 "limits_hit": [hit.partition(":")[2] for hit in control.limits_hit if hit.startswith(f"{axis}:")],
+                **self._configuration.compensation.unit_of(axis),
             }
         return axes
 

@@ -48,6 +48,7 @@ class AxisStatus(Document):
     enabled: bool = Field(description="its enable bit is written")
     confidence: float | None = Field(description="how far the estimate may be followed, 0 to 1")
     limits_hit: list[str] = Field(description="limits that act now: bound, slew, step")
+    unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
 
 
 class ReferenceStatus(Document):

@@ -50,7 +50,7 @@ class CfrpMachine:
         *,
         wiring: Wiring = STRAIGHT,
     ) -> None:
-        if unknown := sorted(set(axes) - set(AXES)):
+        if unknown := sorted({name for name, axis in axes.items() if axis.slope is None} - set(AXES)):
             raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
         self.body = MachineBody(day, program, sensors)
         self.time_s = 0.0
@@ -102,7 +102,7 @@ class CfrpMachine:
 
     def displacement_um(self) -> dict[str, float]:
         """Return the displacement sensors' readings by channel [um]; they see what the compensation does."""
-        moved_um = self._wiring.moved_um(self.guard.applied_um)
+        moved_um = self._wiring.moved_um(self.guard.offsets_um)
         return {channel: um + moved_um[CHANNEL_AXES[channel]] for channel, um in self.body.displacement_um().items()}
 
     def truth(self) -> dict[str, AxisTruth]:
@@ -110,7 +110,7 @@ class CfrpMachine:
         if self._zero is None:
             return {}
         zero_um, moved_then_um = self._zero
-        moved_um = self._wiring.moved_um(self.guard.applied_um)
+        moved_um = self._wiring.moved_um(self.guard.offsets_um)
         error_um = self._tool_point_um() - zero_um
         cutting = self.body.block.kind == "cut"
         truth: dict[str, AxisTruth] = {}
@@ -132,7 +132,7 @@ class CfrpMachine:
         elif self._nc.run != RunCode.RESET:
             self._nc.run = RunCode.STOP
         if block.kind == "positioning":
-            self._zero = (self._tool_point_um(), self._wiring.moved_um(self.guard.applied_um))
+            self._zero = (self._tool_point_um(), self._wiring.moved_um(self.guard.offsets_um))
         if block.tool_number is not None:
             self._nc.tool_number = block.tool_number
         measured = self.truth().get(block.probe or "")

@@ -17,6 +17,7 @@ from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroProgram,
 from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikInterpreter, SinumerikProgram, compile_archive
 
 LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "A", "B", "C", "U", "V", "W")
+MM_PER_M = 1000.0
 SIMULATED_INCREMENT_MM = 0.0001
 """Offsets of the simulated control, where no configuration says otherwise (IS-C) [mm]."""
 
@@ -62,6 +63,9 @@ class SafePointApplication:
         self.interpreter: Interpreter | SinumerikInterpreter
         if guard.dialect == "sinumerik":
             siemens = SinumerikControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
+            for name, slope in ((name, axis.slope) for name, axis in axes.items() if axis.slope is not None):
+                siemens.pivots_mm[self._places[name]] = slope.pivot_mm
+                siemens.compensation_types[self._axes[name].letter] = 3
             self.control = siemens
             self.interpreter = SinumerikInterpreter(_compiled_archive(self.text), siemens)
         else:
@@ -70,25 +74,33 @@ class SafePointApplication:
                 fanuc.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
             self.control = fanuc
             self.interpreter = Interpreter(_compiled(self.text), fanuc)
+        self._slopes = {name for name, axis in axes.items() if axis.slope is not None}
         self._own_mm = dict.fromkeys(axes, 0.0)
 
     @property
     def applied_um(self) -> dict[str, float]:
-        """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um]."""
-        external_mm, places = self.control.external_mm, self._places
-        return {axis: round((external_mm[places[axis]] - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
+        """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um].
+
+        Of a slope what it adds at one metre from its pivot.
+        """
+        return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
+
+    @property
+    def offsets_um(self) -> dict[str, float]:
+        """The same without slopes: the simulated axes stand at their pivots."""
+        return {axis: um for axis, um in self.applied_um.items() if axis not in self._slopes}
 
     def change_own_offset(self, axis: str, by_um: float) -> None:
         """Let the operator add to the own offset by hand [um]."""
         self._own_mm[axis] += by_um / 1000.0
-        self.control.external_mm[self._places[axis]] += by_um / 1000.0
+        self._set_external_mm(axis, self._external_mm(axis) + by_um / 1000.0)
 
     def place(self, macros: Macros, applied_um: Mapping[str, float]) -> None:
         """Make the control one that applies these offsets [um] and remembers it."""
         for place, axis in enumerate(self._axes):
             if axis in applied_um:
                 mm = applied_um[axis] / 1000.0
-                self.control.external_mm[self._places[axis]] = self._own_mm[axis] + mm
+                self._set_external_mm(axis, self._own_mm[axis] + mm)
                 macros.set(self._map.echo_applied[axis], mm * 1000.0 / self._map.unit_um)
                 macros.set(self._memory[-len(self._axes)] + place, mm)
 
@@ -132,7 +144,17 @@ class SafePointApplication:
         self.control.power_on()
 
     def _external_mm(self, axis: str) -> float:
-        return self.control.external_mm[self._places[axis]]
+        place = self._places[axis]
+        if axis in self._slopes and isinstance(self.control, SinumerikControl):
+            return self.control.slopes[place] * MM_PER_M
+        return self.control.external_mm[place]
+
+    def _set_external_mm(self, axis: str, mm: float) -> None:
+        place = self._places[axis]
+        if axis in self._slopes and isinstance(self.control, SinumerikControl):
+            self.control.slopes[place] = mm / MM_PER_M
+        else:
+            self.control.external_mm[place] = mm
 
 
 class _NoMacros:

@@ -46,7 +46,7 @@ export async function page(place, context) {
 
 function state(status) {
   const known = STATES[status.state] ?? { mark: "?", words: status.state };
-  const axes = Object.entries(status.axes).filter(([, axis]) => axis.enabled);
+  const axes = Object.entries(status.axes).filter(([, axis]) => axis.enabled && !axis.unit);
   const without = axes.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.estimated_um)}`).join(", ");
   const left = axes.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.remaining_um)}`).join(", ");
   return h("section", { class: `card state tone-${status.state}`, "aria-label": "State of the output" },
@@ -145,7 +145,7 @@ function axes(status) {
   const rows = Object.entries(status.axes).map(([name, axis]) => {
     const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled ? h("span", { class: "tag good" }, "on")
       : h("span", { class: "tag" }, axis.wanted ? "waits" : "off");
-    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), " ", tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
+    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? " µm/m " : " ", tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
       h("span", { class: "main" }, signed(axis.applied_um)), axis.band_um === null ? NONE : `± ${number(axis.band_um)}`, `± ${number(axis.bound_um, 0)}`,
       axis.channel === null ? h("span", { class: "dim" }, "no channel of the model is named for this axis") : gauge(name, axis)];
     return h("tr", { id: `axis-${name}` }, cells.map((cell, column) => h("td", { "data-head": head[column][0] }, cell)));

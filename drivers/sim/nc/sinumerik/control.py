@@ -42,6 +42,10 @@ class SinumerikControl:
         self.tool_number = 0
         self.external_mm = [0.0] * len(self.addresses)
         """What each axis is moved by [mm]: SD43900, the operator's own and what a program has added."""
+        self.slopes = [0.0] * len(self.addresses)
+        """SD43910 of each axis [mm per mm]."""
+        self.pivots_mm = [0.0] * len(self.addresses)
+        """SD43920 of each axis [mm]."""
         self.groups = dict(DEFAULT_GROUPS)
         """Active function by G group."""
         self.compensation_types = dict.fromkeys(self.addresses, 1)
@@ -98,6 +102,17 @@ class SinumerikControl:
         axis = self.axis(name)
         if self.compensation_types[name] & 1 and self.velocity_factors[name] > 0.0:
             self.external_mm[axis] = round(value_mm / self.increment_mm) * self.increment_mm
+
+    def set_slope(self, name: str, mm_per_mm: float) -> None:
+        """Write SD43910 of an axis."""
+        axis = self.axis(name)
+        if self.compensation_types[name] & 2 and self.velocity_factors[name] > 0.0:
+            self.slopes[axis] = mm_per_mm
+
+    def moved_mm(self, name: str, position_mm: float) -> float:
+        """Return by how much an axis that stands at a machine position is moved [mm]."""
+        axis = self.axis(name)
+        return self.external_mm[axis] + self.slopes[axis] * (position_mm - self.pivots_mm[axis])
 
     def cycle(self) -> None:
         """Do what the control does in every cycle of its interpolator."""

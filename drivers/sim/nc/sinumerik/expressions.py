@@ -254,6 +254,10 @@ def _system(tokens: Tokens, name: str) -> Expression:
         return lambda frame: frame.given[int(index) - 1]
     if name == "$SA_TEMP_COMP_ABS_VALUE":
         return lambda frame: frame.control.external_mm[frame.control.axis(index)]
+    if name == "$SA_TEMP_COMP_SLOPE":
+        return lambda frame: frame.control.slopes[frame.control.axis(index)]
+    if name == "$SA_TEMP_COMP_REF_POSITION":
+        return lambda frame: frame.control.pivots_mm[frame.control.axis(index)]
     if name == "$MA_TEMP_COMP_TYPE":
         return lambda frame: frame.control.compensation_types[index]
     if name == "$MA_COMP_ADD_VELO_FACTOR":

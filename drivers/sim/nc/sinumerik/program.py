@@ -251,6 +251,8 @@ def _assignment(line: str) -> Action:
         return lambda run: run.control.start_timer(int(index), real(value(run)))
     if name == "$SA_TEMP_COMP_ABS_VALUE":
         return lambda run: run.control.set_compensation(index, real(value(run)))
+    if name == "$SA_TEMP_COMP_SLOPE":
+        return lambda run: run.control.set_slope(index, real(value(run)))
     if not name.startswith("_"):
         raise SinumerikError(f"{name!r} in {line!r} is not known here")
 

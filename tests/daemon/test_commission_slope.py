@@ -1,0 +1,66 @@
+"""A slope is commissioned at two positions of its axis, on a simulated SINUMERIK over real OPC UA."""
+
+import asyncio
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commissioning_bench import Bench, Person, serving
+
+from daemon.commissioning.initialising import CommissioningRefusedError
+from drivers.guard.text import GUARD_VERSION
+
+SLOPE = {
+    "estimate": "Z1_per_m",
+    "absolute_bound_um": 60.0,
+    "slew_um_per_min": 100.0,
+    "step_um": 4.0,
+    "slope": {"of": "z", "pivot_mm": 250.0, "travel_mm": [0.0, 500.0]},
+}
+AT_MM = (20.0, 480.0)
+
+
+class Walking(Person):
+    """Brings the axis to where it is asked for, and reads the instrument there."""
+
+    def __init__(self, bench: Bench, factor: float = 1.0) -> None:
+        super().__init__(bench)
+        self.at_mm = 250.0
+        self.factor = factor
+        self.eyes = lambda axis: self.reading_um() if axis == "z" else bench.moved_um()[axis]
+
+    def reading_um(self) -> float:
+        """What the instrument shows where the axis stands: an unevenness of its own, and what the control moves."""
+        control = self.bench.machine.guard.control
+        offset_um = control.moved_mm("Z", control.pivots_mm[control.axis("Z")]) * 1000.0
+        slope_um = control.moved_mm("Z", self.at_mm) * 1000.0 - offset_um
+        return 3.0 * self.at_mm / 500.0 + offset_um + self.factor * slope_um
+
+    async def confirm(self, question: str) -> bool:
+        """Bring the axis there."""
+        if found := re.search(r"stand at ([0-9.]+) mm", question):
+            self.at_mm = float(found[1])
+        return await super().confirm(question)
+
+
+def test_a_slope_is_proved_by_what_two_positions_show(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with serving(tmp_path, "sinumerik", SLOPE) as bench:
+            person = Walking(bench)
+            plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
+            record = await bench.commission(person, **plan)
+            assert record is not None and record.guard_version == GUARD_VERSION
+            proved = record.axes["z_slope"]
+            assert (proved.sign, proved.scale) == (1, 1.0)
+            assert proved.slope is not None and proved.slope.positions_mm == AT_MM
+            assert proved.slope.of == "z" and proved.slope.pivot_mm == 250.0
+            assert proved.written_um == pytest.approx(proved.measured_um) and proved.written_um >= 2.0
+            assert proved.readings is not None and "z at 480 mm minus at 20 mm" in proved.readings.source
+            assert bench.at_rest(), "everything is back at zero"
+            bench.reset()
+            with pytest.raises(CommissioningRefusedError, match="the sign is wrong"):
+                await bench.commission(Walking(bench, -1.0), **plan)
+            assert bench.at_rest()
+
+    asyncio.run(main())
