@@ -1,5 +1,6 @@
 """What holds for every test: no deadline because the computer was slow, a log as nobody has set it, order, folders."""
 
+import gc
 import os
 import shutil
 import sys
@@ -64,6 +65,7 @@ def log_as_it_begins() -> Iterator[None]:
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests' folders in memory, where the computer has enough of it, unless `--basetemp` names another."""
+    gc.disable()  # until all tests are there: nothing that is loaded now goes away
     if hasattr(config, "workerinput") or config.option.basetemp is not None or not fit(IN_MEMORY):
         return
     config.stash[_folder] = tempfile.tempdir = os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="tests-", dir=IN_MEMORY)
@@ -95,11 +97,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Load the standard nodes of OPC UA once, where a test serves some."""
+    """Load the standard nodes of OPC UA once, where a test serves some; look for garbage in what comes now alone."""
     if "asyncua.server.internal_server" in sys.modules:
         from standard_nodes import loaded_once
 
         loaded_once()
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
