@@ -111,7 +111,7 @@ class LinearOnline:
             self._reference = replace(self._reference, shift_degc=self._state.lagged - before.lagged)
         if reference.excluded is not None and self._state is not None:
             self._state = with_faults(self.model, self._state, reference.excluded)
-        if reference.kept is not None and reference.kept["model_id"] == self.model.model_id:
+        if reference.kept is not None:
             self._restore(reference.kept)
         self._wrong = set(_found_wrong(self._state))
         return readmitted_ids
@@ -132,8 +132,14 @@ class LinearOnline:
 
     @property
     def kept(self) -> dict[str, Any] | None:
-        """What the sensors that returned since the reference count from; None while none has."""
-        if self._reference is None or not self._anew or self.history_min <= 0.0:
+        """What the sensors that returned since the reference count from, and how far that may be off; None: none."""
+        if self._reference is None:
+            return None
+        if self.history_min <= 0.0:  # the reference holds the temperatures that they count from
+            rest_um, unsure_um = self._reference.rest_um, self._reference.imputed_um
+            own = {"model_id": self.model.model_id, "rest_um": rest_um.tolist(), "imputed_um": unsure_um}
+            return own if unsure_um > 0.0 or rest_um.any() else None
+        if not self._anew:
             return None
         then = self._reference.state
         return {
@@ -202,7 +208,11 @@ class LinearOnline:
 
     def _restore(self, kept: Mapping[str, Any]) -> None:
         """Let sensors that returned before a restart count from where they did."""
-        if self._reference is None or self._state is None:
+        own = kept["model_id"] == self.model.model_id
+        if self._reference is not None and "reference_degc" not in kept:
+            rest_um = np.array(kept["rest_um"]) if own else self._reference.rest_um
+            self._reference = replace(self._reference, rest_um=rest_um, imputed_um=float(kept["imputed_um"]))
+        if self._reference is None or self._state is None or not own or "reference_degc" not in kept:
             return
         columns = {self.model.sensor_ids.index(int(i)): values for i, values in kept["reference_degc"].items()}
         counted = replace(

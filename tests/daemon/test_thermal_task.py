@@ -10,7 +10,7 @@ from thermal_rig import Task, model
 
 from config.machines import shipped_file
 from daemon.history import HistoryReader
-from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
+from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
 from models.quality import Quality, Reason
@@ -334,3 +334,21 @@ async def test_what_the_others_say_of_a_missing_sensor_holds_when_it_may_be_off(
     assert "what the other sensors say in place of sensor 1 may be 4.8 um off since the reference" in apart.inhibit
     await task.ask("r2")
     assert task.estimates[-1].inhibit == "", "nothing has moved since"
+
+
+async def test_what_a_sensor_was_imputed_with_holds_after_a_restart_when_it_has_returned(task):
+    await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
+    await task.ask()
+    await task.minutes(5, spindle=[np.nan, 20.1, 24.0])
+    await task.minutes(5, spindle=[26.0, 20.1, 24.0])
+    assert task.estimates[-1].imputed == () and "one that is back may be" in task.estimates[-1].inhibit
+    await task.history.flushed()
+    counted = next(item.reference for item in reversed(task.delivered) if isinstance(item, ReferenceRebased))
+    again = task.restarted(model())
+    try:
+        await again.task.recall()
+        await again.task._take(ReferenceTakenUp(reference=counted, sensors=task.sensors))
+        await again.minutes(3, spindle=[26.0, 20.1, 24.0])
+        assert again.estimates[-1].imputed == () and "one that is back may be" in again.estimates[-1].inhibit
+    finally:
+        again.history.close()

@@ -1,11 +1,16 @@
 """Exclusion and return of sensors: no step, no trace of what was wrong, no NaN."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.thermal.estimation import UNSURE_UM, Machine, OnlineReference
 from models.thermal.estimator import LinearEstimator
+from models.thermal.linear import LinearModel
 from models.thermal.mean_increment import first_mean_increment, renewed_mean_increment
 from models.thermal.rebase import estimate_since, rebased, returning, state_reference
 from models.thermal.training.making import increment_model
@@ -85,6 +90,37 @@ def test_a_sensor_missing_at_the_reference_counts_from_its_first_value():
     later = now.copy()
     later[0] += 2.0
     assert estimate_since(family, at(family, 2.0, later), found[1]).thermal_error_um == pytest.approx([8.0])
+
+
+def test_what_a_sensor_was_imputed_with_until_it_was_set_anew_stays_in_doubt_over_restarts_without_lags():
+    """The reference holds where it counts from, and not how far off that may be."""
+    model, told = estimator([[1.0, 1.0, 1.0, 1.0, 1.0, 1.0]]).model, Machine(components={})
+    nobody = np.zeros(SENSORS, dtype=bool)
+
+    def begun(degc, kept):
+        online = LinearModel.runtime(model, told)
+        online.on_sample(0.0, degc, np.nan)
+        online.set_reference(OnlineReference(time_min=0.0, now_min=1.0, degc=degc, excluded={}, kept=kept))
+        return online
+
+    def estimated(online, degc, absent=nobody):
+        online.on_sample(2.0, degc, np.nan)
+        return online.estimate(2.0, degc, absent)[0]
+
+    online = begun(np.array([np.nan, 20.0, 20.0, 20.0, 20.0, 20.0]), None)
+    now = np.array([25.0, 21.0, 22.0, 23.0, 24.0, 20.0])
+    unsure_um = estimated(online, now).imputed_um
+    assert unsure_um > UNSURE_UM
+    for _ in range(2):
+        online = begun(online.reference_degc, json.loads(json.dumps(online.kept)))
+        assert estimated(online, now).imputed_um == pytest.approx(unsure_um)
+    other = LinearModel.runtime(replace(model, model_id="other"), told)
+    other.on_sample(0.0, now, np.nan)
+    then = OnlineReference(time_min=0.0, now_min=1.0, degc=online.reference_degc, excluded={}, kept=online.kept)
+    other.set_reference(then)
+    assert estimated(other, now).imputed_um == pytest.approx(unsure_um), "another model counts from the same"
+    online.set_reference(OnlineReference(time_min=3.0, now_min=3.0, degc=now))
+    assert online.kept is None and estimated(online, now).imputed_um == 0.0
 
 
 def test_without_any_other_sensor_nothing_is_rebased():
