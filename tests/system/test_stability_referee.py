@@ -38,6 +38,15 @@ def test_helix_pitches_and_damping_agree_off_the_boundary() -> None:
     assert same.all(), [cases.described[i] for i in np.flatnonzero(~same)]
 
 
+def test_what_keeps_contact_grows_beyond_all_numbers_and_is_not_stable() -> None:
+    uneven = replace(
+        benchmark_cut(60.0, 15962.8, "slot", 10.0), pitch_rad=(3.0, 2.0 * math.pi - 3.0), keeps_contact=True
+    )
+    assert not is_stable(uneven, 120, 40)[0]
+    shallow = replace(uneven, axial_depth_m=np.array([5e-5]))
+    assert is_stable(shallow, 120, 40)[0]
+
+
 def benchmark_cut(depth_mm: float, speed_rpm: float, milling: str, radial_mm: float) -> MillingCuts:
     first, last = arc_of(milling, radial_mm * 1e-3, 10e-3)
     return MillingCuts(

@@ -83,6 +83,8 @@ class WarmUpReferee:
             helix_lag_rad=self._cut.lag_rad(depth_mm) if helical else None,
             slices=SLICES if helical else 1,
             pitch_rad=self._cut.pitch_rad,
+            # Uneven teeth that chatter out of the cut may repeat their motion turn by turn, and would count as stable.
+            keeps_contact=bool(self._cut.pitch_rad),
             damping_n_s_per_m=rubbing * depth_mm * 1e-3 / cutting_speed_m_s if rubbing else None,
         )
         return is_stable(cuts, PASSINGS, max(LEAST_STEPS, int(np.ceil(STEPS_PER_PERIOD * periods))))

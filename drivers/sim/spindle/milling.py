@@ -172,14 +172,16 @@ def is_stable(cuts: MillingCuts, passings: int = 300, steps_per_passing: int = 4
     periods = passings // every
     before = np.zeros((len(cuts.speed_rpm), 2))
     changes = np.zeros((periods, len(cuts.speed_rpm)))
-    for number, sample in enumerate(mill(cuts, periods * every, steps_per_passing), start=1):
-        if number % (steps_per_passing * every) == 0:
-            changes[number // (steps_per_passing * every) - 1] = np.linalg.norm(sample.displacement_m - before, axis=1)
-            before = sample.displacement_m
-    window = max(periods // 8, 4)
-    early = np.sqrt(np.mean(changes[periods // 2 : periods // 2 + window] ** 2, axis=0))
-    late = np.sqrt(np.mean(changes[-window:] ** 2, axis=0))
-    stable: np.ndarray = (late < FADED * early) | (late < SILENT * cuts.feed_per_tooth_m)
+    with np.errstate(over="ignore", invalid="ignore"):  # what keeps contact grows beyond all numbers
+        for number, sample in enumerate(mill(cuts, periods * every, steps_per_passing), start=1):
+            if number % (steps_per_passing * every) == 0:
+                change = np.linalg.norm(sample.displacement_m - before, axis=1)
+                changes[number // (steps_per_passing * every) - 1] = change
+                before = sample.displacement_m
+        window = max(periods // 8, 4)
+        early = np.sqrt(np.mean(changes[periods // 2 : periods // 2 + window] ** 2, axis=0))
+        late = np.sqrt(np.mean(changes[-window:] ** 2, axis=0))
+        stable: np.ndarray = (late < FADED * early) | (late < SILENT * cuts.feed_per_tooth_m)
     return stable
 
 
