@@ -1,10 +1,11 @@
 """The commissioning sheet of the NC programs: what to load, check and try, and where to sign."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from config.html_page import Section, html_page
 from config.schema import Configuration
-from config.schema.guard import SHARED_MEMORY
+from config.schema.guard import SHARED_MEMORY, VACANT_R
 from drivers.guard.check import PER_SECOND
 from drivers.guard.programs import guard_program
 from drivers.guard.text import (
@@ -17,19 +18,70 @@ from drivers.guard.text import (
     guard_digest,
 )
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """What the sheet calls things on one kind of control."""
+
+    control: str
+    variable: str
+    program: str
+    call: str
+    vacant: str
+    clock: str
+    brackets: tuple[str, str]
+    offset: str
+    """Of an axis, with its letter and its number from #5200 on."""
+    own_offset: str
+    """What an operator has shifted himself."""
+    inch: str
+    shift_block: str
+    stops: Mapping[str, str]
+
+
+WORDS = {
+    "fanuc": Words(
+        control="FANUC",
+        variable="#",
+        program="O",
+        call="G65P",
+        vacant="#0",
+        clock="#3001/1000",
+        brackets=("[", "]"),
+        offset="#{number}",
+        own_offset="EXT",
+        inch="G20, then back to G21",
+        shift_block="the block with G10",
+        stops={"message": "operator message (#3006)", "stop": "alarm (#3000)"},
+    ),
+    "sinumerik": Words(
+        control="SINUMERIK",
+        variable="R",
+        program="TP",
+        call="TP",
+        vacant=f"{VACANT_R:.0f}",
+        clock="$AC_TIMER[{timer}]",
+        brackets=("(", ")"),
+        offset="$SA_TEMP_COMP_ABS_VALUE[{letter}]",
+        own_offset="SD43900",
+        inch="G70, then back to G71",
+        shift_block="the block that writes SD43900",
+        stops={"message": "message and M0", "stop": "alarm from 65000 on"},
+    ),
+}
 SIGNATURES = ("Loaded and compared by", "Tested by", "Released for production by")
 UNVERIFIED = (
-    "This text was run in Toolpoint's own interpreter, never on a FANUC. Everything marked [control] is what the "
+    "This text was run in Toolpoint's own interpreter, never on a {control}. Everything marked [control] is what the "
     "documentation of such controls says, and has to be seen on this control before the sheet is signed."
 )
 
 
 def guard_sheet(configuration: Configuration) -> tuple[Section, ...]:
     """Return the sheet for this machine; raises GuardTextError where the programs cannot be made."""
-    if configuration.cnc.guard.dialect != "fanuc":
+    if configuration.cnc.guard.dialect not in WORDS:
         raise GuardTextError(
-            "the sheet is for custom macro programs; for another control go through the tests of "
-            "docs/how-to/install-the-guard-macro.md, sections 7 and 8"
+            "there is no sheet for LinuxCNC, which runs this text in Toolpoint's tests; go through "
+            "docs/how-to/install-the-guard-macro.md, section 8"
         )
     text = guard_program(configuration)
     return (
@@ -80,29 +132,47 @@ def _identity(configuration: Configuration, text: str) -> Section:
     calls += [("safe point begins", programs.enter), ("safe point ends", programs.leave)]
     rows = [("machine", configuration.machine), ("control, serial number", ""), ("guard version", str(GUARD_VERSION))]
     rows += [("SHA-256 of the text", guard_digest(text))]
-    rows += [(name, f"O{number}") for name, number in calls if number is not None]
-    rows += [("an expired block", f"{guard.on_expiry} what is applied, {_stop_words(guard.alarm)}")]
-    return Section(title="What this sheet is for", text=UNVERIFIED, head=("", "value"), rows=tuple(rows))
+    words = _words(configuration)
+    if guard.dialect == "sinumerik":
+        calls.append(("start", programs.start))
+    rows += [(name, f"{words.program}{number}") for name, number in calls if number is not None]
+    rows += [("an expired block", f"{guard.on_expiry} what is applied, {words.stops[guard.alarm]}")]
+    text = UNVERIFIED.format(control=words.control)
+    return Section(title="What this sheet is for", text=text, head=("", "value"), rows=tuple(rows))
 
 
-def _stop_words(alarm: str) -> str:
-    return "operator message (#3006)" if alarm == "message" else "alarm (#3000)"
+def _words(configuration: Configuration) -> Words:
+    guard = configuration.cnc.guard
+    words = WORDS[guard.dialect]
+    return replace(words, clock=words.clock.format(timer=guard.timer))
+
+
+def _offset(configuration: Configuration, axis: str) -> str:
+    """Return what holds the offset of an axis on the control."""
+    found = guard_axes(configuration.compensation.axes, configuration.cnc.guard)[axis]
+    return _words(configuration).offset.format(number=5200 + found.number, letter=found.letter)
 
 
 def _macros(configuration: Configuration) -> Section:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
-    memory = guard.memory_of(len(configuration.compensation.axes))
+    memory, v = guard.memory_of(len(configuration.compensation.axes)), _words(configuration).variable
     rows: list[tuple[str, ...]] = [
-        ("#" + ", #".join(map(str, sorted(set(macros.block) - _nc_owned(configuration)))), "daemon", "block"),
-        ("#" + ", #".join(map(str, sorted(_nc_owned(configuration)))), "NC programs", "echo, request, flag"),
-        (f"#{memory[0]} to #{memory[-1]}", "guard alone", "memory: pending axis, planned, before, after, applied"),
+        (_list(v, set(macros.block) - _nc_owned(configuration)), "daemon", "block"),
+        (_list(v, _nc_owned(configuration)), "NC programs", "echo, request, flag"),
+        (f"{v}{memory[0]} to {v}{memory[-1]}", "guard alone", "memory: pending axis, planned, before, after, applied"),
     ]
+    if guard.dialect == "sinumerik":
+        rows.append((_list(v, {guard.shown, guard.shown + 1}), "NC programs", "clock, count of power-ons"))
     return Section(
-        title="Macro variables",
+        title="Macro variables" if v == "#" else "R parameters",
         text="No other program may use one of these.",
         head=("macro", "written by", "what"),
         rows=tuple(rows),
     )
+
+
+def _list(variable: str, numbers: set[int]) -> str:
+    return ", ".join(f"{variable}{number}" for number in sorted(numbers))
 
 
 def _nc_owned(configuration: Configuration) -> set[int]:
@@ -118,7 +188,7 @@ def _limits(configuration: Configuration) -> Section:
         (
             name,
             f"{controlled[name].letter}, axis {controlled[name].number}",
-            f"#{5200 + controlled[name].number}",
+            _offset(configuration, name),
             f"{axis.absolute_bound_um:g}",
             f"{axis.step_um:g}",
         )
@@ -131,7 +201,7 @@ def _checks(configuration: Configuration) -> Section:
     guard = configuration.cnc.guard
     macros = configuration.cnc.macros
     highest = max(*macros.block, guard.memory_of(len(macros.values))[-1])
-    rows = [
+    rows = _checks_of_sinumerik(configuration) if guard.dialect == "sinumerik" else [
         ("custom macro B is there", "MDI: #1=1. runs without alarm"),
         (f"common variables up to #{highest}", "offset screen, macro page shows them"),
         ("#100-#199 are cleared by power-off, #500 and up are not", "set one of each, switch off and on [control]"),
@@ -157,15 +227,36 @@ def _checks(configuration: Configuration) -> Section:
     )
 
 
+def _checks_of_sinumerik(configuration: Configuration) -> list[tuple[str, str]]:
+    guard, macros = configuration.cnc.guard, configuration.cnc.macros
+    highest = max(*macros.block, guard.memory_of(len(macros.values))[-1], guard.shown + 1)
+    letters = ", ".join(axis.letter for axis in guard_axes(configuration.compensation.axes, guard).values())
+    start = GuardPrograms.of(macros, guard).start
+    return [
+        (f"R parameters up to R{highest}", "MD28050 (MM_NUM_R_PARAM) is greater [control]"),
+        (f"MD32750 (TEMP_COMP_TYPE) bit 0 is 1 for {letters}", "machine data of the axis [control]"),
+        (f"MD32760 (COMP_ADD_VELO_FACTOR) is above 0 for {letters}", "machine data of the axis [control]"),
+        (f"SD43900 (TEMP_COMP_ABS_VALUE) of {letters} is written by nothing else", "PLC program, cycles [control]"),
+        (f"least increment of SD43900 is {guard.increment_mm:g} mm", "write less in MDA and read it back [control]"),
+        (f"$AC_TIMER[{guard.timer}] is free", "MD28258 (MM_NUM_AC_TIMER) is greater; search the programs for it"),
+        (f"IDS={guard.synchronised_action} is free", "list of the synchronised actions"),
+        (f"TP{start} runs at the head of every program and after power-on", "PROG_EVENT, MD20108 bit 3 [control]"),
+        ("the server's clock is the timer", f"compare the clock in `toolpoint status` with R{guard.shown}"),
+        ("metric, G71 or G710, and G40", "$P_GG[13] is 2 or 4 where the guard is called"),
+        ("STOPRE ends the reading ahead", "the last test but one below [control]"),
+        ("the cycles are locked after loading", "protection level of the folder of the user's cycles [control]"),
+    ]
+
+
 def _loading(configuration: Configuration) -> Section:
-    programs = GuardPrograms.of(configuration.cnc.macros, configuration.cnc.guard)
+    programs, words = GuardPrograms.of(configuration.cnc.macros, configuration.cnc.guard), _words(configuration)
     steps = [
         "Compensation is off: `toolpoint status` says OFF, or the daemon does not run.",
-        "EXT holds what the operator wants and nothing else; write it down here:",
+        f"{words.own_offset} holds what the operator wants and nothing else; write it down here:",
         "Load the text, read it back, compare it with the file character by character.",
-        f"MDI: G65P{programs.initialise}. The echo is 0, the status 0, the version {GUARD_VERSION}.",
+        f"MDI: {words.call}{programs.initialise}. The echo is 0, the status 0, the version {GUARD_VERSION}.",
         "Run `toolpoint commission`, which initialises the daemon's macros.",
-        f"Put G65P{programs.guard} into the part programs, only where the tool is clear of the work.",
+        f"Put {words.call}{programs.guard} into the part programs, only where the tool is clear of the work.",
     ]
     return Section(
         title="Load",
@@ -176,11 +267,13 @@ def _loading(configuration: Configuration) -> Section:
 
 def _tests(configuration: Configuration) -> Section:
     rows = tuple((str(number), *row, "") for number, row in enumerate(_test_steps(configuration), start=1))
+    words = _words(configuration)
     return Section(
         title="Try, with the tool clear of everything",
-        text="The daemon is stopped; macros are set by hand, except #3001. V is a time to come: #3001/1000 plus 60. "
+        text="The daemon is stopped; variables are set by hand, but no clock. V is a time to come: "
+        f"{words.clock} plus 60. "
         f"C is the check of what the other macros then hold: {_check_expression(configuration)}. "
-        f"After each setting the guard is called once (MDI: G65P{configuration.cnc.guard.program}).",
+        f"After each setting the guard is called once (MDI: {words.call}{configuration.cnc.guard.program}).",
         head=("test", "set", "expected after the guard", "seen"),
         rows=rows,
     )
@@ -188,62 +281,70 @@ def _tests(configuration: Configuration) -> Section:
 
 def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
+<<<<<<< HEAD
     name, axis = next(iter(configuration.compensation.outputs.items()))
     offset = 5200 + guard_axes(configuration.compensation.axes, guard)[name].number
+=======
+    name, axis = next(iter(configuration.compensation.axes.items()))
+    words, offset = _words(configuration), _offset(configuration, name)
+    v, own = words.variable, words.own_offset
+>>>>>>> d459e87 (Write the commissioning sheet for a SINUMERIK in its own words: a person there had no sheet to sign)
     value, echo, status = macros.values[name], macros.echo_applied[name], macros.echo_status
     unit, increment_um = macros.unit_um, guard.increment_mm * 1000.0
     step, bound = axis.step_um / unit, axis.absolute_bound_um / unit
     half_um = max(axis.step_um / 2.0 // increment_um, 1.0) * increment_um
     memory = guard.memory + SHARED_MEMORY
-    half, late, fits = f"{half_um / unit:g}", f"#{macros.valid_until}", f"#{macros.check}=C"
+    half, late, fits = f"{half_um / unit:g}", f"{v}{macros.valid_until}", f"{v}{macros.check}=C"
 
     def state(code: GuardStatus) -> str:
-        return f"#{status}={int(code)}"
+        return f"{v}{status}={int(code)}"
 
-    same = f"#{offset} as before"
-    yield (f"#{macros.enable}=0", f"{state(GuardStatus.DISABLED)}, {same}, no message")
+    same = f"{offset} as before"
+    yield (f"{v}{macros.enable}=0", f"{state(GuardStatus.DISABLED)}, {same}, no message")
     yield (
-        f"#{macros.sequence_a}=1 #{value}={half} {late}=V #{macros.enable}=1 #{macros.sequence_b}=1 {fits}",
-        f"{state(GuardStatus.APPLIED)}, #{echo}={half}, #{offset} larger by {half_um / 1000.0:g} mm",
+        f"{v}{macros.sequence_a}=1 {v}{value}={half} {late}=V {v}{macros.enable}=1 {v}{macros.sequence_b}=1 {fits}",
+        f"{state(GuardStatus.APPLIED)}, {v}{echo}={half}, {offset} larger by {half_um / 1000.0:g} mm",
     )
     yield ("guard called again", f"{state(GuardStatus.APPLIED)}, {same}: nothing is added twice")
     yield (
-        f"#{value}={min(4 * step, bound):g}",
+        f"{v}{value}={min(4 * step, bound):g}",
         f"{state(GuardStatus.CHECK)}, message, {same}: the check is the old one",
     )
-    yield (fits, f"#{echo} larger by {step:g}: one step for each call")
-    yield (f"#{macros.sequence_a}=2", f"{state(GuardStatus.TORN)}, {same}, no message")
-    yield (f"#{macros.sequence_a}=1 {late}=1", f"{state(GuardStatus.EXPIRED)}, message, {_expiry(guard.on_expiry)}")
-    yield (f"{late}=V #{value}={bound + step:g}", f"{state(GuardStatus.OVERSIZE)}, message, {same}")
-    yield (f"#{value}=#0", f"{state(GuardStatus.VACANT)}, message, {same}")
-    yield ("G20, then back to G21", f"{state(GuardStatus.INCH)}, message, {same}")
+    yield (fits, f"{v}{echo} larger by {step:g}: one step for each call")
+    yield (f"{v}{macros.sequence_a}=2", f"{state(GuardStatus.TORN)}, {same}, no message")
+    yield (f"{v}{macros.sequence_a}=1 {late}=1", f"{state(GuardStatus.EXPIRED)}, message, {_expiry(guard.on_expiry)}")
+    yield (f"{late}=V {v}{value}={bound + step:g}", f"{state(GuardStatus.OVERSIZE)}, message, {same}")
+    yield (f"{v}{value}={words.vacant}", f"{state(GuardStatus.VACANT)}, message, {same}")
+    yield (words.inch, f"{state(GuardStatus.INCH)}, message, {same}")
     yield (
-        f"{late}=V #{value}={half} {fits}, G91 before the call",
+        f"{late}=V {v}{value}={half} {fits}, G91 before the call",
         f"{state(GuardStatus.APPLIED)}, and G91 still active",
     )
     yield (
-        f"EXT of {name} changed by hand by 0.010 mm, then {late}=V #{value}={step:g} {fits}",
-        f"#{echo}={step:g}; #{offset} keeps the 0.010 mm",
+        f"{own} of {name} changed by hand by 0.010 mm, then {late}=V {v}{value}={step:g} {fits}",
+        f"{v}{echo}={step:g}; {offset} keeps the 0.010 mm",
     )
     yield (
-        f"{late}=V #{value}={half} {fits}, single block, RESET after the block with G10, then call again",
-        f"{state(GuardStatus.APPLIED)}, #{offset} minus EXT of the operator equals #{memory}",
+        f"{late}=V {v}{value}={half} {fits}, single block, RESET after {words.shift_block}, then call again",
+        f"{state(GuardStatus.APPLIED)}, {offset} minus {own} of the operator equals {v}{memory}",
     )
     yield ("control off and on, guard called", f"{state(GuardStatus.EXPIRED)}, message, {same}")
     yield (
         f"{late}=V {fits}, in one program a feed move of 20 s and the guard in the next block",
-        f"#{macros.echo_time} is the clock after the move, not before it: nothing was read ahead",
+        f"{v}{macros.echo_time} is the clock after the move, not before it: nothing was read ahead",
     )
-    yield (f"{late}=V #{value}=0 {fits} until #{echo}=0", f"#{offset} is what the operator had, and the 0.010 mm")
+    yield (f"{late}=V {v}{value}=0 {fits} until {v}{echo}=0", f"{offset} is what the operator had, and the 0.010 mm")
 
 
 def _check_expression(configuration: Configuration) -> str:
     """Return the check as a person types it in MDI."""
     macros = configuration.cnc.macros
     to_nm = f"*{decimal(macros.unit_um * 1000.0).rstrip('.')}"
-    parts = [f"#{macros.sequence_b}+#{macros.enable}+ROUND[#{macros.valid_until}*{PER_SECOND}]"]
+    words = _words(configuration)
+    v, left, right = words.variable, *words.brackets
+    parts = [f"{v}{macros.sequence_b}+{v}{macros.enable}+ROUND{left}{v}{macros.valid_until}*{PER_SECOND}{right}"]
     parts += [
-        f"{place}*ROUND[#{macros.values[axis]}{to_nm}]"
+        f"{place}*ROUND{left}{v}{macros.values[axis]}{to_nm}{right}"
         for place, axis in enumerate(configuration.compensation.axes, start=1)
     ]
     return "+".join(parts)

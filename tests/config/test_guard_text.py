@@ -13,7 +13,7 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
-from config.schema.guard import PROGRAM_LABELS, GuardConfig
+from config.schema.guard import PROGRAM_LABELS, VACANT_R, GuardConfig
 from drivers.guard.check import block_check
 from drivers.guard.programs import guard_program, guard_text
 from drivers.guard.sheet import guard_sheet, sheet_html, sheet_markdown
@@ -161,23 +161,28 @@ def test_programs_that_the_map_has_no_macros_for_are_left_out() -> None:
     assert set(compile_programs(guard_text(flagged, AXES, GUARD))) == {9010, 9011, 9013, 9014}
 
 
-def test_what_the_sheet_says_of_the_tests_is_what_happens() -> None:
+@pytest.mark.parametrize("dialect", ["fanuc", "sinumerik"])
+def test_what_the_sheet_says_of_the_tests_is_what_happens(dialect: str) -> None:
     """Rows that set macros alone are carried out; the others need a hand on the control."""
     configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    guard = configuration.cnc.guard.model_copy(update={"dialect": dialect})
+    configuration = configuration.model_copy(update={"cnc": configuration.cnc.model_copy(update={"guard": guard})})
     rows = next(section for section in guard_sheet(configuration) if section.title.startswith("Try")).rows
-    bench = GuardBench()
+    bench = GuardBench(dialect=dialect)
+    vacant = "#0" if dialect == "fanuc" else f"{VACANT_R:.0f}"
+    value_of = rf"(?:#|\bR)(\d+)=(V|C|{vacant}|-?[\d.]+)"
     carried_out = 0
     for _, settings, expected, _ in rows:
-        if re.fullmatch(r"(#\d+=(V|C|#0|[\d.]+) ?)+", settings) is None and settings != "guard called again":
+        if re.fullmatch(rf"({value_of} ?)+", settings) is None and settings != "guard called again":
             break
         before = list(bench.nc.control.external_mm)
-        for number, value in re.findall(r"#(\d+)=(V|C|#0|[\d.]+)", settings):
+        for number, value in re.findall(value_of, settings):
             check = block_check(MAP, AXES, {number: bench.macros.get(number) for number in MAP.block})
-            found = {"V": bench.clock_s + 60.0, "C": check, "#0": None}.get(value, 0.0)
+            found = {"V": bench.clock_s + 60.0, "C": check, vacant: None}.get(value, 0.0)
             bench.macros.set(int(number), float(value) if found == 0.0 else found)
         shown = bench.nc.control.messages_shown
         bench.call(later_s=1.0)
-        for number, value in re.findall(r"#(\d+)=(-?[\d.]+)\b", expected):
+        for number, value in re.findall(r"(?:#|\bR)(\d+)=(-?[\d.]+)\b", expected):
             assert bench.macros.get(int(number)) == pytest.approx(float(value)), (settings, expected)
         if "as before" in expected:
             assert bench.nc.control.external_mm == before, settings

@@ -36,8 +36,17 @@ def test_another_dialect_is_printed_for_the_asking_and_said_to_be_another() -> N
     printed = guard("--dialect", "sinumerik")
     assert printed.exit_code == 0 and "dialect" in printed.stderr
     assert set(compile_archive(printed.stdout)) == {"TP9010", "TP9011", "TP9012", "TP9015"}
-    refused = guard("--dialect", "sinumerik", "--sheet", "sheet.md")
-    assert refused.exit_code == 2 and "the sheet is for custom macro programs" in refused.output
+    refused = guard("--dialect", "linuxcnc", "--sheet", "sheet.md")
+    assert refused.exit_code == 2 and "there is no sheet for LinuxCNC" in refused.output
+
+
+def test_the_sheet_of_a_sinumerik_speaks_of_its_own_things(tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.md"
+    assert guard("--dialect", "sinumerik", "--sheet", sheet).exit_code == 0
+    text = sheet.read_text("utf-8")
+    for words in ("| start | TP9015 |", "SD43900", "MD32750", "$AC_TIMER[1] plus 60", "never on a SINUMERIK"):
+        assert words in text, words
+    assert not any(words in text for words in ("#", "G65P", "EXT", "FANUC")[1:]) and "#5" not in text
 
 
 def test_writes_new_files_only(tmp_path: Path) -> None:
