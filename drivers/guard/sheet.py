@@ -150,6 +150,8 @@ def _words(configuration: Configuration) -> Words:
 def _offset(configuration: Configuration, axis: str) -> str:
     """Return what holds the offset of an axis on the control."""
     found = guard_axes(configuration.compensation.axes, configuration.cnc.guard)[axis]
+    if configuration.compensation.axes[axis].slope is not None:
+        return f"$SA_TEMP_COMP_SLOPE[{found.letter}]"
     return _words(configuration).offset.format(number=5200 + found.number, letter=found.letter)
 
 
@@ -230,7 +232,8 @@ def _checks(configuration: Configuration) -> Section:
 def _checks_of_sinumerik(configuration: Configuration) -> list[tuple[str, str]]:
     guard, macros = configuration.cnc.guard, configuration.cnc.macros
     highest = max(*macros.block, guard.memory_of(len(macros.values))[-1], guard.shown + 1)
-    letters = ", ".join(axis.letter for axis in guard_axes(configuration.compensation.axes, guard).values())
+    controlled = guard_axes(configuration.compensation.axes, guard).values()
+    letters = ", ".join(dict.fromkeys(axis.letter for axis in controlled))
     start = GuardPrograms.of(macros, guard).start
     return [
         (f"R parameters up to R{highest}", "MD28050 (MM_NUM_R_PARAM) is greater [control]"),
@@ -281,14 +284,9 @@ def _tests(configuration: Configuration) -> Section:
 
 def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
-<<<<<<< HEAD
     name, axis = next(iter(configuration.compensation.outputs.items()))
-    offset = 5200 + guard_axes(configuration.compensation.axes, guard)[name].number
-=======
-    name, axis = next(iter(configuration.compensation.axes.items()))
     words, offset = _words(configuration), _offset(configuration, name)
     v, own = words.variable, words.own_offset
->>>>>>> d459e87 (Write the commissioning sheet for a SINUMERIK in its own words: a person there had no sheet to sign)
     value, echo, status = macros.values[name], macros.echo_applied[name], macros.echo_status
     unit, increment_um = macros.unit_um, guard.increment_mm * 1000.0
     step, bound = axis.step_um / unit, axis.absolute_bound_um / unit
