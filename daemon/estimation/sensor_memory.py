@@ -18,6 +18,7 @@ from models.control.reference_records import LabelOrigin, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
 from models.sensor_levels import Left, SensorLevels, first_levels
+from models.thermal.estimation import UNSURE_UM
 from models.thermal.family import ThermalModel
 from models.thermal.mean_increment import (
     Fading,
@@ -51,6 +52,8 @@ class SinceReference:
         """What the model keeps of sensors that returned."""
         self.found_wrong_um = 0.0
         """What sensors that were found wrong were worth when they were found, all together [um]."""
+        self.wrong_in_tool_um = 0.0
+        """What sensors that were found wrong have made of the tool term at most [um]."""
         self._reference_min = 0.0
         self._rest: dict[str, Fading] = {}
         self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
@@ -65,7 +68,7 @@ class SinceReference:
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
-        self.found_wrong_um = 0.0
+        self.found_wrong_um = self.wrong_in_tool_um = 0.0
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
     def take_up(self, reference: Reference, kept: SensorsSinceReference | None) -> None:
@@ -78,7 +81,7 @@ class SinceReference:
         self.excluded = dict(kept.excluded)
         self.of_model = None if kept.of_model is None else dict(kept.of_model)
         self._rest = {name: self._fading(rest) for name, rest in kept.rest_um.items()}
-        self.found_wrong_um = kept.found_wrong_um
+        self.found_wrong_um, self.wrong_in_tool_um = kept.found_wrong_um, kept.wrong_in_tool_um
         for label, places in self._labels.items():
             found = kept.labels.get(label)
             if found is not None and found.sensor_ids == self._ids(places):
@@ -145,6 +148,28 @@ class SinceReference:
         means_k = {label: mean.mean_k for label, mean in self._means.items()}
         return {label: mean_k for label, mean_k in means_k.items() if math.isfinite(mean_k)}
 
+    def wrong_in_tool(self, degc: FloatArray, tool_um_per_k: FloatArray) -> str:
+        """Return why the tool term is not followed: means of labels hold sensors that were found wrong; '' when it is.
+
+        It says so until the next reference: a tool may have begun to count while one of them was wrong.
+        """
+        wrong = np.isin(self._sensor_ids, list(self.excluded)) & (tool_um_per_k > 0.0)
+        if not wrong.any():
+            return ""
+        for label, mean in self._means.items():
+            of_label, moved_k = wrong[self._labels[label]], degc[self._labels[label]] - mean.reference_degc
+            right_k = moved_k[~of_label & np.isfinite(moved_k)]
+            apart_k = np.abs(moved_k - (right_k.mean() if len(right_k) else 0.0))[of_label]
+            made_um = float(np.nansum(apart_k * tool_um_per_k[self._labels[label]][of_label]))
+            self.wrong_in_tool_um = max(self.wrong_in_tool_um, made_um)
+        if self.wrong_in_tool_um <= UNSURE_UM:
+            return ""
+        named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in np.flatnonzero(wrong)[:3])
+        return (
+            f"the tool's temperature holds {named}, found wrong, which may be {self.wrong_in_tool_um:.1f} um: "
+            "position the work again"
+        )
+
     def update(self, degc: FloatArray, online: ModelInUse, found_wrong_um: float) -> None:
         """Record which sensors were missing in an estimate, which are excluded, and what new ones were worth [um].
 
@@ -168,6 +193,7 @@ class SinceReference:
             rest_um={name: self._fading_state(rest) for name, rest in self._rest.items()},
             labels={label: self._label_origin(label, mean) for label, mean in self._means.items()},
             found_wrong_um=self.found_wrong_um,
+            wrong_in_tool_um=self.wrong_in_tool_um,
         )
         if sensors == self._told:
             return None

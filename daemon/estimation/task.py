@@ -261,9 +261,9 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model = counted, online.model
-        unsure = self._cleansing.withheld(degc, outcome.confidence) or _unsure(
-            outcome, online, self._cleansing.levels.uncertainty_k, self._tool_um_per_k, self._sensor_ids
-        )
+        level_k, tool_um_per_k = self._cleansing.levels.uncertainty_k, self._tool_um_per_k
+        unsure = self._cleansing.withheld(degc, outcome.confidence) or self._since.wrong_in_tool(degc, tool_um_per_k)
+        unsure = unsure or _unsure(outcome, online, level_k, tool_um_per_k, self._sensor_ids)
         followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
         self._since.update(degc, online, outcome.found_wrong_um)

@@ -115,6 +115,8 @@ class SensorsSinceReference:
     labels: Mapping[str, LabelOrigin] = field(default_factory=lambda: MappingProxyType({}))
     found_wrong_um: float = 0.0
     """What those that were found wrong since were worth when they were found, all together [um]."""
+    wrong_in_tool_um: float = 0.0
+    """What they have made of the tool term at most [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ import pytest
 from control_rig import SENSOR_IDS
 from thermal_rig import Task, model
 
-from daemon.messages import ReferenceRebased
+from daemon.messages import ReferenceRebased, ReferenceTakenUp
 
 
 @pytest.fixture
@@ -156,3 +156,25 @@ async def test_the_label_of_a_tool_does_not_jump_when_a_sensor_leaves_or_returns
         assert again.estimates[-1].label_increment_degc["A"] == pytest.approx(3.2)
     finally:
         again.history.close()
+
+
+async def test_a_sensor_that_was_found_wrong_holds_when_the_tool_s_temperature_holds_it(task):
+    """The model leaves it out; the mean of its label does not, and a tool may have begun to count from that."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(2)
+    task.task._tool_um_per_k = np.where(np.array(SENSOR_IDS) == 1, 0.5, 0.0)
+    found = replace(task.sensors, excluded={1: "departure"})
+    await task.task._take(ReferenceTakenUp(reference=task.references[-1], sensors=found))
+    await task.minutes(2)
+    assert "tool" not in task.estimates[-1].inhibit, "it has made nothing of it yet"
+    for rise_k in np.arange(0.5, 4.1, 0.5):
+        await task.minutes(1, spindle=[20.0 + rise_k, 20.0, 20.0])
+    await task.minutes(1, spindle=[24.0, 20.0, 20.0])
+    assert "the tool's temperature holds sensor 1, found wrong, which may be 2.0 um" in task.estimates[-1].inhibit
+    for rise_k in np.arange(3.5, -0.1, -0.5):
+        await task.minutes(1, spindle=[20.0 + rise_k, 20.0, 20.0])
+    assert "which may be 2.0 um" in task.estimates[-1].inhibit, "a tool may have begun meanwhile"
+    assert task.sensors.wrong_in_tool_um == pytest.approx(2.0), "a restart knows it"
+    await task.ask("r2")
+    assert "tool" not in task.estimates[-1].inhibit
