@@ -8,6 +8,7 @@ displacements every 10 s. PostgreSQL is a server of its own on this computer.
 
 import argparse
 import resource
+import subprocess
 import sys
 import tempfile
 import threading
@@ -105,7 +106,7 @@ def into_postgresql(server: Server, store: Path, folder: Path, hours: float, wai
     print(f"  most memory of this process, with NumPy and the bench: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
 
 
-def into_files(store: Path, folder: Path) -> None:
+def into_files(store: Path, folder: Path, hours: float) -> None:
     """Sizes are of temperatures, which are most of it."""
     (folder / "files").mkdir()
     section = {"name": "files", "driver": "parquet", "parquet": {"folder": str(folder / "files")}}
@@ -116,8 +117,24 @@ def into_files(store: Path, folder: Path) -> None:
     size = sum(path.stat().st_size for path in made)
     whole = [path.stat().st_size for path in made if path.parts[-3] == "temperatures"]
     print(f"{len(made)} Parquet files of {cursor.sent_rows} rows, {size / 2**20:.2f} MiB, {used_s:.1f} s used")
-    print(f"  temperatures: {max(whole) / 1e6:.2f} MB a day, {max(whole) * 365.25 / 1e9:.2f} GB per machine-year")
+    day = max(whole) * 24.0 / min(hours, 24.0)
+    print(f"  temperatures: {day / 1e6:.2f} MB a day, {day * 365.25 / 1e9:.2f} GB per machine-year")
     print(f"  most memory of this process: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
+
+
+IN_THE_DAEMON = """
+import pathlib, sys, time
+import daemon.app
+def kib(): return 4 * int(pathlib.Path("/proc/self/statm").read_text().split()[1])
+before = kib()
+import daemon.sinks.watching
+from daemon.history.cursors import Cursor, cursor_path
+more, path, used_s = kib() - before, cursor_path(pathlib.Path(sys.argv[1]), "plant"), time.process_time()
+for _ in range(1000):
+    assert Cursor.read(path) is not None
+used_s = (time.process_time() - used_s) / 1000
+print(f"in the daemon: {more} KiB more, {used_s * 1e6:.0f} us of processor time every 10 s")
+"""
 
 
 def main() -> None:
@@ -132,7 +149,8 @@ def main() -> None:
         fill(store, given.hours, given.noise_k)
         print(f"store: {store.stat().st_size / 2**20:.1f} MiB for {given.hours:g} h")
         into_postgresql(server, store, folder, given.hours, given.waiting_s)
-        into_files(store, folder)
+        into_files(store, folder, given.hours)
+        subprocess.run([sys.executable, "-c", IN_THE_DAEMON, str(store)], check=True)
 
 
 if __name__ == "__main__":
