@@ -112,7 +112,8 @@ def test_a_released_model_must_estimate(bench: Bench, model: str, violated: int)
     bench.watch.released(CALM_FROM_S, "m2")
     bench.watch.round(CALM_FROM_S + 10.0, claims(model="m1"))
     bench.watch.round(CALM_FROM_S + 90.0, claims(model="m1", doubtful=True))
-    assert bench.checked("model_taken_up") == (0, 0), "not yet, and not while it waits for its states"
+    bench.watch.round(CALM_FROM_S + 95.0, claims(model="m1", in_domain=False))
+    assert bench.checked("model_taken_up") == (0, 0), "not yet, and not while it waits for states or for an estimate"
     bench.watch.round(CALM_FROM_S + 100.0, claims(model=model))
     assert bench.checked("model_taken_up") == (1, violated)
 

@@ -171,14 +171,14 @@ class OperationsWatch:
         self._judge_request(time_s)
 
     def round(self, time_s: float, claims: Claims | None) -> None:
-        """Look whether a released model makes the estimates; one that still waits for its states may make none."""
+        """Look whether a released model makes the estimates; one waits for states, and for an estimate to go on from."""
         if claims is None or self._model_due is None or time_s < self._model_due[1] or time_s < self._busy_until_s:
             return
         if claims.reference is None or claims.estimate_reference != claims.reference:
             return
         model_id, _ = self._model_due
         taken = claims.model == model_id
-        if claims.doubtful and not taken:
+        if (claims.doubtful or not claims.in_domain) and not taken:
             return
         what = "" if taken else f"{time_s:.1f} s: {claims.model} estimates, {model_id} was released"
         self._ledger.check("model_taken_up", taken, what)
