@@ -171,7 +171,7 @@ class OperationsWatch:
         self._judge_request(time_s)
 
     def round(self, time_s: float, claims: Claims | None) -> None:
-        """Look whether a released model makes the estimates; one waits for states, and for an estimate to go on from."""
+        """Look whether a released model makes the estimates; one waits for states and an estimate to go on from."""
         if claims is None or self._model_due is None or time_s < self._model_due[1] or time_s < self._busy_until_s:
             return
         if claims.reference is None or claims.estimate_reference != claims.reference:
