@@ -277,7 +277,7 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
     probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)
     kalman = _bias_filter(None if offset_is_unsure(memory, inputs) else inputs.probe_wander, limits)
-    probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction)
+    probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction, _weighed_um(memory, inputs))
     memory = with_probed(memory, inputs, inputs.probe_um)
     return replace(memory, offset_um=-probed.bias_um, probed=probed)
 
@@ -285,13 +285,18 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
 def _offset_now(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Let the offset of earlier probes return, as what the model misses does."""
     probed, now_min = memory.probed, inputs.now_s / 60.0
-    if probed is None or inputs.probe_wander is None or not memory.offset_um.any():
+    if probed is None or inputs.probe_wander is None or not (memory.offset_um.any() or not probed.follows.all()):
         return memory
     if now_min - probed.time_min < ADVANCED_MIN or memory.reference_id is None:
         return memory
     probed = replace(probed, bias_um=-memory.offset_um)
-    probed = _bias_filter(inputs.probe_wander, limits).advanced(probed, now_min)
+    probed = _bias_filter(inputs.probe_wander, limits).advanced(probed, now_min, _weighed_um(memory, inputs))
     return replace(memory, offset_um=-probed.bias_um, probed=probed)
+
+
+def _weighed_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
+    """Return what the model moves the request by, whatever tool is in the spindle [um]; NaN without an estimate."""
+    return np.asarray(memory.weight * (inputs.thermal_error_um + model_shift_um(memory)))
 
 
 def _bias_filter(wander: Wander | None, limits: OutputLimits) -> BiasFilter:

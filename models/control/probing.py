@@ -5,20 +5,30 @@ and, left alone, returns towards zero: as fast and as far as what was left out i
 process). A measurement with noise moves the estimate of it by the Kalman gain; without noise the gain is one, which is
 a full reset. The same filter serves the output and the evaluation of
 recordings. A correction is bounded, so that one wrong measurement cannot do much harm.
+
+A model whose changes between measurements are worse than none (the wrong sign, another machine) is not followed
+between them: the offset takes its changes back, and the measurement alone holds.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
 
+BoolArray = npt.NDArray[np.bool_]
 REPEATED_MIN = 2.0
 """A second value of an axis within this time [min] is a repeat reading: their difference is the probe's noise."""
 ENOUGH_REPEATED = 3
 """Fewer repeat readings do not tell the noise; until then a probe resets the offset fully."""
 
+HARM_DEVIATIONS = 3.0
+"""A model's changes do harm when they leave more of the changes between measurements than none would, by more than this
+many deviations of what the model is known to miss."""
+HARM_KEPT = 0.9
+"""Of what earlier intervals said of that, this share counts at the next measurement."""
 ADVANCED_MIN = 1.0
 """The output's offset is let return in steps of this time [min]: it is kept for a restart whenever it changes."""
 
@@ -60,11 +70,29 @@ class BiasState:
     """Number of repeat readings."""
     repeated_um2: FloatArray
     """Sum of the squares of their differences [um^2]."""
+    estimate_um: FloatArray
+    """What the model said at `time_min` [um]."""
+    told_min: FloatArray
+    """When each began or was last measured [min]; NaN where that is not known ..."""
+    told_estimate_um: FloatArray
+    """... what the model said then [um] ..."""
+    told_um: FloatArray
+    """... and what was measured minus that [um]."""
+    harm_um2: FloatArray
+    """What the model's changes have left of those between measurements beyond what none would, in squares [um^2]."""
+    follows: BoolArray
+    """Whether the model is followed between measurements; else they alone count."""
 
     def begin(self, time_min: float) -> "BiasState":
         """Return the state at a reference, where the offset is zero by definition; the noise is still known."""
         zeros = np.zeros_like(self.bias_um)
-        return replace(self, time_min=time_min, bias_um=zeros, variance_um2=zeros, seen_min=zeros * np.nan)
+        return replace(
+            unknown_bias(len(zeros), time_min),
+            variance_um2=zeros,
+            repeated=self.repeated,
+            repeated_um2=self.repeated_um2,
+            told_min=zeros + time_min,
+        )
 
 
 def unknown_bias(channels: int, time_min: float) -> BiasState:
@@ -78,6 +106,12 @@ def unknown_bias(channels: int, time_min: float) -> BiasState:
         seen_um=zeros,
         repeated=zeros,
         repeated_um2=zeros,
+        estimate_um=zeros,
+        told_min=zeros * np.nan,
+        told_estimate_um=zeros,
+        told_um=zeros,
+        harm_um2=zeros,
+        follows=np.ones(channels, dtype=np.bool_),
     )
 
 
@@ -109,8 +143,16 @@ class BiasFilter:
         """Return the state at a reference, where the offset is zero by definition."""
         return unknown_bias(len(self.wander_um2_per_min), time_min).begin(time_min)
 
-    def advanced(self, state: BiasState, time_min: float) -> BiasState:
-        """Return the state at a later time [min]: the offset returns, and less is known of it."""
+    def advanced(self, state: BiasState, time_min: float, estimate_um: FloatArray | None = None) -> BiasState:
+        """Return the state at a later time [min]: the offset returns, and less is known of it.
+
+        `estimate_um`, shape (n_channels,): what the model says then [um]; where it is not followed its change since the
+        state is taken back. None: it is taken to have said what it said before.
+        """
+        if estimate_um is not None:
+            known = np.where(np.isfinite(estimate_um), estimate_um, state.estimate_um)
+            back_um = np.where(state.follows, 0.0, known - state.estimate_um)
+            state = replace(state, bias_um=state.bias_um - back_um, estimate_um=known)
         elapsed_min = max(time_min - state.time_min, 0.0)
         if elapsed_min == 0.0:
             return state
@@ -123,11 +165,35 @@ class BiasFilter:
         return replace(
             state,
             time_min=time_min,
-            bias_um=kept * state.bias_um,
+            bias_um=np.where(state.follows, kept, 1.0) * state.bias_um,
             variance_um2=kept**2 * state.variance_um2 + gained_um2,
         )
 
-    def correct(self, state: BiasState, time_min: float, residual_um: FloatArray) -> BiasState:
+    def _told(self, state: BiasState, residual_um: FloatArray, known: BoolArray, noise_um2: FloatArray) -> BiasState:
+        """Return the state with what a measurement tells of the model's changes since the one before."""
+        elapsed_min = np.nan_to_num(state.time_min - state.told_min, nan=np.inf)
+        if self.correlation_min is None or not np.isfinite(self.wander_um2_per_min).all():
+            return state
+        missed_um2 = self.wander_um2_per_min * self.correlation_min * -np.expm1(-elapsed_min / self.correlation_min)
+        left_um = residual_um - state.told_um
+        change_um = left_um + state.estimate_um - state.told_estimate_um
+        told = known & np.isfinite(state.told_min)
+        harm_um2 = np.where(
+            told, HARM_KEPT * state.harm_um2 + np.square(left_um) - np.square(change_um), state.harm_um2
+        )
+        limit_um2 = HARM_DEVIATIONS**2 * (missed_um2 + 2.0 * noise_um2)
+        return replace(
+            state,
+            told_min=np.where(known, state.time_min, state.told_min),
+            told_estimate_um=np.where(known, state.estimate_um, state.told_estimate_um),
+            told_um=np.where(known, residual_um, state.told_um),
+            harm_um2=harm_um2,
+            follows=np.where(told, harm_um2 <= limit_um2, state.follows),
+        )
+
+    def correct(
+        self, state: BiasState, time_min: float, residual_um: FloatArray, estimate_um: FloatArray | None = None
+    ) -> BiasState:
         """Return the state after a measurement.
 
         Parameters
@@ -140,6 +206,8 @@ class BiasFilter:
             Measured minus estimated by the model alone [um], NaN for a channel that was not
             measured, which keeps its offset. Under compensation, measured is what the probe saw
             minus what was applied.
+        estimate_um : shape (n_channels,)
+            What the model says then [um], see `advanced`.
 
         """
         known = np.isfinite(residual_um)
@@ -149,8 +217,8 @@ class BiasFilter:
         repeated_um2 = state.repeated_um2 + np.where(again, np.square(residual_um - state.seen_um), 0.0)
         learned = np.where(repeated >= ENOUGH_REPEATED, 0.5 * repeated_um2 / np.maximum(repeated, 1.0), 0.0)
         noise_um2 = np.where(np.isnan(self.noise_um), learned, np.square(self.noise_um))
-        state = self.advanced(state, time_min)
-        variance = state.variance_um2
+        state = self._told(self.advanced(state, time_min, estimate_um), residual_um, known, noise_um2)
+        variance = np.where(state.follows, state.variance_um2, np.inf)
         gain = np.ones_like(noise_um2)
         np.divide(variance, variance + noise_um2, out=gain, where=(noise_um2 > 0.0) & np.isfinite(variance))
         step = np.where(known, gain * (residual_um - state.bias_um), 0.0)
@@ -158,7 +226,7 @@ class BiasFilter:
             state,
             time_min=time_min,
             bias_um=state.bias_um + np.clip(step, -self.largest_step_um, self.largest_step_um),
-            variance_um2=np.where(known, gain * noise_um2, variance),
+            variance_um2=np.where(known, gain * noise_um2, state.variance_um2),
             seen_min=np.where(known, time_min, state.seen_min),
             seen_um=np.where(known, residual_um, state.seen_um),
             repeated=repeated,

@@ -136,3 +136,44 @@ def test_a_probe_never_makes_it_worse_than_the_better_of_the_two(noise_um: float
     left = rms(probed_residual_um(time_min, residual_um, at_min, both, noise))
     alone = rms(residual_um), rms(probed_residual_um(time_min, error_um, at_min, None, noise))
     assert left <= 1.02 * min(alone), (left, alone)
+
+
+def left_by(model_um: FloatArray, truth_um: FloatArray, pause_min: int) -> FloatArray:
+    """What model and exact probes leave of a truth minute by minute [um], by the filter of a model with a wander."""
+    exact = kalman(0.0)
+    state, left = exact.begin(0.0), []
+    for minute, (said, true) in enumerate(zip(model_um, truth_um, strict=True)):
+        now = np.array([said])
+        state = exact.advanced(state, float(minute), now)
+        if minute and minute % pause_min == 0:
+            state = exact.correct(state, float(minute), np.array([true - said]), now)
+        left.append(true - said - float(state.bias_um[0]))
+    return np.array(left)
+
+
+@pytest.mark.parametrize("pause_min", [10, 30, 60])
+def test_between_probes_a_model_of_the_wrong_sign_is_not_followed_and_a_right_one_is(pause_min: int) -> None:
+    minutes = np.arange(601.0)
+    truth = 40.0 * (1.0 - np.exp(-minutes / 240.0))
+    alone = np.array([true - truth[int(m) // pause_min * pause_min] for m, true in zip(minutes, truth, strict=True)])
+    told = slice(pause_min, None)
+    wrong = left_by(-truth, truth, pause_min)
+    assert np.abs(wrong[told]).max() <= np.abs(alone[told]).max() + 1e-9, "from the first probe on as the probe alone"
+    right = left_by(0.9 * truth, truth, pause_min)
+    assert np.abs(right[told]).max() < 0.5 * np.abs(alone[told]).max()
+
+
+def test_the_output_stops_following_a_model_of_the_wrong_sign_and_a_new_reference_begins_anew() -> None:
+    machine = Machine().following(z=0.0).set(probe_wander=WANDER)
+    for hour in range(1, 4):
+        machine.set(thermal_error_um=np.array([-3.0, -5.0 * hour]))
+        for _ in range(60):
+            machine.step(elapsed_s=60.0)
+        left_um = 5.0 * hour + machine.applied[1]
+        assert abs(left_um) < (10.5 if hour == 1 else 5.5), "twice the change before the first probe, then once"
+        machine.step(probe_um=np.array([np.nan, left_um])).step(120)
+        assert machine.memory.probed is not None
+        assert machine.memory.probed.follows.tolist() == [True, False]
+        assert machine.applied[1] == pytest.approx(-5.0 * hour, abs=0.3)
+    machine.set(reference_id="r2", estimate_reference_id="r2").step()
+    assert machine.memory.probed is not None and machine.memory.probed.follows.all()

@@ -116,9 +116,9 @@ def compensated_um(
             held, since_min = weight[row] * followed.estimate_um[row], float(now_min)
         elif now_min - since_min > HOLD_MIN:
             held = np.zeros_like(held)
-        state = bias_filter.advanced(state, float(now_min))
+        state = bias_filter.advanced(state, float(now_min), held)
         if now_min >= due_min - 1e-9:
-            state = bias_filter.correct(state, float(now_min), measured_um[row] - held)
+            state = bias_filter.correct(state, float(now_min), measured_um[row] - held, held)
             due_min += (probe_min or 0.0) * max(1.0, np.floor((now_min - due_min) / (probe_min or 1.0) + 1.0))
         found[row] = held + state.bias_um
     return found
