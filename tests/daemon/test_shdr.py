@@ -67,7 +67,7 @@ async def test_an_agent_gets_everything_then_what_has_changed_and_its_ping_is_an
         assert (await heard(reader, "temperature_1"))["temperature_1"][1] == "UNAVAILABLE", "every line is silent"
         rig.snapshots.thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(1.5, 2.5))
         rig.snapshots.thermal = replace(rig.snapshots.thermal, temperatures=temperatures())
-        assert (await heard(reader, "estimate_Z1_um"))["estimate_Z1_um"][1] == "2.500"
+        assert (await heard(reader, "estimate_Z1_um", "confidence"))["estimate_Z1_um"][1] == "2.500"
         rig.snapshots.thermal = replace(rig.snapshots.thermal, estimate=None)
         found = await heard(reader, "estimate_Z1_um", "estimate_Y1_um", "confidence")
         assert {text for _, text in found.values()} == {"UNAVAILABLE"}, "there is no estimate any more"
