@@ -195,13 +195,18 @@ def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping
     line break in the metadata becomes a space.
     """
     lines = [f"{METADATA_MARK} {key}: {' '.join(str(value).splitlines())}\n" for key, value in metadata.items()]
-    lines.append(",".join(columns) + "\n")
+    lines.append(",".join(map(_quoted, columns)) + "\n")
     table = np.column_stack([values for values, _ in columns.values()])
     whole = ",".join(f"%.{decimals}f" for _, decimals in columns.values()) + "\n"
     for row in table:
         text = whole % tuple(row.tolist())
         lines.append(text if np.isfinite(row).all() else text.replace("-inf", "").replace("inf", "").replace("nan", ""))
     write_whole(path, "".join(lines))
+
+
+def _quoted(name: str) -> str:
+    """Return a column's name as a field of CSV."""
+    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"') else name
 
 
 def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:

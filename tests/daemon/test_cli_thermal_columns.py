@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from config.recordings.recording_map import load_recording_map
+from config.recordings.recording_map import RecordingMap, load_recording_map
 from daemon.cli import main
+from drivers.files.recording_csv import read_header, read_recording, write_recording
 from models.thermal.family import ThermalModel, model_from_json
 
 NAMES = ("Temp Spindel [°C]", "Temp Bett (°C)", "Temp Raum [°C]", "Temp Motor [°C]")
@@ -183,3 +184,14 @@ def test_what_is_said_of_every_recording_is_said_once(tmp_path: Path) -> None:
     ]
     result = thermal("evaluate", *files, *options, "--leave-out-runs")
     assert result.stderr.count("temperature Temp tot [°C] is left out of the model") == 1
+
+
+def test_a_recording_that_is_written_is_read_whatever_its_columns_are_called(tmp_path: Path) -> None:
+    channels = ["Weg X, rel. [µm]", '1st "front"', "Z1"]
+    columns = {name: (np.arange(4.0) + place, 3) for place, name in enumerate(["t", "T1", *channels])}
+    write_recording(tmp_path / "tag.csv", {"machine": "m"}, columns)
+    assert read_header(tmp_path / "tag.csv") == list(columns)
+    recording_map = RecordingMap.model_validate({"time": "t", "temperatures": ["T1"], "displacements": channels})
+    read = read_recording(tmp_path / "tag.csv", recording_map)
+    assert read.displacement_names == tuple(channels)
+    assert np.array_equal(read.displacements_um, np.column_stack([columns[name][0] for name in channels]))
