@@ -60,6 +60,10 @@ class MeanTemperature:
     def period_s(self) -> float | None:
         return None
 
+    @property
+    def pivots_mm(self) -> dict[str, float]:
+        return {}
+
     def runtime(self, machine: Machine) -> "MeanOnline":
         return MeanOnline(self)
 
