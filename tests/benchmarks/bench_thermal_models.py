@@ -156,6 +156,7 @@ def made_up() -> Recording:
 
 def train(family: str, file: Path) -> None:
     """Print what training takes, and keep the model."""
+    keep_one_heap()  # as `toolpoint thermal train` does
     recording = made_up()
     before_mib = _most_mib()
     began_s = time.process_time()

@@ -8,6 +8,7 @@ from typing import Any
 
 from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
+from daemon.telemetry.metrics import keep_one_heap
 from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
@@ -42,6 +43,7 @@ def train_from_files(
 ) -> FamilyTraining:
     """Read the recordings and train; raises RecordingFileError or DatasetError."""
     paths = kept_paths(paths, selection)
+    keep_one_heap()  # else the heap keeps a tenth of what training needs at most
     return train_family(
         [_selected(r, selection) for r in read_alike(paths, recording_map, progress, common=selection.common_columns)],
         recipe,

@@ -1,6 +1,6 @@
 """Fits the watch of the sensors to training rows: predictions, and limits from stretches that were left out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -67,7 +67,7 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         layout=inputs.layout,
         centre=centre,
         gain=gain,
-        precision=_precisions(inputs, rows, centre, gain, [penalty])[0],
+        precision=next(_precisions(inputs, rows, centre, gain, [penalty])),
         threshold_k=_thresholds_k(largest_k),
         slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
         flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
@@ -84,18 +84,25 @@ def _thresholds_k(largest_k: FloatArray) -> FloatArray:
 
 
 def _scaling(inputs: Inputs, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-    centre, spread = inputs.features[rows].mean(axis=0), inputs.features[rows].std(axis=0)
+    features = inputs.features[rows]
+    centre, spread = features.mean(axis=0), features.std(axis=0)
     moves = spread > 1e-6
     return centre, np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
 
 
 def _precisions(
     inputs: Inputs, rows: BoolArray, centre: FloatArray, gain: FloatArray, penalties: Sequence[float]
-) -> list[FloatArray]:
-    scaled = (inputs.features[rows] - centre) * gain
-    scaled = scaled - scaled.mean(axis=0)
-    eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled / max(len(scaled), 1))
-    return [(vectors / (np.maximum(eigenvalues, 0.0) + penalty)) @ vectors.T for penalty in penalties]
+) -> Iterator[FloatArray]:
+    """Yield the precision of the scaled columns for each damping, one at a time: each is large."""
+    scaled = inputs.features[rows]
+    scaled -= centre
+    scaled *= gain
+    scaled -= scaled.mean(axis=0)
+    covariance = scaled.T @ scaled / max(len(scaled), 1)
+    del scaled
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    for penalty in penalties:
+        yield (vectors / (np.maximum(eigenvalues, 0.0) + penalty)) @ vectors.T
 
 
 def _left_out_departures_k(inputs: Inputs, rows: BoolArray, fold: IntArray) -> list[FloatArray]:
