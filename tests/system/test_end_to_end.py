@@ -10,15 +10,22 @@ from pace import bearable
 pytestmark = pytest.mark.wires
 
 
-def test_the_demonstration_meets_its_own_checks():
-    finished = subprocess.run(
+def demonstration(speed: float) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
         [sys.executable, "-P", "-m", "daemon.cli", "demo", "--headless", "--minutes", "12"]
-        + ["--speed", f"{bearable(120.0):.1f}", "--json", "-"],
+        + ["--speed", f"{speed:.1f}", "--json", "-"],
         capture_output=True,
         text=True,
         timeout=1200,
         check=False,
     )
+
+
+def test_the_demonstration_meets_its_own_checks():
+    for speed in (bearable(120.0), 20.0, 5.0):  # what else runs may begin after the pace was measured
+        finished = demonstration(speed)
+        if finished.returncode == 0 or "this computer is too slow" not in finished.stderr:
+            break
     assert finished.returncode == 0, finished.stderr
     numbers = json.loads(finished.stdout)  # and nothing else on standard output
     assert set(numbers) >= {"cycles", "estimates", "writes", "latency_s", "error_um"}
