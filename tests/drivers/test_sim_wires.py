@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from left_behind import descriptors
 from scripted_machine import ScriptedMachine, configuration
 
 from config.schema.temperatures import GrammarConfig, LineConfig
@@ -32,10 +33,6 @@ def transmitter(*faults: Fault, read: Callable[[Sequence[int]], list[int]] = cod
 
 def fault(kind: FaultKind, at_s: float = 0.0, **more: Any) -> Fault:
     return Fault(kind=kind, at_s=at_s, **({"target": "spindle"} | more))
-
-
-def open_descriptors() -> set[str]:
-    return {path.name for path in Path("/proc/self/fd").iterdir()}
 
 
 class Reader:
@@ -311,14 +308,20 @@ def test_an_unplugged_port_vanishes_hangs_up_and_comes_back(tmp_path: Path, wire
 
 
 def test_close_takes_the_ports_away_and_leaks_no_descriptor(tmp_path: Path) -> None:
-    before = open_descriptors()
     lines = LatsisWires(ScriptedMachine(), configuration(tmp_path).temperatures, tmp_path / "ports")
     lines.open()
-    assert sorted(path.name for path in (tmp_path / "ports").iterdir()) == ["column.tty", "spindle.tty"]
+    ports = sorted((tmp_path / "ports").iterdir())
+    assert [port.name for port in ports] == ["column.tty", "spindle.tty"]
+    devices = [str(port.readlink()) for port in ports]
+    assert leading_to(devices) == sorted(devices), "and the far end alone, by which a reader's absence shows"
     lines.close()
     lines.close()
     assert list((tmp_path / "ports").iterdir()) == []
-    assert open_descriptors() == before
+    assert leading_to(devices) == []
+
+
+def leading_to(devices: list[str]) -> list[str]:
+    return sorted(target for target in descriptors().values() if target.removesuffix(" (deleted)") in devices)
 
 
 def test_a_name_taken_over_by_somebody_else_is_left_alone(tmp_path: Path) -> None:

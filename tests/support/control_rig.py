@@ -348,3 +348,4 @@ async def running(rig: Rig, *, connect: bool = True) -> AsyncIterator[Rig]:
         keeper.cancel()
         await asyncio.gather(keeper, return_exceptions=True)
         await asyncio.to_thread(rig.history.close)
+        rig.last_block.close()

@@ -5,11 +5,11 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pytest
+from left_behind import leaves_nothing_behind
 
 from config.schema.displacement_sources import DisplacementSourceConfig
 from config.schema.source_drivers import SourceConfig, SourceEntry
@@ -211,13 +211,15 @@ async def twenty_sources_leave_nothing_open(bench: SourceBench) -> None:
         async with aclosing(bench.open().rows()) as rows:
             await until(rows, lambda row: row.values[0] == 20.0)
 
+    async def twenty() -> None:
+        for _ in range(20):
+            await one()
+
     await one()
     tasks = len(asyncio.all_tasks())
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    for _ in range(20):
-        await one()
+    await leaves_nothing_behind(twenty, within_s=PATIENCE_S)
     async with asyncio.timeout(PATIENCE_S):
-        while len(list(Path("/proc/self/fd").iterdir())) > before or len(asyncio.all_tasks()) > tasks:
+        while len(asyncio.all_tasks()) > tasks:
             await asyncio.sleep(0.01)
 
 
