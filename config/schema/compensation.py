@@ -301,6 +301,11 @@ class CompensationConfig(Section):
         """Axes that a request of the NC program may name by their places, '' for a slope, which it may not."""
         return tuple("" if axis in self.slopes else axis for axis in self.axes)
 
+    @property
+    def slope_channels(self) -> frozenset[str]:
+        """Model channels that are slopes along an axis [um/m]."""
+        return frozenset(axis.estimate for axis in self.axes.values() if axis.slope is not None and axis.estimate)
+
     def unit_of(self, axis: str) -> dict[str, str]:
         """Return what status says of the unit of a slope; nothing of an offset, which is in um."""
         return {"unit": "um/m"} if axis in self.slopes else {}

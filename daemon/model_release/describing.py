@@ -85,7 +85,12 @@ def _scores(model: ThermalModel, configuration: Configuration) -> dict[str, Any]
         "error_left": model.hyper_parameters.get("held_out_relative_rmse"),
         "refused": model.refused or "",
         "bands": [
-            {"channel": channel, "band_um": float(model.band_um[place]), "widest_um": widest_um.get(channel)}
+            {
+                "channel": channel,
+                "band_um": float(model.band_um[place]),
+                "widest_um": widest_um.get(channel),
+                **({"unit": "um/m"} if channel in model.pivots_mm else {}),
+            }
             for place, channel in enumerate(model.channels)
         ],
     }

@@ -64,9 +64,10 @@ def _inhibits(model: ThermalModel, configuration: Configuration) -> Iterator[str
                 "train it on more recordings"
             )
         elif band_um > widest_um:
+            unit = "um/m" if channel in model.pivots_mm else "um"
             yield (
-                f"channel {channel}: its prediction band of {band_um:.3g} um is wider than {widest_um:g} um; train it "
-                "on better recordings, or widen compensation.release.largest_band_um"
+                f"channel {channel}: its prediction band of {band_um:.3g} {unit} is wider than {widest_um:g} {unit}; "
+                "train it on better recordings, or widen compensation.release.largest_band_um"
             )
 
 

@@ -39,6 +39,7 @@ class ShdrAdapter:
 
     def __init__(self, configuration: Configuration, board: SnapshotBoard) -> None:
         self._configuration, self._board = configuration, board
+        self._slopes = {*configuration.compensation.slopes, *configuration.compensation.slope_channels}
 
     async def serve(self, on_serving: Callable[[], None] = lambda: None) -> None:
         """Serve until cancelled; raises OSError when the port is taken."""
@@ -94,7 +95,7 @@ class ShdrAdapter:
         if estimate is not None:
             at = _time(estimate.trace.last_byte.utc_s)
             for i, channel in enumerate(estimate.channels):
-                found[f"estimate_{_key(channel)}_um"] = (
+                found[f"estimate_{_key(channel)}{self._unit(channel)}"] = (
                     at,
                     _number(math.nan if old else float(estimate.thermal_error_um[i])),
                 )
@@ -103,12 +104,16 @@ class ShdrAdapter:
         columns = (control.thermal_error_um, control.requested_um, control.written_um, control.applied_um)
         for name, column in zip(NUMBERS, columns, strict=True):
             for i, axis in enumerate(control.axes):
-                found[f"{axis}_{name}_um"] = (now, _number(float(column[i])))
+                found[f"{axis}_{name}{self._unit(axis)}"] = (now, _number(float(column[i])))
         found["avail"] = (now, "AVAILABLE")
         found["output_state"] = (now, control.state.value)
         found["output_reason"] = (now, _text(control.reason))
         found["compensation"] = (now, _condition(control.state, control.alarm))
         return found
+
+    def _unit(self, name: str) -> str:
+        """Return how the key of an axis or channel ends."""
+        return "_um_per_m" if name in self._slopes else "_um"
 
 
 async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, conversation: Conversation) -> None:

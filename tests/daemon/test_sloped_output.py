@@ -18,7 +18,9 @@ from daemon.cnc.limits import output_limits
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.slope import positions_of, slope_to_write
 from daemon.model_release.gate import gate_inhibit, slope_inhibit
+from daemon.monitor.shdr import ShdrAdapter
 from daemon.monitor.status import StatusBoard
+from daemon.monitor.web.estimate import estimate_document
 from models.control.nc_request import Refusal, RequestMacros, parse_request
 from models.control.state import OperatorRequest
 
@@ -212,6 +214,14 @@ def test_status_and_monitor_say_that_a_slope_is_in_um_per_m_and_say_nothing_of_o
     rig = a_rig(tmp_path)
     shown = StatusBoard(rig.configuration, rig.clock, rig.snapshots, rig.telemetry.picture).picture()["axes"]
     assert shown["z_slope"]["unit"] == "um/m" and "unit" not in shown["z"]
+    thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(0.0, 0.0, **errors(1.0, 40.0)))
+    rig.snapshots.thermal = thermal
+    channels = estimate_document(rig.configuration, rig.snapshots, {}, {})["channels"]
+    assert channels["Z1_per_m"]["unit"] == "um/m" and "unit" not in channels["Z1"]
+    keys = set(ShdrAdapter(rig.configuration, rig.snapshots).present())
+    wanted = {"estimate_Z1_um", "estimate_Z1_per_m_um_per_m", "z_applied_um", "z_slope_applied_um_per_m"}
+    assert wanted <= keys and "z_slope_applied_um" not in keys
+    assert rig.configuration.compensation.slope_channels == {"Z1_per_m"}
 
 
 def test_the_nc_program_probes_and_sets_no_slope() -> None:

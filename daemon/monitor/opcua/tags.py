@@ -95,7 +95,8 @@ class Tags:
             axis_folder = self._folder(f"compensation.{axis_name}", f"{kind} {axis_name}")
             for value, words in AXIS_VALUES.items():
                 name = f"compensation.{axis_name}.{value}"
-                self._values[name] = self._number(name, axis_folder, unit, words)
+                meaning = words if axis.slope is None else words.replace("offset", "slope")
+                self._values[name] = self._number(name, axis_folder, unit, meaning)
             for value, words in (("wanted", "a person switched it on"), ("enabled", "its enable bit is set")):
                 name = f"compensation.{axis_name}.{value}"
                 self._values[name] = self._add(

@@ -52,9 +52,10 @@ export class Chart {
     this.plot?.destroy();
   }
 
-  // data: uPlot's [x, y1, y2, ...]; options that changed (series, bands, marks) may come along.
+  // data: uPlot's [x, y1, y2, ...]; options that changed (series, bands, marks, unit) may come along.
   async set(data, changes = {}) {
-    const rebuild = this.plot === null || changes.series !== undefined || changes.bands !== undefined;
+    const rebuild = this.plot === null || changes.series !== undefined || changes.bands !== undefined
+      || (changes.unit !== undefined && changes.unit !== this.options.unit);
     Object.assign(this.options, changes);
     this.data = data;
     await library();

@@ -52,7 +52,9 @@ export function unit(value, of, digits = 1) {
   return known(value) ? `${number(value, digits)} ${of}` : NONE;
 }
 
-export const um = (value) => (known(value) ? `${signed(value)} µm` : NONE);
+// What the micrometres of an axis or channel are: a slope's count at one metre from its pivot.
+export const per = (one) => (one?.unit === "um/m" ? "µm/m" : "µm");
+export const um = (value, of) => (known(value) ? `${signed(value)} ${per(of)}` : NONE);
 export const degc = (value) => unit(value, "°C", 2);
 
 export function seconds(value) {

@@ -77,16 +77,16 @@ async def names(request: Request, person: Viewer) -> Response:
         for kind in ("label", "label_reference")
     ]
     by_channel = {axis.estimate: name for name, axis in configuration.compensation.axes.items() if axis.estimate}
-    channels = list(by_channel)
+    channels, slopes = list(by_channel), configuration.compensation.slope_channels
     if configuration.displacements is not None:
         channels += [each.name for each in configuration.displacements.every_channel]
     for channel in dict.fromkeys(channels):
-        own = {"unit": "um", "channel": channel, "axis": by_channel.get(channel)}
+        own = {"unit": "um/m" if channel in slopes else "um", "channel": channel, "axis": by_channel.get(channel)}
         if channel in by_channel:
             series += [{"name": f"{kind}.{channel}", "kind": kind} | own for kind in ("estimated", "band")]
         series.append({"name": f"measured.{channel}", "kind": "measured"} | own)
     series += [
-        {"name": f"{kind}.{axis}", "kind": kind, "unit": "um", "axis": axis}
+        {"name": f"{kind}.{axis}", "kind": kind, "unit": "um", "axis": axis} | configuration.compensation.unit_of(axis)
         for axis in configuration.compensation.axes
         for kind in ("requested", "written", "applied")
     ]

@@ -35,6 +35,7 @@ def estimate_document(
             "measured_um": measured_um,
             "residual_um": measured_um - estimated_um,
             "axes": own,
+            **({"unit": "um/m"} if channel in configuration.compensation.slope_channels else {}),
             "contributions": _contributions(configuration, board.thermal.contributions, channel),
         }
     document = plain(

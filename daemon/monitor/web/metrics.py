@@ -11,10 +11,16 @@ from daemon.monitor.web.documents import STATES, Documents
 from daemon.snapshots import SnapshotBoard
 
 OF_AXES = {
-    "estimated": ("toolpoint_thermal_error_micrometres", "Estimated thermal error since the reference"),
-    "remaining": ("toolpoint_remaining_error_micrometres", "What of the estimated error is left with what is applied"),
-    "band": ("toolpoint_thermal_error_band_micrometres", "Half width of the estimate's band"),
-    "bound": ("toolpoint_compensation_bound_micrometres", "The compensation never exceeds this"),
+    "estimated": (
+        "toolpoint_thermal_error_micrometres",
+        "Estimated thermal error since the reference, of a slope in um/m",
+    ),
+    "remaining": (
+        "toolpoint_remaining_error_micrometres",
+        "What of the error is left with what is applied, of a slope in um/m",
+    ),
+    "band": ("toolpoint_thermal_error_band_micrometres", "Half width of the estimate's band, of a slope in um/m"),
+    "bound": ("toolpoint_compensation_bound_micrometres", "The compensation never exceeds this, of a slope in um/m"),
 }
 """Value of an axis in the status -> name and meaning of its metric."""
 

@@ -165,7 +165,7 @@ class SeriesName(Document):
         "spindle",
         "motor",
     ]
-    unit: Literal["degC", "um", "1/min"]
+    unit: Literal["degC", "um", "um/m", "1/min"]
     component: str | None = None
     part: str | None = None
     label: str | None = None
@@ -240,6 +240,7 @@ class ChannelEstimate(Document):
     measured_um: float | None = Field(description="measured since the reference, where the machine measures it")
     residual_um: float | None = Field(description="measured minus estimated")
     axes: list[str]
+    unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
     contributions: list[Contribution] | None = Field(
         description="by sensor, the largest first; null where the model does not tell"
     )
@@ -353,6 +354,7 @@ class BandScore(Document):
     channel: str
     band_um: float | None = Field(description="half width of the band on what was held out; null: nothing was")
     widest_um: float | None = Field(description="a wider band is not released; null: no axis follows the channel")
+    unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
 
 
 class Scores(Document):

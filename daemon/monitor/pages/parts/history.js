@@ -1,6 +1,6 @@
 // History: every write of macro variables, with filter and download.
 
-import { h, prose, choice, buttons, card, clock, seconds, signed, NONE } from "../dom.js";
+import { h, prose, choice, buttons, card, clock, seconds, signed, per, NONE } from "../dom.js";
 import { RANGES } from "../words.js";
 import { ask } from "../api.js";
 
@@ -57,7 +57,7 @@ class History {
       const [kind, words] = OUTCOMES[write.outcome] ?? ["", write.outcome];
       return [h("span", { title: clock(write.time, { date: true }) }, clock(write.time, { date: this.range_s > 86400 })), h("span", { class: `tag ${kind}` }, words), write.state ?? NONE,
         h("span", {}, write.reason || write.cause, write.person ? h("span", { class: "dim" }, ` (${write.person})`) : "", write.detail ? h("span", { class: "said" }, ` ${write.detail}`) : ""),
-        ...[write.requested_um, write.compensation_um, write.applied_um].map((values) => vector(values, moved(write))), macros(write), write.model_id ?? NONE, seconds(write.delay_s.verified ?? write.delay_s.read_back ?? null)];
+        ...[write.requested_um, write.compensation_um, write.applied_um].map((values) => vector(values, moved(write), this.live.status.axes)), macros(write), write.model_id ?? NONE, seconds(write.delay_s.verified ?? write.delay_s.read_back ?? null)];
     });
     const scroll = this.list.querySelector(".scroll")?.scrollTop ?? 0;
     this.list.replaceChildren(h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Writes" }, h("table", { class: "writes" }, h("thead", {}, h("tr", {}, head.map((word) => h("th", { scope: "col" }, word)))),
@@ -79,7 +79,7 @@ function moved(write) {
   return found.length ? found : names;
 }
 
-const vector = (values, axes) => Object.entries(values ?? {}).filter(([axis, value]) => value !== null && axes.includes(axis)).map(([axis, value]) => `${axis.toUpperCase()} ${signed(value)}`).join("  ") || NONE;
+const vector = (values, axes, known) => Object.entries(values ?? {}).filter(([axis, value]) => value !== null && axes.includes(axis)).map(([axis, value]) => `${axis.toUpperCase()} ${signed(value)}${known[axis]?.unit ? ` ${per(known[axis])}` : ""}`).join("  ") || NONE;
 
 function macros(write) {
   return h("details", {}, h("summary", {}, write.macros.length === 1 ? `#${write.macros[0][0]}` : `${write.macros.length} variables`), h("ul", { class: "plain" }, write.macros.map(([number, value], index) =>

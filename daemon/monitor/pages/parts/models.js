@@ -1,6 +1,6 @@
 // Models: which are in force, what else there is, how they score. Releasing stays on the command line.
 
-import { h, prose, card, table, clock, number, NONE } from "../dom.js";
+import { h, prose, card, table, clock, number, per, NONE } from "../dom.js";
 import { ask } from "../api.js";
 
 export async function page(place) {
@@ -48,8 +48,8 @@ function left({ error_left: share }, of = " of the error on what was held out") 
 }
 
 function bands({ bands: found }) {
-  return h("ul", { class: "plain" }, found.map(({ channel, band_um: band, widest_um: widest }) => h("li", {}, `${channel} `,
-    band === null ? "not known: nothing was held out" : h("b", { class: widest !== null && band > widest ? "said" : "" }, `± ${number(band)} µm`), widest === null ? "" : h("span", { class: "dim" }, ` of ${number(widest, 0)}`))));
+  return h("ul", { class: "plain" }, found.map(({ channel, band_um: band, widest_um: widest, unit: of }) => h("li", {}, `${channel} `,
+    band === null ? "not known: nothing was held out" : h("b", { class: widest !== null && band > widest ? "said" : "" }, `± ${number(band)} ${per({ unit: of })}`), widest === null ? "" : h("span", { class: "dim" }, ` of ${number(widest, 0)}`))));
 }
 
 function releases(found) {

@@ -1,6 +1,6 @@
 // Overview: is it working, and how do I know.
 
-import { h, s, put, prose, card, choice, number, signed, um, unit, seconds, duration, NONE } from "../dom.js";
+import { h, s, put, prose, card, choice, number, signed, um, per, unit, seconds, duration, NONE } from "../dom.js";
 import { STATES, TERMS } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, act, series } from "../api.js";
@@ -145,7 +145,7 @@ function axes(status) {
   const rows = Object.entries(status.axes).map(([name, axis]) => {
     const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled ? h("span", { class: "tag good" }, "on")
       : h("span", { class: "tag" }, axis.wanted ? "waits" : "off");
-    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? " µm/m " : " ", tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
+    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? ` ${per(axis)} ` : " ", tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
       h("span", { class: "main" }, signed(axis.applied_um)), axis.band_um === null ? NONE : `± ${number(axis.band_um)}`, `± ${number(axis.bound_um, 0)}`,
       axis.channel === null ? h("span", { class: "dim" }, "no channel of the model is named for this axis") : gauge(name, axis)];
     return h("tr", { id: `axis-${name}` }, cells.map((cell, column) => h("td", { "data-head": head[column][0] }, cell)));
@@ -168,7 +168,7 @@ function key() {
 function since_reference(status) {
   const offsets = Object.entries(status.axes).filter(([, axis]) => axis.channel !== null && Math.abs(axis.baseline_um ?? 0) >= 0.05);
   if (!offsets.length) return null;
-  return h("p", { class: "dim note" }, `Requested = what was applied when the reference was set (${offsets.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.baseline_um)}`).join(", ")}) − estimated error.`);
+  return h("p", { class: "dim note" }, `Requested = what was applied when the reference was set (${offsets.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.baseline_um, axis)}`).join(", ")}) − estimated error.`);
 }
 
 // Compensation from - bound to + bound: the ideal (minus the estimate) with its band, what is written, what is applied.
@@ -176,7 +176,7 @@ function gauge(name, axis) {
   const width = 400, middle = 20, bound = axis.bound_um;
   const x = (value) => width / 2 + (Math.min(Math.max(value / bound, -1), 1) * (width / 2 - 12));
   const ideal = axis.requested_um;
-  const words = `Axis ${name.toUpperCase()}: applied ${um(axis.applied_um)}, requested ${um(axis.requested_um)}, bound ± ${number(bound, 0)} µm`;
+  const words = `Axis ${name.toUpperCase()}: applied ${um(axis.applied_um, axis)}, requested ${um(axis.requested_um, axis)}, bound ± ${number(bound, 0)} ${per(axis)}`;
   const drawing = s("svg", { class: "gauge", viewBox: `0 0 ${width} 40`, role: "img", "aria-label": words, preserveAspectRatio: "none" },
     s("title", {}, words),
     s("rect", { x: 12, y: middle - 5, width: width - 24, height: 10, rx: 5, fill: "var(--grid)" }),
@@ -250,6 +250,7 @@ class ErrorOverShift {
   constructor(live) {
     this.live = live;
     this.axis = null;
+    this.unit = per(null);
     this.points = 480;
     this.asked_ms = -Infinity;
     this.tail = [];
@@ -285,6 +286,7 @@ class ErrorOverShift {
       }));
     }
     const axis = status.axes[this.axis];
+    this.unit = per(axis);
     if (axis.estimated_um !== null) this.tail.push([status.time, axis.estimated_um, axis.remaining_um, axis.band_um]);
     if (performance.now() - this.asked_ms > AGAIN_MS) this.load(status);
     else this.draw(status);
@@ -326,6 +328,6 @@ class ErrorOverShift {
     const data = [[...t, ...tail.map((row) => row[0])], [...without, ...tail.map((row) => row[1])], [...remaining, ...tail.map((row) => row[2])]];
     const bands = [...band, ...tail.map((row) => row[3])];
     const shift = (sign) => data[2].map((value, index) => (value === null || value === undefined || bands[index] === null || bands[index] === undefined ? value ?? null : value + sign * bands[index]));
-    this.chart.set([...data, shift(1), shift(-1)]);
+    this.chart.set([...data, shift(1), shift(-1)], { unit: `thermal error [${this.unit}]`, unit_short: this.unit });
   }
 }

@@ -1,6 +1,6 @@
 // Thermal error: the estimate with its band against what is measured, and which sensors it comes from.
 
-import { h, s, put, buttons, choice, card, table, number, signed, um, duration, clock, NONE } from "../dom.js";
+import { h, s, put, buttons, choice, card, table, number, signed, um, per, duration, clock, NONE } from "../dom.js";
 import { RANGES } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, series } from "../api.js";
@@ -83,10 +83,11 @@ class ThermalError {
     const upper = each(filled, spread, (value, half) => value + half), lower = each(filled, spread, (value, half) => value - half);
     const shown = marks.map((x) => ({ x, words: "reference" }));
     this.error.options.marks = this.rest.options.marks = shown;
-    await this.error.set([t, estimated, measured, upper, lower]);
+    const unit = per(estimate.channels[channel]);
+    await this.error.set([t, estimated, measured, upper, lower], { unit: `thermal error [${unit}]`, unit_short: unit });
     const bridged = bridge(estimated);
     const residual = measured.map((value, index) => (typeof value === "number" && typeof bridged[index] === "number" ? value - bridged[index] : value === undefined ? undefined : null));
-    await this.rest.set([t, residual, spread, spread.map((value) => (typeof value === "number" ? -value : value))]);
+    await this.rest.set([t, residual, spread, spread.map((value) => (typeof value === "number" ? -value : value))], { unit: `residual [${unit}]`, unit_short: unit });
     if (!raw.some((value) => typeof value === "number")) {
       this.rest.note.textContent = "Nothing was measured in this time: the residual needs displacement sensors (section displacements of the configuration). Compensation runs without them.";
     }
@@ -95,14 +96,14 @@ class ThermalError {
   describe(estimate, status) {
     const one = estimate.channels[this.channel];
     put(this.facts, card("Now", estimate.why ? h("p", {}, estimate.why) : h("dl", { class: "facts" },
-      h("dt", {}, "estimated"), h("dd", {}, h("b", {}, um(one?.thermal_error_um))), h("dt", {}, "band"), h("dd", {}, one?.band_um === null || !one ? NONE : `± ${number(one.band_um)} µm`),
-      h("dt", {}, "measured"), h("dd", {}, um(one?.measured_um)), h("dt", {}, "residual"), h("dd", {}, um(one?.residual_um)),
+      h("dt", {}, "estimated"), h("dd", {}, h("b", {}, um(one?.thermal_error_um, one))), h("dt", {}, "band"), h("dd", {}, one?.band_um === null || !one ? NONE : `± ${number(one.band_um)} ${per(one)}`),
+      h("dt", {}, "measured"), h("dd", {}, um(one?.measured_um, one)), h("dt", {}, "residual"), h("dd", {}, um(one?.residual_um, one)),
       h("dt", {}, "confidence"), h("dd", {}, estimate.confidence === null ? NONE : `${number(100 * estimate.confidence, 0)} % of the model's weight rests on sensors with a usable value`),
       h("dt", {}, "range"), h("dd", {}, estimate.in_domain === false ? "outside the temperatures of the training: the estimate is not followed" : "within the temperatures of the training"),
       h("dt", {}, "imputed"), h("dd", {}, estimate.imputed.length ? `sensors ${estimate.imputed.join(", ")}` : "no sensor"),
       h("dt", {}, "model"), h("dd", {}, estimate.model_id ?? NONE))));
     const parts = one?.contributions;
-    put(this.parts, parts ? card("Which sensors contribute how much", contributions(parts))
+    put(this.parts, parts ? card("Which sensors contribute how much", contributions(parts, per(one)))
       : card("Which sensors contribute how much", h("p", { class: "dim" }, one ? "This kind of model does not say." : "There is no estimate yet.")));
     const marks = [...estimate.references].reverse();
     put(this.marks, card("Reference marks, last 24 h", marks.length
@@ -130,13 +131,13 @@ function bridge(values) {
   return filled;
 }
 
-function contributions(parts) {
+function contributions(parts, unit) {
   const most = Math.max(...parts.map((part) => Math.abs(part.um)), 0.1);
   const rest = parts.slice(SHOWN);
   const rows = parts.slice(0, SHOWN).map((part) => [`${part.sensor} ${part.part ?? part.component}`, part.um]);
   if (rest.length) rows.push([`${rest.length} others`, rest.reduce((sum, part) => sum + part.um, 0)]);
-  return h("table", { class: "bars" }, h("caption", { class: "hidden" }, "Contribution of each sensor in µm"), h("tbody", {}, rows.map(([words, value]) => h("tr", {},
-    h("td", { title: words }, words), h("td", {}, `${signed(value)} µm`), h("td", {}, bar(value, most))))));
+  return h("table", { class: "bars" }, h("caption", { class: "hidden" }, `Contribution of each sensor in ${unit}`), h("tbody", {}, rows.map(([words, value]) => h("tr", {},
+    h("td", { title: words }, words), h("td", {}, `${signed(value)} ${unit}`), h("td", {}, bar(value, most))))));
 }
 
 function bar(value, most) {
