@@ -1,4 +1,8 @@
-"""Every driver of a CNC passes the same checks: the example of the how-to, and OPC UA over its wire."""
+"""Every driver of a CNC passes the same checks: the example of the how-to, and each protocol over its wire.
+
+LinuxCNC passes them at LinuxCNC itself (`test_cnc_linuxcnc.py`), the vendor's library at a stand-in of it
+(`test_focas_library.py`).
+"""
 
 import re
 from abc import ABC, abstractmethod
@@ -8,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import pytest
 import pytest_asyncio
+from asyncua import ua
 from cnc_contract import (
     CHECKS,
     WIRE_CHECKS,
@@ -30,10 +35,14 @@ from drivers import registry
 from drivers.clock import SystemClock
 from drivers.contract import Cnc, LinkError
 from drivers.focas.cnc import FocasCnc
+from drivers.focas.codec import Answer, Ask, Function
 from drivers.haas.cnc import HaasCnc
+from drivers.haas.codec import encode_fields
+from drivers.mtconnect.cnc import MtconnectCnc
 from drivers.opcua.cnc import OpcUaCnc
 from drivers.sim.wires.focas_server import SimulatedFocasServer
 from drivers.sim.wires.haas_server import SimulatedHaasServer
+from drivers.sim.wires.mtconnect_agent import SimulatedMtconnectAgent
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 GUIDE = Path(__file__).parents[2] / "docs/how-to/write-a-driver.md"
@@ -77,7 +86,7 @@ class ExampleBench:
 class SimulatedBench(ABC):
     """A driver at one of the simulated servers."""
 
-    _server: SimulatedCncServer | SimulatedFocasServer | SimulatedHaasServer
+    _server: SimulatedCncServer | SimulatedFocasServer | SimulatedHaasServer | SimulatedMtconnectAgent
 
     async def start(self) -> None:
         await self._server.start()
@@ -116,6 +125,14 @@ class OpcUaBench(SimulatedBench):
     def refuse(self, number: int) -> None:
         del self._nc.macros.values[number]
 
+    def mistype(self, number: int) -> None:
+        assert self._server._server is not None
+        space = self._server._server.iserver.aspace
+        names = (f"Macro.{number}", f"/Channel/Parameter/R[u1,{number}]")
+        (node,) = (each for each in space.keys() if each.Identifier in names)  # noqa: SIM118
+        words = ua.DataValue(ua.Variant("MUCH", ua.VariantType.String))
+        space.set_attribute_value_callback(node, ua.AttributeIds.Value, lambda *_: words)
+
 
 class SinumerikBench(OpcUaBench):
     """The OPC UA driver at the simulated SINUMERIK."""
@@ -148,6 +165,16 @@ class FocasBench(SimulatedBench):
     def refuse(self, number: int) -> None:
         self._server.responder.refused_macros[number] = PROTECTED
 
+    def mistype(self, number: int) -> None:
+        responder = self._server.responder
+        shown = responder._read_macros
+
+        def read(ask: Ask) -> Answer:
+            first, last, *_ = ask.arguments
+            return Answer(0, b"MUCH" * 2 * (last - first + 1)) if first <= number <= last else shown(ask)
+
+        responder._answers = {**responder._answers, Function.READ_MACRO: read}
+
 
 class HaasBench(SimulatedBench):
     """The Haas driver at the simulated server."""
@@ -168,6 +195,16 @@ class HaasBench(SimulatedBench):
     def refuse(self, number: int) -> None:
         self._server.responder.refused_macros.add(number)
 
+    def mistype(self, number: int) -> None:
+        responder = self._server.responder
+        shown = responder.answer
+        numbered = [str(number)] if responder.numbered else []
+
+        def answer(line: str) -> bytes:
+            return encode_fields("MACRO", *numbered, "MUCH") if line.strip() == f"?Q600 {number}" else shown(line)
+
+        responder.answer = answer  # type: ignore[method-assign]
+
 
 class UnnumberedHaasBench(HaasBench):
     """A control that does not name the macro variable in its answers, as newer ones do."""
@@ -177,12 +214,39 @@ class UnnumberedHaasBench(HaasBench):
         self._server.responder.numbered = False
 
 
+class MtconnectBench(SimulatedBench):
+    """The MTConnect driver at the simulated agent: everything is read, nothing is written."""
+
+    def __init__(self) -> None:
+        self._nc = ScriptedNc()
+        self._server = SimulatedMtconnectAgent(self._nc, cnc_config(mtconnect={"url": "http://127.0.0.1:1"}), port=0)
+
+    def open_at(self, port: int, **changes: Any) -> Cnc:
+        section = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat"}
+        return MtconnectCnc(cnc_config(mtconnect=section, **changes), SystemClock())
+
+    def written(self) -> list[int]:
+        return [number for number, _ in self._nc.macros.written]
+
+    async def lose(self) -> None:
+        await self._server.stop()
+
+    def refuse(self, number: int) -> None:
+        raise AssertionError("nothing is ever written")
+
+    def mistype(self, number: int) -> None:
+        self._nc.spindle_speed_rpm = 4321.0
+        shown = self._server._answer
+        self._server._answer = lambda target: shown(target).replace(">4321<", ">MUCH<")  # type: ignore[method-assign]
+
+
 BENCHES = {
     "opcua": OpcUaBench,
     "sinumerik": SinumerikBench,
     "focas": FocasBench,
     "haas": HaasBench,
     "haas without numbers": UnnumberedHaasBench,
+    "mtconnect": MtconnectBench,
 }
 PROTECTED = 7
 
