@@ -41,6 +41,7 @@ COMMANDS: Mapping[str, str] = {
     "history": "Show what the daemon has recorded.",
     "export": "Export records as CSV or Parquet.",
     "sink": "Send the history to other systems; say how far it is.",
+    "fleet": "Many machines: simulate a plant.",
     "backup": "Back up history, configuration, models and records.",
     "restore": "Restore a back-up while the daemon is stopped.",
     "thermal": "Train and evaluate thermal models.",
@@ -122,6 +123,16 @@ def _module_of(command: str) -> ModuleType:
             from daemon.cli.operate import sink
 
             return sink
+    return _module_of_group(command)
+
+
+def _module_of_group(command: str) -> ModuleType:
+    """Do so for what has commands of its own."""
+    match command:
+        case "fleet":
+            from daemon.cli.fleet import group as fleet_group
+
+            return fleet_group
         case "thermal":
             from daemon.cli.thermal import group as thermal_group
 

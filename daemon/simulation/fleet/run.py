@@ -1,0 +1,292 @@
+"""`toolpoint fleet simulate`: starts the processes of a simulated fleet, restarts those that die, and counts."""
+
+import math
+import multiprocessing
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import psycopg
+from psycopg.conninfo import conninfo_to_dict
+
+from config.schema.sinks import SinkConfig
+from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.history.layout import MachineLayout
+from daemon.simulation import SimulationError
+from daemon.simulation.fleet.counting import ArrivalWatch, Rows, count_rows
+from daemon.simulation.fleet.machines import FleetPlan, Recorded, fleet_configuration, run_machines
+from daemon.simulation.fleet.senders import run_senders
+from daemon.sinks.outbox import STREAMS, Outbox
+
+SINK = "plant"
+SENDERS = 2
+"""Processes that send; each has its share of the machines."""
+ALL_TAKEN_WITHIN_S = 300.0
+"""What waits when the machines have ended must be taken within this time."""
+WATCH_PERIOD_S = 0.2
+STOP_WITHIN_S = 30.0
+SPAWN = multiprocessing.get_context("spawn")
+Body = tuple[Callable[..., None], tuple[Any, ...]]
+"""What a process runs, and its arguments."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetResult:
+    """What became of the histories of a fleet."""
+
+    plan: FleetPlan
+    rows: Rows
+    recorded: int
+    """Rows that the machines gave to their stores."""
+    dropped: int
+    behind_s: float
+    lags_s: list[float]
+    cpu_s: Mapping[str, float]
+    """Processor time by kind of process."""
+    restarts: Mapping[str, int]
+    """Processes that died and were started again, by kind."""
+    waiting: int
+    """Rows that no sink had acknowledged when patience ended."""
+
+    @property
+    def complete(self) -> bool:
+        """Everything that was recorded stands in the database, once."""
+        rows = self.rows
+        return not (rows.lost or rows.duplicates or self.waiting or self.dropped) and rows.stored == self.recorded
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as `--json` writes it."""
+        p50, p99 = (round(float(x), 3) for x in np.percentile(self.lags_s, (50, 99))) if self.lags_s else (None, None)
+        return {
+            "machines": self.plan.machines,
+            "minutes": self.plan.minutes,
+            "speed": self.plan.speed,
+            "start_utc_s": self.plan.start_utc_s,
+            "rows": {"recorded": self.recorded, **asdict(self.rows), "waiting": self.waiting},
+            "lag_s": {"p50": p50, "p99": p99, "max": round(max(self.lags_s), 3) if self.lags_s else None},
+            "behind_s": round(self.behind_s, 3),
+            "cpu_s": round(sum(self.cpu_s.values()), 2),
+            "cpu_of_s": {name: round(value, 2) for name, value in self.cpu_s.items()},
+            "restarts": dict(self.restarts),
+        }
+
+
+class Keeper:
+    """Processes that are started again when they are killed; a name is a kind and a number."""
+
+    def __init__(self, bodies: Mapping[str, Body]) -> None:
+        self._bodies = bodies
+        self._processes: dict[str, BaseProcess] = {}
+        self._used_s: dict[int, float] = {}
+        self._kind_of: dict[int, str] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
+        self.restarts: Counter[str] = Counter()
+        self.broken = ""
+        """A process that ended with an error of its own, which no restart helps."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every process that is kept."""
+        return tuple(self._bodies)
+
+    def pid(self, name: str) -> int | None:
+        """Return the number of the process that runs under a name."""
+        return self._processes[name].pid
+
+    def check(self) -> None:
+        """Raise SimulationError when a process ended by itself."""
+        if self.broken:
+            raise SimulationError(f"the process of the {self.broken} ended early; what it said stands above")
+
+    def cpu_s(self) -> dict[str, float]:
+        """Return the processor time of all processes so far, those that died with them, by kind [s]."""
+        found: Counter[str] = Counter()
+        for pid, used_s in self._used_s.items():
+            found[self._kind_of[pid]] += used_s  # type: ignore[assignment]
+        return dict(found)
+
+    def __enter__(self) -> Self:
+        for name in self._bodies:
+            self._start(name)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._measure()
+        for process in self._processes.values():
+            process.terminate()
+        for process in self._processes.values():
+            process.join(STOP_WITHIN_S)
+            process.kill()
+            process.join()
+
+    def _start(self, name: str) -> None:
+        target, arguments = self._bodies[name]
+        process = SPAWN.Process(target=target, args=arguments, name=name, daemon=True)
+        process.start()
+        self._processes[name] = process
+        assert process.pid is not None
+        self._kind_of[process.pid] = name.partition(" ")[0]
+
+    def _run(self) -> None:
+        while not self._stop.wait(WATCH_PERIOD_S):
+            self._measure()
+            for name, process in list(self._processes.items()):
+                if process.exitcode is not None and process.exitcode > 0:
+                    self.broken = name
+                    return
+                if process.exitcode is not None:
+                    self.restarts[name.partition(" ")[0]] += 1
+                    self._start(name)
+
+    def _measure(self) -> None:
+        for process in self._processes.values():
+            if process.pid is not None and (used_s := processor_s(process.pid)) is not None:
+                self._used_s[process.pid] = used_s
+
+
+def processor_s(pid: int) -> float | None:
+    """Return the processor time of a process so far [s]; None when it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def plan_of(folder: Path, machines: int, minutes: float, speed: float, dsn: str) -> FleetPlan:
+    """Return a run that ends about now in simulated time, but begins after what the database has of these machines."""
+    start_s = math.floor(time.time() - 60.0 * minutes * (1.0 - 1.0 / speed))
+    plan = FleetPlan(folder=folder, machines=machines, minutes=minutes, speed=speed, start_utc_s=float(start_s))
+    try:
+        with psycopg.connect(dsn, connect_timeout=10) as connection:
+            found = connection.execute("SELECT to_regclass('toolpoint.deliveries')").fetchone()
+            if found is None or found[0] is None:
+                return plan
+            newest = connection.execute(
+                "SELECT extract(epoch FROM max(newest))::float8 FROM toolpoint.deliveries WHERE machine = ANY(%s)",
+                (list(plan.names),),
+            ).fetchone()
+    except psycopg.Error as error:
+        raise SimulationError(f"--postgres: {' '.join(str(error).split())}") from error
+    if newest is not None and newest[0] is not None and newest[0] >= start_s:
+        return replace(plan, start_utc_s=math.floor(newest[0]) + 60.0)
+    return plan
+
+
+def sink_of(dsn: str, folder: Path, period_s: float) -> SinkConfig:
+    """Return the section `sinks` that sends to a database; its password goes into a file of the folder."""
+    try:
+        known = conninfo_to_dict(dsn)
+    except psycopg.Error as error:
+        raise SimulationError(f"--postgres: {' '.join(str(error).split())}") from error
+    if (mode := known.get("sslmode", "disable")) not in ("disable", "verify-full"):
+        raise SimulationError(f"--postgres: sslmode={mode} is not what a sink does: give disable or verify-full")
+    there: dict[str, Any] = {"host": known.get("host", "localhost"), "tls": mode == "verify-full"}
+    names = {"dbname": "database", "user": "user_name", "sslrootcert": "ca_certificate"}
+    there |= {key: known[name] for name, key in names.items() if name in known}
+    there |= {"port": int(str(known.get("port", 5432)))}
+    if "ca_certificate" in there:
+        there["ca_certificate"] = Path(there["ca_certificate"])
+    if "password" in known:
+        path = folder / "database-password"
+        path.touch(mode=0o600)
+        path.write_text(str(known["password"]), encoding="utf-8")
+        there["password_file"] = path
+    return SinkConfig.model_validate({"name": SINK, "driver": "postgresql", "period_s": period_s, "postgresql": there})
+
+
+def simulate_fleet(
+    plan: FleetPlan,
+    dsn: str,
+    sink: SinkConfig,
+    *,
+    say: Say = lambda _sentence: None,
+    began: Callable[[Keeper], None] = lambda _keeper: None,
+) -> FleetResult:
+    """Run a fleet to its end and count; `began` gets what keeps the senders up when everything runs."""
+    machines = [(name, plan.store(number)) for number, name in enumerate(plan.names)]
+    here, there = SPAWN.Pipe()
+    recording = SPAWN.Process(target=run_machines, args=(plan, there), name="machines", daemon=True)
+    recording.start()
+    there.close()
+    _received(here, recording)
+    bodies: dict[str, Body] = {
+        f"senders {turn + 1}": (run_senders, (machines[turn::SENDERS], sink))
+        for turn in range(min(SENDERS, plan.machines))
+    }
+    lines = tuple(MachineLayout.from_configuration(fleet_configuration()).lines)
+    with ArrivalWatch(dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
+        _all_at_work(plan, keeper)
+        here.send(None)
+        say(f"{plan.machines} machines record {plan.minutes:g} min at {plan.speed:g} times real time")
+        began(keeper)
+        try:
+            recorded: Recorded = _received(here, recording, keeper)
+        finally:
+            recording.terminate()
+            recording.join()
+        say(f"{recorded.rows} rows recorded; waiting for the senders")
+        waiting = _all_taken(plan, keeper)
+    with psycopg.connect(dsn, autocommit=True) as connection:
+        rows = count_rows(plan, connection, SINK)
+    return FleetResult(
+        plan=plan,
+        rows=rows,
+        recorded=recorded.rows,
+        dropped=recorded.dropped,
+        behind_s=recorded.behind_s,
+        lags_s=arrivals.lags_s(plan, recorded.commits),
+        cpu_s={"machines": recorded.cpu_s, **keeper.cpu_s()},
+        restarts=keeper.restarts,
+        waiting=waiting,
+    )
+
+
+def _received(connection: Connection, process: BaseProcess, keeper: Keeper | None = None) -> Any:
+    while keeper is not None and not connection.poll(WATCH_PERIOD_S):
+        keeper.check()
+    try:
+        return connection.recv()
+    except EOFError:
+        process.join()
+        raise SimulationError("the process of the machines ended early; what it said stands above") from None
+
+
+def _all_at_work(plan: FleetPlan, keeper: Keeper) -> None:
+    """Wait until every sender has said that it runs."""
+    missing = [cursor_path(plan.store(number), SINK) for number in range(plan.machines)]
+    while missing := [path for path in missing if not path.exists()]:
+        keeper.check()
+        time.sleep(WATCH_PERIOD_S)
+
+
+def _all_taken(plan: FleetPlan, keeper: Keeper) -> int:
+    """Wait until the sinks have acknowledged everything; return how many rows still wait when patience ends."""
+    deadline_s = time.monotonic() + ALL_TAKEN_WITHIN_S
+    while True:
+        waiting = sum(_waiting(plan.store(number)) for number in range(plan.machines))
+        if waiting == 0 or time.monotonic() > deadline_s:
+            return waiting
+        keeper.check()
+        time.sleep(WATCH_PERIOD_S)
+
+
+def _waiting(store: Path) -> int:
+    cursor = Cursor.read(cursor_path(store, SINK)) or Cursor()
+    with Outbox(store) as outbox:
+        return sum(
+            outbox.waiting(stream, cursor.positions.get(name, Position()))[0] for name, stream in STREAMS.items()
+        )

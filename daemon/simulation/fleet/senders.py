@@ -1,0 +1,39 @@
+"""The senders of a simulated fleet: what `toolpoint sink run` does, for many machines in one process."""
+
+import signal
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from config.schema import Configuration
+from config.schema.service import HistoryConfig
+from config.schema.sinks import SinkConfig
+from daemon.simulation.fleet.machines import fleet_configuration
+from daemon.sinks.running import run_sinks
+from daemon.telemetry.logs import configure_logging
+
+Machine = tuple[str, Path]
+"""Name and store."""
+
+
+def with_sink(base: Configuration, machine: Machine, sink: SinkConfig) -> Configuration:
+    """Return the configuration of one machine whose history goes to a sink."""
+    name, store = machine
+    return base.model_copy(update={"machine": name, "history": HistoryConfig(path=store), "sinks": (sink,)})
+
+
+def run_senders(machines: Sequence[Machine], sink: SinkConfig) -> None:
+    """Send the histories of some machines until told to stop; body of a process of its own."""
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    configure_logging("error")
+    base = fleet_configuration()
+    threads = [
+        threading.Thread(target=run_sinks, args=(with_sink(base, machine, sink), stop), name=machine[0])
+        for machine in machines
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()

@@ -1,0 +1,69 @@
+"""Histories of simulated machines in a real database, held against the stores, through kills of what carries them."""
+
+import json
+from pathlib import Path
+
+import psycopg
+import pytest
+from click.testing import CliRunner
+from fleet_kills import Killer, database_kill, dsn_of
+from postgresql import PASSWORD, Server, postgresql
+
+from daemon.cli import main
+from daemon.simulation.fleet.counting import count_rows
+from daemon.simulation.fleet.run import SINK, plan_of, simulate_fleet, sink_of
+
+
+@pytest.fixture(scope="module")
+def server():
+    with postgresql() as server:
+        yield server
+
+
+@pytest.mark.slow
+def test_nothing_is_lost_or_doubled_when_database_and_senders_are_killed(server: Server, tmp_path: Path) -> None:
+    dsn = dsn_of(server, PASSWORD)
+    plan = plan_of(tmp_path, machines=2, minutes=4.0, speed=30.0, dsn=dsn)
+    killer = Killer(4, 8.0, seed=1, others={"database": database_kill(server)})
+    result = simulate_fleet(plan, dsn, sink_of(dsn, tmp_path, 0.3), began=killer.begin)
+    killer.join()
+    assert sum(killer.done.values()) == 4 and result.restarts["senders"] >= 2, "all of them died"
+    assert result.complete, result.as_json()
+    assert len(result.lags_s) == 2 * 3 * 24, "every cycle of every line was seen to arrive"
+    again = plan_of(tmp_path / "again", machines=2, minutes=4.0, speed=30.0, dsn=dsn)
+    assert again.start_utc_s > plan.start_utc_s + 240.0, "a second run does not mix with the first"
+    with psycopg.connect(dsn, autocommit=True) as connection:
+        for table in ("cnc", "temperatures"):
+            (time, machine) = connection.execute(f"SELECT time, machine FROM toolpoint.{table} LIMIT 1").fetchone()
+            changed = "degc[1] = degc[1] + 0.0625" if table == "temperatures" else "sequence_number = 99"
+            connection.execute(
+                f"UPDATE toolpoint.{table} SET {changed} WHERE time = %s AND machine = %s", (time, machine)
+            )
+        connection.execute("DELETE FROM toolpoint.writes WHERE write_id = 3 AND machine = 'simulated 1'")
+        found = count_rows(plan, connection, SINK)
+    assert (found.lost, found.duplicates) == (3, 2), "a change of one step in one sensor is seen too"
+
+
+@pytest.mark.slow
+def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
+    words = ["fleet", "simulate", "--machines", "1", "--minutes", "1", "--speed", "60", "--directory", str(tmp_path)]
+    done = CliRunner().invoke(main, [*words, "--postgres", dsn_of(server, PASSWORD), "--json", "-"])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    rows = said["rows"]
+    assert rows["stored"] == rows["acknowledged"] == rows["sent"] == rows["recorded"] > 100
+    assert rows["lost"] == rows["duplicates"] == rows["waiting"] == 0
+    assert 0.0 <= said["lag_s"]["p50"] <= said["lag_s"]["p99"] and said["cpu_s"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("dsn", "said"),
+    [
+        ("host=127.0.0.1 port=1 user=nobody", "--postgres: "),
+        ("host=db sslmode=require", "give disable or verify-full"),
+        ("no such thing", "--postgres: "),
+    ],
+)
+def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
+    done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
+    assert done.exit_code == 2 and said in done.output

@@ -1,0 +1,66 @@
+"""Kills what carries the history of a simulated fleet, at random moments, and brings it up again."""
+
+import os
+import random
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+from postgresql import Server
+
+from daemon.simulation.fleet.run import Keeper
+
+Kill = Callable[[], None]
+
+
+class Killer:
+    """A thread that makes so many kills, evenly over a time, each at a random moment of its share."""
+
+    def __init__(self, kills: int, within_s: float, seed: int, others: Mapping[str, Kill]) -> None:
+        """`others`: what is killed beside the kept processes, and started again, by name."""
+        self.done: Counter[str] = Counter()
+        self._kills, self._within_s, self._others = kills, within_s, others
+        self._random = random.Random(seed)
+        self._thread = threading.Thread(target=self._run, name="killer")
+        self._keeper: Keeper | None = None
+
+    def begin(self, keeper: Keeper) -> None:
+        """Begin; `simulate_fleet` calls it when everything runs."""
+        self._keeper = keeper
+        self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the last kill."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        assert self._keeper is not None
+        share_s = self._within_s / self._kills
+        turns = [*self._keeper.names, *self._others]
+        for number in range(self._kills):
+            before_s = self._random.uniform(0.0, share_s)
+            threading.Event().wait(before_s)
+            # Each in turn first, so that few kills reach all of them; then at random.
+            name = turns[number] if number < len(turns) else self._random.choice(turns)
+            self.done[name.partition(" ")[0]] += 1
+            if name in self._others:
+                self._others[name]()
+            elif (pid := self._keeper.pid(name)) is not None:
+                os.kill(pid, signal.SIGKILL)
+            threading.Event().wait(share_s - before_s)
+
+
+def database_kill(server: Server, *settings: str) -> Kill:
+    """Return what kills a PostgreSQL server and starts it again."""
+
+    def kill() -> None:
+        server.kill()
+        server.start(*settings)
+
+    return kill
+
+
+def dsn_of(server: Server, password: str) -> str:
+    """Return how a command reaches a server."""
+    return f"host=127.0.0.1 port={server.port} dbname=toolpoint user=toolpoint password='{password}'"
