@@ -121,7 +121,7 @@ class SpindleSpeedConfig(Section):
 
     program: int = Field(9020, ge=1, le=9999, description="O number of the speed program that the CNC runs")
     tool_variable: int = Field(
-        4120, ge=100, le=9999, description="variable in which the NC finds the number of the tool in the spindle"
+        4120, ge=100, le=9999, description="where the NC finds the spindle's tool; on a SINUMERIK R, or 4120: $P_TOOLNO"
     )
     macros: SpeedMacrosConfig = Field(description="macro variables; those that are written, within `writable`")
     thermomechanical_model: Path = Field(

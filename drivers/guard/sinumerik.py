@@ -6,7 +6,7 @@ control was switched on, and then makes the valid_until of before vacant.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from config.records.commissioning import macro_map_digest
 from config.schema.cnc import MacroMapConfig
@@ -41,10 +41,28 @@ ALARMS = {10: 130, 11: 131}
 """Numbers of the statuses whose 100 + n is another alarm already."""
 
 
+SPEED_WORDS = {
+    "alarm_wrong": (140, "SPEED S F D E OR K WRONG"),
+    "alarm_inch": (141, "SPEED IN INCH"),
+    "alarm_feed": (142, "SPEED NEEDS G94"),
+}
+"""What the speed program stops with."""
+OWN_TOOL_NUMBER = 4120
+"""`tool_variable` of a FANUC, whose place $P_TOOLNO takes here."""
+
+
 def sinumerik_text(
-    macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = ""
+    macros: MacroMapConfig,
+    axes: Mapping[str, AxisConfig],
+    guard: GuardConfig,
+    *,
+    machine: str = "",
+    cleared: Sequence[int] = (),
 ) -> str:
-    """Return the archive with all NC programs, each with its head; raises GuardTextError."""
+    """Return the archive with all NC programs, each with its head; raises GuardTextError.
+
+    `cleared` are R parameters that power-on makes vacant, beside the guard's own.
+    """
     programs = fanuc.GuardPrograms.of(macros, guard)
     rows = [
         _decimals(row | _datum(axes[name]))
@@ -52,17 +70,44 @@ def sinumerik_text(
     ]
     words = WORDS | ({11: "MD32750 MD32760 SD43920"} if any("pivot" in row for row in rows) else {})
     fields = _decimals(_fields(macros, guard, len(rows), words))
+    fields["cleared"] = "".join(f"\nR{number}={round(VACANT_R)}" for number in cleared)
     numbers = {name: getattr(programs, name) for name in ("start", "guard", "initialise", "request", "enter", "leave")}
     parts = [
-        f"%_N_TP{number}_SPF\n;$PATH=/_N_CUS_DIR\n"
-        + fanuc.filled_program(f"sinumerik_{name}", number, fields, rows, guard)
+        _file_head(number) + fanuc.filled_program(f"sinumerik_{name}", number, fields, rows, guard)
         for name, number in numbers.items()
         if number is not None
     ]
     body = "\n".join(parts) + "\n"
     first, path, proc, rest = body.split("\n", 3)
     head = _head(macros, axes, guard, machine, body)
-    text = "\n".join([first, path, proc, *head, rest])
+    return _taken("\n".join([first, path, proc, *head, rest]))
+
+
+def speed_fields(fields: Mapping[str, str], programs: fanuc.GuardPrograms, guard: GuardConfig) -> dict[str, str]:
+    """Return the fields of the speed program as the template for a SINUMERIK has them."""
+    tool = fields["tool_variable"]
+    return {
+        **fields,
+        **{name: _stop("stop", number, words) for name, (number, words) in SPEED_WORDS.items()},
+        "start": str(programs.start),
+        "retry_s": fanuc.decimal(fanuc.RETRY_MS / 1000.0),
+        "vacant": str(round(VACANT_R)),
+        "timer": str(guard.timer),
+        "tool_in_spindle": "$P_TOOLNO" if tool == str(OWN_TOOL_NUMBER) else f"R{tool}",
+    }
+
+
+def speed_archive(number: int, lines: Iterable[str]) -> str:
+    """Return the archive that holds the speed program alone; raises GuardTextError."""
+    return _taken(_file_head(number) + _POINT.sub(".0", "\n".join(lines)) + "\n")
+
+
+def _file_head(number: int) -> str:
+    return f"%_N_TP{number}_SPF\n;$PATH=/_N_CUS_DIR\n"
+
+
+def _taken(text: str) -> str:
+    """Return a text that a control takes; raises GuardTextError for one that it would not."""
     for line in text.splitlines():
         if len(line) > LONGEST_LINE or not line.isascii():
             raise fanuc.GuardTextError(f"the line {line!r} is longer than {LONGEST_LINE} characters or not plain ASCII")

@@ -4,7 +4,7 @@ PROC TP{program} DISPLOF
 STOPRE
 IF $AC_TIMER[{timer}]>0 GOTOF TP_ON
 ;SWITCHED ON SINCE: THE TIMER STANDS AT 0. R PARAMETERS SURVIVE, NO BLOCK MAY
-R{valid_until}={vacant}
+R{valid_until}={vacant}{cleared}
 @flag
 R{safe_flag}={vacant}
 @end

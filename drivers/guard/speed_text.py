@@ -8,7 +8,7 @@ from enum import IntEnum
 from config.schema import Configuration
 from config.schema.guard import PROGRAMS
 from config.schema.spindle_speed import SpindleSpeedConfig
-from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardTextError, decimal, filled
+from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardPrograms, GuardTextError, decimal, filled
 
 SPEED_PROGRAM_VERSION = 3
 TEXT_NUMBERS = 1_000_000
@@ -16,7 +16,7 @@ TEXT_NUMBERS = 1_000_000
 ROUNDING_RPM = 0.5
 """The NC takes whole speeds, so limits are this much wider in its text [1/min]."""
 Rows = list[dict[str, str]]
-_TEXT = re.compile(r"\(TEXT (\d+)\)")
+_TEXT = re.compile(r"^[(;]TEXT (\d+)", re.MULTILINE)
 
 
 class SpeedStatus(IntEnum):
@@ -43,19 +43,25 @@ def speed_program(configuration: Configuration) -> str:
     tuning, guard = configuration.spindle_speed, configuration.cnc.guard
     if tuning is None:
         raise GuardTextError("there is no section spindle_speed, so the machine has no speed program")
-    if guard.dialect != "fanuc":
+    if guard.dialect == "linuxcnc":
         raise GuardTextError(
-            "spindle_speed: the speed program is custom macro text, which this control does not run; "
-            "leave the section out"
+            "spindle_speed: there is no speed program for LinuxCNC, only for FANUC and SINUMERIK; leave the section out"
         )
-    if guard.program <= tuning.program < guard.program + PROGRAMS:
+    is_sinumerik = guard.dialect == "sinumerik"
+    last = guard.program + PROGRAMS - (0 if is_sinumerik else 1)
+    if guard.program <= tuning.program <= last:
+        letters = "TP" if is_sinumerik else "O"
         raise GuardTextError(
-            f"spindle_speed.program: O{tuning.program} is one of the guard's, O{guard.program} to "
-            f"O{guard.program + PROGRAMS - 1}; choose another number"
+            f"spindle_speed.program: {letters}{tuning.program} is one of the guard's, {letters}{guard.program} to "
+            f"{letters}{last}; choose another number"
         )
     fields = _fields(configuration, tuning)
-    fields["text"] = str(_number(_filled(tuning, fields | {"text": "0"})))
-    lines = _filled(tuning, fields)
+    if is_sinumerik:
+        from drivers.guard.sinumerik import speed_archive, speed_fields
+
+        fields = speed_fields(fields, GuardPrograms.of(configuration.cnc.macros, guard), guard)
+        return speed_archive(tuning.program, _numbered(tuning, fields, "sinumerik_speed"))
+    lines = _numbered(tuning, fields, "speed")
     if long := [line for line in lines if len(line) > LONGEST_LINE]:
         raise GuardTextError(f"the line {long[0]!r} is longer than {LONGEST_LINE} characters")
     return "\n".join(lines) + "\n"
@@ -96,7 +102,13 @@ def _tools(tuning: SpindleSpeedConfig) -> Rows:
     return [{"tool": str(tool), "tool_highest": decimal(rpm + ROUNDING_RPM)} for tool, rpm in sorted(highest.items())]
 
 
-def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str]) -> list[str]:
+def _numbered(tuning: SpindleSpeedConfig, fields: Mapping[str, str], template: str) -> list[str]:
+    """Return the lines of the text, which hold the number that is made from them."""
+    number = _number(_filled(tuning, {**fields, "text": "0"}, template))
+    return _filled(tuning, {**fields, "text": str(number)}, template)
+
+
+def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str], template: str) -> list[str]:
     """Return the lines of the text."""
     keep = tuning.keep_feed_per_tooth
     once: Rows = [{}]
@@ -105,7 +117,7 @@ def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str]) -> list[str]:
         "@plain": [] if keep else once,
         "@tools": _tools(tuning),
     }
-    return filled("speed", fields, sections)
+    return filled(template, fields, sections)
 
 
 def _number(lines: Sequence[str]) -> int:

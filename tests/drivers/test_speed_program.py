@@ -1,7 +1,8 @@
-"""The speed program as `toolpoint guard --speed` prints it, run by the simulated NC."""
+"""The speed program as `toolpoint guard --speed` prints it, run by the simulated NC, in both languages."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -9,24 +10,44 @@ from click.testing import CliRunner
 from speed_machine import MACROS, speed_machine
 
 from config.machines import shipped_file
+from config.schema import Configuration
 from daemon.cli import main
 from daemon.spindle_speed.macro_block import DISABLED, NOTHING, OperationKey, SpeedBlock, SpeedCall, SpeedPair
+from drivers.guard.programs import guard_program
 from drivers.guard.speed_text import SpeedStatus, speed_program, speed_text_number
+from drivers.guard.text import GuardTextError
 from drivers.sim.nc.custom_macro import Interpreter, MacroControl, compile_programs
 from drivers.sim.nc.nc import MacroTable
+from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikInterpreter, compile_archive
 
 CLOCK_S = 1000.0
 
 
 class SpeedBench:
+    """A FANUC with the speed program."""
+
+    dialect = "fanuc"
+    edge = (130, 131, 132)
+    """Alarms: a wrong call, inch, no feed per minute."""
+
     def __init__(self, folder: Path, **changes: object) -> None:
-        self.configuration = speed_machine(folder, **changes)
+        self.configuration = in_dialect(speed_machine(folder, **changes), self.dialect)
         self.macros = MacroTable()
-        self.control = MacroControl(self.macros, addresses=["X", "Y", "Z"], increment_mm=0.001)
+        self.control, self.interpreter = self.made()
         self.control.clock_s = CLOCK_S
         self.control.tool_number = 1
-        self.interpreter = Interpreter(compile_programs(speed_program(self.configuration)), self.control)
         self.block = SpeedBlock(MACROS)
+
+    def made(self) -> tuple[Any, Any]:
+        control = MacroControl(self.macros, addresses=["X", "Y", "Z"], increment_mm=0.001)
+        return control, Interpreter(compile_programs(speed_program(self.configuration)), control)
+
+    def feed_otherwise(self, code: int) -> None:
+        """Set the group of G93, G94 and G95."""
+        self.control.set_modal(code)
+
+    def inch(self) -> None:
+        self.control.set_modal(20)
 
     def write(self, pair: SpeedPair, *, valid_until_s: float = CLOCK_S + 20.0) -> None:
         for group in self.block.encode(pair, after=5, valid_until_s=valid_until_s):
@@ -47,15 +68,55 @@ class SpeedBench:
         return self.control.spindle_rpm, self.control.feed_mm_min, status
 
 
+class SinumerikSpeedBench(SpeedBench):
+    """A SINUMERIK with the guard's programs beside it, one of which starts the clock."""
+
+    dialect = "sinumerik"
+    edge = (140, 141, 142)
+
+    def made(self) -> tuple[Any, Any]:
+        control = SinumerikControl(self.macros, addresses=["X", "Y", "Z"], increment_mm=0.001)
+        self.text = guard_program(self.configuration)
+        interpreter = SinumerikInterpreter(compile_archive(self.text + speed_program(self.configuration)), control)
+        for number in {*MACROS.numbers, 580, 581}:  # every R parameter is a number
+            self.macros.set(number, None)
+        interpreter.run(START)
+        return control, interpreter
+
+    def feed_otherwise(self, code: int) -> None:
+        self.control.groups[15] = {93: 1, 94: 2, 95: 3}[code]
+
+    def inch(self) -> None:
+        self.control.groups[13] = 1
+
+
+START = 9015
+
+
+def in_dialect(configuration: Configuration, dialect: str) -> Configuration:
+    """The machine as it would be with a control of this language."""
+    cnc = configuration.cnc
+    changed: dict[str, Any] = {"guard": cnc.guard.model_copy(update={"dialect": dialect})}
+    if dialect == "sinumerik":
+        changed["opcua"] = cnc.opcua.model_copy(update={"preset": "sinumerik", "namespace_uri": None})
+    return configuration.model_copy(update={"cnc": cnc.model_copy(update=changed)})
+
+
+BENCHES = (SpeedBench, SinumerikSpeedBench)
 OPERATION = OperationKey(tool_number=1.0, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=4.5, radial_mm=5.0, kind=1.0)
 CALL = {"S": 9000.0, "F": 1800.0, "D": 4.5, "E": 5.0}
 PAIR = SpeedPair(made_for=OPERATION, speed_rpm=9400.0, feed_mm_min=1880.0, enable=True)
 PROGRAMMED = (9000.0, 1800.0)
 
 
+@pytest.fixture(params=BENCHES, ids=lambda bench: bench.dialect)
+def kind(request: pytest.FixtureRequest) -> type[SpeedBench]:
+    return request.param
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> SpeedBench:
-    return SpeedBench(tmp_path)
+def bench(kind: type[SpeedBench], tmp_path: Path) -> SpeedBench:
+    return kind(tmp_path)
 
 
 def test_the_pair_is_taken_and_the_call_is_told(bench: SpeedBench) -> None:
@@ -129,12 +190,12 @@ def test_a_call_that_a_reset_broke_off_is_never_taken_and_the_next_one_counts_on
     assert told.count == 3
 
 
-def test_the_tool_s_own_limit_stands_in_the_text(tmp_path: Path) -> None:
+def test_the_tool_s_own_limit_stands_in_the_text(kind: type[SpeedBench], tmp_path: Path) -> None:
     operation = speed_machine(tmp_path).spindle_speed.operations[0]
     low = operation.model_copy(update={"highest_rpm": 9300.0})
     lower = operation.model_copy(update={"program": 7, "highest_rpm": 9200.0})
     other = operation.model_copy(update={"tool_number": 2, "highest_rpm": 9500.0})
-    bench = SpeedBench(tmp_path, operations=[low, lower, other])
+    bench = kind(tmp_path, operations=[low, lower, other])
     bench.write(PAIR)
     assert bench.call() == (*PROGRAMMED, SpeedStatus.OUT_OF_BOUNDS)
     bench.write(replace(PAIR, speed_rpm=9200.0, feed_mm_min=1840.0))
@@ -146,16 +207,18 @@ def test_the_tool_s_own_limit_stands_in_the_text(tmp_path: Path) -> None:
     assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
 
 
-def test_the_text_s_number_follows_its_limits(tmp_path: Path) -> None:
-    numbers = [
-        speed_text_number(speed_machine(tmp_path, **changes)) for changes in ({}, {}, {"max_change_percent": 19.0})
+def test_the_text_s_number_follows_its_limits(kind: type[SpeedBench], tmp_path: Path) -> None:
+    machines = [
+        in_dialect(speed_machine(tmp_path, **changes), kind.dialect)
+        for changes in ({}, {}, {"max_change_percent": 19.0})
     ]
+    numbers = [speed_text_number(each) for each in machines]
     assert numbers[0] == numbers[1] != numbers[2]
-    assert f"(TEXT {numbers[0]})" in speed_program(speed_machine(tmp_path))
+    assert f"TEXT {numbers[0]}" in speed_program(machines[0])
 
 
-def test_another_variable_may_hold_the_tool(tmp_path: Path) -> None:
-    bench = SpeedBench(tmp_path, tool_variable=700)
+def test_another_variable_may_hold_the_tool(kind: type[SpeedBench], tmp_path: Path) -> None:
+    bench = kind(tmp_path, tool_variable=700)
     bench.write(PAIR)
     assert bench.call()[2] is SpeedStatus.ANOTHER
     bench.macros.set(700, 1.0)
@@ -187,7 +250,7 @@ def test_vacant_torn_and_cleared_macros_are_the_programmed_pair(bench: SpeedBenc
     bench.macros.set(MACROS.sequence_a, 77.0)
     assert bench.call() == (*PROGRAMMED, SpeedStatus.TORN)
     bench.write(PAIR)
-    bench.macros.power_off()
+    bench.macros.set(MACROS.valid_until, None)
     assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
     for number in set(MACROS.ours) - {MACROS.valid_until}:
         bench.write(PAIR)
@@ -195,8 +258,8 @@ def test_vacant_torn_and_cleared_macros_are_the_programmed_pair(bench: SpeedBenc
         assert bench.call()[:2] == PROGRAMMED
 
 
-def test_a_plain_feed_must_be_the_programmed_one(tmp_path: Path) -> None:
-    bench = SpeedBench(tmp_path, keep_feed_per_tooth=False)
+def test_a_plain_feed_must_be_the_programmed_one(kind: type[SpeedBench], tmp_path: Path) -> None:
+    bench = kind(tmp_path, keep_feed_per_tooth=False)
     bench.write(PAIR)
     assert bench.call() == (*PROGRAMMED, SpeedStatus.OUT_OF_BOUNDS)
     bench.write(replace(PAIR, feed_mm_min=1800.0))
@@ -206,18 +269,18 @@ def test_a_plain_feed_must_be_the_programmed_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("code", [93, 95])
 def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int) -> None:
     bench.write(PAIR)
-    bench.control.set_modal(code)
+    bench.feed_otherwise(code)
     bench.interpreter.run(9020, **CALL)
     assert bench.control.alarm is not None
-    assert bench.control.alarm[0] == 132
+    assert bench.control.alarm[0] == bench.edge[2]
     assert (bench.control.spindle_rpm, bench.macros.get(MACROS.calls)) == (0.0, None)
     bench.control.alarm = None
-    bench.control.set_modal(94)
+    bench.feed_otherwise(94)
     assert bench.call()[2] is SpeedStatus.APPLIED
 
 
-def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(tmp_path: Path) -> None:
-    bench = SpeedBench(tmp_path, max_change_percent=20.0)
+def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(kind: type[SpeedBench], tmp_path: Path) -> None:
+    bench = kind(tmp_path, max_change_percent=20.0)
     programmed_rpm = 2348.0
     edge_rpm = float(round(1.2 * programmed_rpm))  # 0.4 1/min above it
     made_for = replace(OPERATION, speed_rpm=programmed_rpm)
@@ -232,22 +295,60 @@ def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(tmp_path: Pat
 def test_a_call_that_makes_no_sense_is_an_alarm(bench: SpeedBench, arguments: dict) -> None:
     bench.interpreter.run(9020, **({"S": 9000.0, "F": 1800.0} | arguments))
     assert bench.control.alarm is not None
-    assert bench.control.alarm[0] == 130
+    assert bench.control.alarm[0] == bench.edge[0]
     assert bench.macros.get(MACROS.calls) is None
 
 
-def test_inch_mode_is_an_alarm_and_modals_are_restored(bench: SpeedBench) -> None:
+def test_inch_mode_is_an_alarm(bench: SpeedBench) -> None:
+    bench.inch()
+    bench.interpreter.run(9020, S=9000.0, F=1800.0)
+    assert bench.control.alarm is not None
+    assert bench.control.alarm[0] == bench.edge[1]
+    assert bench.told() is None
+
+
+def test_modals_are_restored(tmp_path: Path) -> None:
+    bench = SpeedBench(tmp_path)
     bench.control.set_modal(91)
     bench.call()
     assert bench.control.modal[3] == 91
-    bench.control.set_modal(20)
-    bench.interpreter.run(9020, S=9000.0, F=1800.0)
-    assert bench.control.alarm is not None
-    assert bench.control.alarm[0] == 131
 
 
-def test_the_command_prints_the_program_of_the_machine(tmp_path: Path) -> None:
-    configuration = speed_machine(tmp_path)
+def test_a_pair_does_not_outlive_power_off_though_r_parameters_do(tmp_path: Path) -> None:
+    """Switched on for as long as the last time, the clock would make a pair of then valid again."""
+    bench = SinumerikSpeedBench(tmp_path)
+    bench.write(PAIR, valid_until_s=20.0)
+    bench.control.power_on()
+    bench.interpreter.run(START)
+    bench.control.clock_s += 5.0
+    assert bench.macros.get(MACROS.valid_until) is None
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
+    bench.write(PAIR, valid_until_s=20.0)
+    assert bench.call()[2] is SpeedStatus.APPLIED
+    bench.control.power_on()  # and where no guard has been called since, the speed program has the clock started
+    assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
+
+
+def test_the_guard_of_a_machine_without_tuning_clears_nothing_more(tmp_path: Path) -> None:
+    bench = SinumerikSpeedBench(tmp_path)
+    without = guard_program(bench.configuration.model_copy(update={"spindle_speed": None}))
+    assert f"\nR{MACROS.valid_until}=-999999999\n" in bench.text
+    assert f"R{MACROS.valid_until}=" not in without
+
+
+@pytest.mark.parametrize("program", [9010, 9015])
+def test_the_number_of_one_of_the_guards_programs_is_refused(tmp_path: Path, program: int) -> None:
+    with pytest.raises(GuardTextError, match=f"TP{program} is one of the guard's, TP9010 to TP9015"):
+        speed_program(in_dialect(speed_machine(tmp_path, program=program), "sinumerik"))
+
+
+def test_linuxcnc_has_no_speed_program(tmp_path: Path) -> None:
+    with pytest.raises(GuardTextError, match="no speed program for LinuxCNC"):
+        speed_program(in_dialect(speed_machine(tmp_path), "linuxcnc"))
+
+
+def test_the_command_prints_the_program_of_the_machine(kind: type[SpeedBench], tmp_path: Path) -> None:
+    configuration = in_dialect(speed_machine(tmp_path), kind.dialect)
     path = tmp_path / "machine.yaml"
     path.write_text(yaml.safe_dump(configuration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
     result = CliRunner().invoke(main, ["guard", "--config", str(path), "--speed"])

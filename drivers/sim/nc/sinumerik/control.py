@@ -12,8 +12,10 @@ CLOCK_WRAP_S = 2_147_483.648
 MESSAGES_KEPT = 20
 METRIC, INCHES = 2, 1
 """Active function of G group 13: G71, G70."""
-DEFAULT_GROUPS = {7: 1, 13: METRIC}
-"""Active function of each G group after power-on: G40, G71."""
+PER_MINUTE = 2
+"""Active function of G group 15: G94."""
+DEFAULT_GROUPS = {7: 1, 13: METRIC, 15: PER_MINUTE}
+"""Active function of each G group after power-on: G40, G71, G94."""
 Action = Callable[["SinumerikControl"], None]
 
 
@@ -40,6 +42,9 @@ class SinumerikControl:
         """The control keeps compensation values in steps of this [mm]."""
         self.clock_s = 0.0
         self.tool_number = 0
+        self.spindle_rpm = 0.0
+        self.feed_mm_min = 0.0
+        """What the latest S and F words say."""
         self.external_mm = [0.0] * len(self.addresses)
         """What each axis is moved by [mm]: SD43900, the operator's own and what a program has added."""
         self.slopes = [0.0] * len(self.addresses)

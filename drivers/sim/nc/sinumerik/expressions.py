@@ -245,6 +245,8 @@ def index_of(tokens: Tokens) -> str:
 
 
 def _system(tokens: Tokens, name: str) -> Expression:
+    if name == "$P_TOOLNO":
+        return lambda frame: frame.control.tool_number
     index = index_of(tokens)
     if name == "$AC_TIMER":
         return lambda frame: frame.control.timer(int(index))

@@ -6,7 +6,17 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from drivers.sim.nc.sinumerik.control import SinumerikControl, SinumerikError
-from drivers.sim.nc.sinumerik.expressions import Expression, Frame, Tokens, Value, expression, index_of, real, truth
+from drivers.sim.nc.sinumerik.expressions import (
+    Expression,
+    Frame,
+    Tokens,
+    Value,
+    expression,
+    index_of,
+    real,
+    truth,
+    variable,
+)
 
 _HEAD = re.compile(r"%_N_(TP\d+)_SPF")
 _PROC = re.compile(r"PROC (TP\d+)(?:\(([^)]*)\))?((?: SAVE| DISPLOF| SBLOF)*)")
@@ -20,6 +30,7 @@ _ALARM = re.compile(r'SETAL\((\d+),"([^"]*)"\)')
 _DWELL = re.compile(r"G4 F(\d+\.?\d*)")
 _ACTION = re.compile(r"IDS=(\d+) DO \$R(\d+)=\$AC_TIMER\[(\d+)\]")
 _CALL = re.compile(r"(TP\d+)")
+_SPEED = re.compile(r"S=(_[A-Z0-9_]+) F=(_[A-Z0-9_]+)")
 _R = re.compile(r"R(\d+)")
 LONGEST_LABEL = 31
 
@@ -216,7 +227,16 @@ def _plain(line: str) -> Action | None:
     if match := _CALL.fullmatch(line):
         name = match[1]
         return lambda run: run.call(name)
+    if match := _SPEED.fullmatch(line):
+        return _spindle(*(variable(name, line) for name in match.groups()))
     return None
+
+
+def _spindle(speed: Expression, feed: Expression) -> Action:
+    def action(run: Running) -> None:
+        run.control.spindle_rpm, run.control.feed_mm_min = real(speed(run)), real(feed(run))
+
+    return action
 
 
 def _dwell(seconds: float) -> Action:
