@@ -3,6 +3,7 @@
 import click
 
 from daemon.cli.fleet.simulate import simulate
+from daemon.cli.fleet.train import train
 
 
 @click.group()
@@ -10,5 +11,5 @@ def fleet() -> None:
     """Many machines together."""
 
 
-for _command in (simulate,):
+for _command in (simulate, train):
     fleet.add_command(_command)

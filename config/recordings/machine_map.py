@@ -1,0 +1,102 @@
+"""Which recording is of which machine, and where each machine's configuration says that its sensors sit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from pydantic import Field
+
+from config.loader import load_configuration, load_yaml_model
+from config.schema.base import ConfigurationError, Problem, Section
+from config.schema.sources import SourceSensorConfig
+from config.schema.temperatures import SensorConfig, TemperaturesConfig
+
+
+class MachineEntry(Section):
+    """One machine of a fleet."""
+
+    recordings: list[str] = Field(
+        min_length=1, description="its recordings: files or patterns such as mill-1/*.csv, from the map's own folder"
+    )
+    configuration: str | None = Field(
+        None, description="its configuration, which says where each sensor sits; none: that of all machines"
+    )
+    map: str | None = Field(None, description="what the columns of its recordings mean; none: that of all machines")
+
+
+class MachineMap(Section):
+    """The machines of a fleet."""
+
+    configuration: str | None = Field(
+        None, description="configuration of machines that name none of their own; from the map's own folder"
+    )
+    map: str | None = Field(None, description="what columns mean (YAML), for machines that name no map of their own")
+    machines: dict[str, MachineEntry] = Field(min_length=1, description="machines by name")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineFiles:
+    """The files of one machine."""
+
+    name: str
+    recordings: tuple[Path, ...]
+    """In the order in which they were given."""
+    configuration: Path
+    map: Path | None
+
+
+def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFiles, ...]:
+    """Return the machines of a map with their recordings.
+
+    Raises ConfigurationError with file and key: what `MachineMap` refuses, a name or pattern without a recording, a
+    recording of two machines or of none, a machine without a configuration.
+
+    `path`: the map. `recordings`: all recordings.
+    """
+    one = load_yaml_model(path, MachineMap)
+    folder, whole = path.resolve().parent, {str(recording.resolve()): recording for recording in recordings}
+    problems: list[Problem] = []
+
+    def refuse(name: str, key: str, sentence: str) -> None:
+        """Keep what is wrong with a machine."""
+        problems.append(Problem(file=str(path), line=0, column=0, key=f"machines.{name}.{key}", sentence=sentence))
+
+    owners: dict[str, str] = {}
+    found: list[MachineFiles] = []
+    for name, entry in one.machines.items():
+        own: list[str] = []
+        for pattern in entry.recordings:
+            matches = [file for file in whole if fnmatchcase(file, str(folder / pattern))]
+            if not matches:
+                refuse(
+                    name, "recordings", f"{pattern!r} is none of the recordings that were given; name it, or give it"
+                )
+            own += [file for file in matches if file not in own]
+        for file in own:
+            if (other := owners.setdefault(file, name)) != name:
+                refuse(name, "recordings", f"{whole[file].name} is a recording of {other} already")
+        configuration, columns = entry.configuration or one.configuration, entry.map or one.map
+        if configuration is None:
+            refuse(name, "configuration", "names none, so nobody knows where its sensors sit; name its toolpoint.yaml")
+            continue
+        found.append(
+            MachineFiles(
+                name=name,
+                recordings=tuple(whole[file] for file in whole if file in own),
+                configuration=folder / configuration,
+                map=None if columns is None else folder / columns,
+            )
+        )
+    if nobody := [recording.name for file, recording in whole.items() if file not in owners]:
+        sentence = f"no machine has the recording {nobody[0]}; put it beside its machine, or do not give it"
+        problems.append(Problem(file=str(path), line=0, column=0, key="machines", sentence=sentence))
+    if problems:
+        raise ConfigurationError(problems)
+    return tuple(found)
+
+
+def sensors_of(configuration: Path) -> dict[int, SensorConfig | SourceSensorConfig]:
+    """Return the sensors of a configuration by ID; raises ConfigurationError."""
+    temperatures: TemperaturesConfig = load_configuration(configuration).temperatures
+    return {sensor.id: sensor for sensor in temperatures.every_sensor}

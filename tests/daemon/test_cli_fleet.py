@@ -1,0 +1,118 @@
+"""`toolpoint fleet train` on a few simulated sisters with a few sensors, and what it refuses."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+from sisters import few_sensors, write_configuration, write_sister
+
+from config.loader import parse_yaml_model
+from config.recordings.machine_map import MachineMap
+from daemon.cli import main
+
+MACHINES = (1, 2, 3, 4)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet")
+    sensors = few_sensors()
+    write_configuration(folder / "toolpoint.yaml", sensors)
+    for machine in MACHINES:
+        write_sister(folder, machine, 4, sensors, hours=3.0)
+    write_map(folder)
+    return folder
+
+
+def write_map(folder: Path, **changes: Any) -> Path:
+    machines = {f"mill-{machine}": {"recordings": [f"m{machine}/*.csv"]} for machine in MACHINES}
+    path = folder / "machines.yaml"
+    path.write_text(yaml.safe_dump({"configuration": "toolpoint.yaml", "machines": machines} | changes))
+    return path
+
+
+def train(folder: Path, machines: tuple[int, ...] = MACHINES, *more: str) -> Result:
+    files = [str(path) for machine in machines for path in sorted((folder / f"m{machine}").glob("*.csv"))]
+    return CliRunner().invoke(main, ["fleet", "train", *files, "--machines", str(folder / "machines.yaml"), *more])
+
+
+def test_a_type_is_learned_and_told_on_machines_that_were_left_out(fleet: Path) -> None:
+    result = train(fleet, MACHINES, "-o", str(fleet / "type.json"), "--json", "-")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["type"]["sensors"] == 16 and found["type"]["channels"] == ["Y1", "Y2", "Z1", "Z2", "Z3"]
+    assert [machine["machine"] for machine in found["machines"]] == [f"mill-{machine}" for machine in MACHINES]
+    for machine in found["machines"]:
+        none, one = machine["left_out"]
+        assert (none["recordings"], one["recordings"], none["tested_on"]) == (0, 1, 2)
+        assert none["rmse_um"]["alone"] is None and set(one["rmse_um"]["alone"]) == {"Y1", "Y2", "Z1", "Z2", "Z3"}
+        assert one["taken_over"] == "a combination of the fleet's models"
+    none, one = found["left_out"]
+    assert none["with_prior"]["worst"] > 0.5 and one["with_prior"]["mean"] > one["alone"]["mean"]
+    assert (fleet / "type.json").stat().st_size > 10_000
+
+
+def test_the_same_type_comes_from_two_processes(fleet: Path) -> None:
+    alone, two = (train(fleet, MACHINES, "--workers", workers, "--json", "-") for workers in ("1", "2"))
+    assert json.loads(alone.stdout)["left_out"] == json.loads(two.stdout)["left_out"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"machines": {"mill-1": {"recordings": ["m9/*.csv"]}}},
+            "'m9/*.csv' is none of the recordings that were given",
+        ),
+        (
+            {"machines": {"a": {"recordings": ["m*/*.csv"]}, "b": {"recordings": ["m1/*.csv"]}}},
+            "machines.b.recordings: day01.csv is a recording of a already",
+        ),
+        ({"machines": {"a": {"recordings": ["m1/*.csv"]}}}, "no machine has the recording day01.csv"),
+        ({"configuration": None}, "machines.mill-1.configuration: names none, so nobody knows where its sensors sit"),
+        ({"machines": {"a": {"recordings": ["m*/*.csv"]}}}, "machine a: a type is learned from two machines at least"),
+        ({"machines": {}}, "machines"),
+    ],
+)
+def test_a_map_that_does_not_fit_is_refused_with_file_and_key(fleet: Path, changes: dict[str, Any], said: str) -> None:
+    try:
+        path = write_map(fleet, **changes)
+        result = train(fleet)
+    finally:
+        write_map(fleet)
+    assert result.exit_code == 2 and said in result.output, result.output
+    assert str(path) in result.output or "machine a" in result.output
+
+
+def test_a_sensor_that_no_configuration_knows_is_refused_with_file_and_column(fleet: Path, tmp_path: Path) -> None:
+    shutil.copytree(fleet, tmp_path / "fleet")
+    write_configuration(tmp_path / "fleet" / "toolpoint.yaml", few_sensors()[:-1])
+    result = train(tmp_path / "fleet")
+    assert result.exit_code == 2
+    assert "m1/day01.csv: column T302: " in result.output and "toolpoint.yaml has no sensor 302" in result.output
+
+
+def test_a_machine_of_another_type_is_refused_with_what_it_lacks(fleet: Path, tmp_path: Path) -> None:
+    shutil.copytree(fleet, tmp_path / "fleet")
+    moved = [sensor.model_copy(update={"component": f"Other {sensor.component}"}) for sensor in few_sensors()]
+    write_configuration(tmp_path / "fleet" / "other.yaml", moved)
+    machines = {f"mill-{machine}": {"recordings": [f"m{machine}/*.csv"]} for machine in MACHINES}
+    machines["mill-4"] |= {"configuration": "other.yaml"}  # type: ignore[dict-item]
+    write_map(tmp_path / "fleet", machines=machines)
+    result = train(tmp_path / "fleet")
+    assert result.exit_code == 2 and "machine mill-4: it shares 0 of the 16 sensors of the type" in result.output
+
+
+def test_dask_that_is_not_there_is_refused_with_its_address(fleet: Path) -> None:
+    both = train(fleet, MACHINES, "--dask", "tcp://127.0.0.1:1", "--workers", "2")
+    assert both.exit_code == 2 and "leave it out with --dask" in both.output
+
+
+def test_the_map_in_the_guide_is_one() -> None:
+    text = (Path(__file__).parents[2] / "docs/how-to/learn-from-a-fleet.md").read_text("utf-8")
+    block = "".join(line[4:] for line in text.split("## 2.")[0].splitlines(True) if line.startswith("    "))
+    assert set(parse_yaml_model(block, MachineMap, "guide").machines) == {"mill-1", "mill-2", "mill-3"}
