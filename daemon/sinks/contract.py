@@ -12,8 +12,12 @@ class SinkError(Exception):
     """Nothing can be sent now; the text says why and what to do. It is tried again."""
 
 
+class SinkWaitsError(SinkError):
+    """The connection stands, and what is sent now would reach nobody; the text says what is waited for."""
+
+
 class Sink(Protocol):
-    """One system that takes rows. A new one is made after every SinkError."""
+    """One system that takes rows. A new one is made after every SinkError but a SinkWaitsError."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect; return how far each stream was taken: as the system says or, where it cannot, the cursor."""

@@ -137,6 +137,36 @@ class Outbox(HistoryReader):
             rows = self._unpacked(stream, layout_id, data)
             return Batch(stream=stream, rows=rows, after=replace(position, row=last_row_id))
 
+    def newest(self, stream: Stream, column: str, *among: str) -> dict[str, Any]:
+        """Return the newest row of which a column is one of these (none given: anything), by column; {} where none is.
+
+        What is packed is older than an hour, and not looked at.
+        """
+        names = _names(stream)
+        condition = f"{column} IN ({', '.join('?' * len(among))})" if among else f"{column} IS NOT NULL"
+        with naming_damage(self.path), self._snapshot() as connection:
+            found = connection.execute(
+                f"SELECT {', '.join(names)} FROM {stream.table} WHERE {condition} ORDER BY {stream.id} DESC LIMIT 1",
+                among,
+            ).fetchall()
+            rows = self._as_sent(stream, names, found) if found else []
+        return dict(zip(stream.columns, rows[0], strict=True)) if rows else {}
+
+    def written(self) -> int:
+        """Return a number that grows with every row."""
+        with naming_damage(self.path):
+            (last,) = self._connection.execute("SELECT coalesce(sum(seq), 0) FROM sqlite_sequence").fetchone()
+            return int(last)
+
+    def end(self, stream: Stream) -> Position:
+        """Return where a stream stands when everything has been taken."""
+        with naming_damage(self.path), self._snapshot() as connection:
+            found = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (stream.table,))
+            (row,) = found.fetchone() or (0,)
+            query = "SELECT coalesce(max(chunk_id), 0) FROM chunks WHERE kind = ?"
+            (chunk,) = connection.execute(query, (stream.chunks,)).fetchone()
+        return Position(row=row, chunk=chunk)
+
     def waiting(self, stream: Stream, position: Position) -> tuple[int, float | None]:
         """Return how many rows wait (of a packed hour all), and the time [s] of the oldest."""
         needed_ms = 2**62 if position.needed_from_ms is None else position.needed_from_ms
@@ -205,14 +235,16 @@ class Outbox(HistoryReader):
             return None
         if stream.name == WRITES.name and not (found := _settled(found, names, self._now_ms(connection))):
             return Batch(stream=stream, rows=[], after=position)
-        rows = [row[1:] for row in found]
-        if stream.name == TEMPERATURES:
-            rows = list(self._cycle_rows(rows))
-        elif stream.chunks:
-            rows = _frame_rows(KINDS[stream.chunks], stream, frame_from_rows(KINDS[stream.chunks], names, rows))
-        else:
-            rows = self._completed(stream, rows)
+        rows = self._as_sent(stream, names, [row[1:] for row in found])
         return Batch(stream=stream, rows=rows, after=replace(position, row=found[-1][0]))
+
+    def _as_sent(self, stream: Stream, names: Sequence[str], rows: list[Row]) -> list[Row]:
+        """Return rows of a table as sinks get them."""
+        if stream.name == TEMPERATURES:
+            return list(self._cycle_rows(rows))
+        if stream.chunks:
+            return _frame_rows(KINDS[stream.chunks], stream, frame_from_rows(KINDS[stream.chunks], names, rows))
+        return self._completed(stream, rows)
 
     def _now_ms(self, connection: sqlite3.Connection) -> int | None:
         """Return the time of the last cycle that was committed, which goes by the daemon's clock."""

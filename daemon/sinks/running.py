@@ -16,7 +16,7 @@ from config.schema import Configuration
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
-from daemon.sinks.contract import Progress, Sink, SinkError
+from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.watching import SILENT_AFTER_S
 
@@ -40,6 +40,10 @@ def make_sink(config: SinkConfig, machine: str) -> Sink:
             ) from error
 
         return ParquetSink(config, machine)
+    if config.driver == "mqtt":
+        from daemon.sinks.mqtt import MqttSink  # noqa: PLC0415
+
+        return MqttSink(config, machine)
     from daemon.sinks.postgresql import PostgresqlSink  # noqa: PLC0415
 
     return PostgresqlSink(config, machine)
@@ -63,6 +67,7 @@ class SinkRunner:
         self._wait = wait or stop.wait
         self._path = cursor_path(store, config.name)
         self._retry_s = RETRY_FIRST_S
+        self._said = ""
         self._progress = Progress(cursor=Cursor.read(self._path) or Cursor(), save=self._save)
 
     @property
@@ -93,10 +98,14 @@ class SinkRunner:
             self._progress.cursor = replace(self.cursor, positions=there)
             while not self._stop.is_set():
                 more = False
-                with Outbox(self._store) as outbox:
-                    self._begin_anew_where_needed(outbox)
-                    more = sink.transfer(outbox, self._progress)
-                self._went_well()
+                try:
+                    with Outbox(self._store) as outbox:
+                        self._begin_anew_where_needed(outbox)
+                        more = sink.transfer(outbox, self._progress)
+                except SinkWaitsError as waits:
+                    self._note(str(waits))
+                else:
+                    self._went_well()
                 if not more:
                     self._wait(self._config.period_s)
         finally:
@@ -118,22 +127,28 @@ class SinkRunner:
 
     def _went_well(self) -> None:
         self._retry_s = RETRY_FIRST_S
+        if self._said:
+            log.info("sink.works_again", sink=self._config.name)
+            self._said = ""
         if self.cursor.problem or not 0.0 <= time.time() - self.cursor.alive_utc_s < ALIVE_PERIOD_S:
-            if self.cursor.problem:
-                log.info("sink.works_again", sink=self._config.name)
             self._progress.cursor = replace(self.cursor, problem="", alive_utc_s=time.time())
             self.cursor.write(self._path)
 
     def _failed(self, problem: str) -> None:
-        if problem != self.cursor.problem:
+        self._note(problem)
+        self._wait(self._retry_s * random.uniform(0.8, 1.2))
+        self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
+
+    def _note(self, problem: str) -> None:
+        """Say in the cursor and, where it is new, in the log why nothing is sent."""
+        if problem != self._said:
             log.warning("sink.failed", sink=self._config.name, problem=problem)
+        self._said = problem
         self._progress.cursor = replace(self.cursor, problem=problem, alive_utc_s=time.time())
         try:
             self.cursor.write(self._path)
         except OSError as error:
             log.error("sink.cursor", path=str(self._path), problem=str(error))
-        self._wait(self._retry_s * random.uniform(0.8, 1.2))
-        self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
 
 
 def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
@@ -178,6 +193,7 @@ def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) 
         "name": config.name,
         "driver": config.driver,
         "place": config.place,
+        "exposed": config.exposed,
         "running": 0.0 <= now_utc_s - cursor.alive_utc_s < SILENT_AFTER_S,
         "problem": cursor.problem,
         "acknowledged_utc_s": cursor.acknowledged_utc_s,

@@ -68,7 +68,11 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/opcua/server/settings.py",
         "drivers/opcua/server/wire.py",
     ),
-    "Sinks: the history in other systems": ("daemon/sinks/watching.py", "daemon/sinks/postgresql_refusals.py"),
+    "Sinks: the history in other systems": (
+        "daemon/sinks/watching.py",
+        "daemon/sinks/postgresql_refusals.py",
+        "daemon/sinks/broker_refusals.py",
+    ),
     "The history store": (
         "daemon/history/engine.py",
         "daemon/history/writer.py",

@@ -26,7 +26,7 @@ BESIDE = (
     "drivers/sim",
 )
 """What is not resident."""
-STARTS_THREADS = {"to_thread", "run_in_executor", "Thread", "ThreadPoolExecutor", "Timer"}
+STARTS_THREADS = {"to_thread", "run_in_executor", "Thread", "ThreadPoolExecutor", "Timer", "loop_start"}
 
 
 def rows(heading: str, table: int = 0) -> list[list[str]]:

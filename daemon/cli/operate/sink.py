@@ -58,6 +58,8 @@ def in_words(status: dict[str, Any], keep_days: float) -> str:
         counts = ", ".join(f"{count} {name}" for name, count in waiting.items())
         lines.append(f"  waiting: {counts}, the oldest of {_iso(status, 'oldest_waiting_utc_s')}")
         lines.append(f"  what waits is kept {keep_days:g} days longer than history.keep_..._days say")
+    if exposed := status["exposed"]:
+        lines.append(f"  {exposed}")
     if problem := status["problem"]:
         lines.append(f"  {problem}")
     return "\n".join(lines)

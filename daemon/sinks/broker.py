@@ -1,0 +1,168 @@
+"""A connection to a broker that speaks MQTT 5: what was published counts when the broker has acknowledged it."""
+
+import contextlib
+import itertools
+import logging
+import ssl
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import paho.mqtt.client as paho
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
+
+from config.schema.sinks import BrokerConfig
+from daemon.sinks.broker_refusals import (
+    closed_at_once,
+    lost,
+    may_not_publish,
+    no_acknowledgement,
+    reason,
+    refusal,
+    unreadable,
+)
+from daemon.sinks.contract import SinkError
+
+PING_PERIOD_S = 20
+AT_ONCE = 500
+"""Messages that wait for their acknowledgement together."""
+NOBODY, NOT_AUTHORISED, WITH_WILL = 16, 135, 4
+"""Reason codes: taken and passed on to nobody; not allowed; a farewell after which the will is published too."""
+
+logging.getLogger("paho").setLevel(logging.CRITICAL + 1)  # what matters is raised here
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What is published."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = False
+
+
+class Broker:
+    """One session with one broker, of which a new one is made after a loss."""
+
+    def __init__(self, config: BrokerConfig, where: str, client_id: str) -> None:
+        self._config, self._where = config, where
+        self._changed = threading.Condition()
+        self._connected = False
+        self._lost = ""
+        self._acknowledged, self._nobody = 0, 0
+        self._refused: tuple[int, int, str] | None = None
+        """Number of the message, code and words of the last refusal."""
+        self._client = paho.Client(
+            CallbackAPIVersion.VERSION2, client_id, protocol=paho.MQTTv5, reconnect_on_failure=False
+        )
+        self._client.connect_timeout = config.timeout_s
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_publish = self._on_publish
+
+    def connect(self, will: Message) -> None:
+        """Connect, with what the broker is to publish when this end is lost; raises SinkError."""
+        client, config = self._client, self._config
+        if config.user_name is not None:
+            client.username_pw_set(config.user_name, self._password())
+        if config.tls:
+            client.tls_set_context(self._tls())
+        client.will_set(will.topic, will.payload, will.qos, will.retain)
+        try:
+            client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=True)
+        except (OSError, ValueError) as error:
+            raise SinkError(f"{self._where}: {refusal(error, config)}") from error
+        client.loop_start()
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._connected or self._lost, config.timeout_s):
+                raise SinkError(f"{self._where}: {no_acknowledgement(config)}")
+        self.check()
+
+    def check(self) -> None:
+        """Raise SinkError when the connection was lost."""
+        if self._lost:
+            raise SinkError(f"{self._where}: {self._lost}")
+
+    def publish(self, messages: Iterable[Message]) -> bool:
+        """Publish, wait for the acknowledgements; False: the broker says that one of them had no subscriber."""
+        waiting, reached = iter(messages), True
+        while some := list(itertools.islice(waiting, AT_ONCE)):
+            reached = self._publish(some) and reached
+        return reached
+
+    def _publish(self, messages: list[Message]) -> bool:
+        with self._changed:
+            self._acknowledged = self._nobody = 0
+            self._refused = None
+        topics = {
+            self._client.publish(each.topic, each.payload, each.qos, each.retain).mid: each.topic for each in messages
+        }
+        with self._changed:
+            while self._acknowledged < len(messages) and not self._lost:
+                before = self._acknowledged
+                if not self._changed.wait(self._config.timeout_s) and self._acknowledged == before:
+                    raise SinkError(f"{self._where}: {no_acknowledgement(self._config)}")
+            if self._refused is not None:
+                number, code, name = self._refused
+                topic = topics[number]
+                why = may_not_publish(topic, name) if code == NOT_AUTHORISED else f"{topic}: {reason(code, name)}"
+                raise SinkError(f"{self._where}: {why}")
+        self.check()
+        return self._nobody == 0
+
+    def close(self) -> None:
+        """Say farewell so that the will is published, and let go."""
+        with contextlib.suppress(OSError, ValueError):
+            self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
+        self._client.loop_stop()
+
+    # --- in the library's thread -----------------------------------------------------------
+
+    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        with self._told():
+            if code.is_failure:
+                self._lost = self._lost or reason(code.value, str(code))
+            else:
+                self._connected = True
+
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        with self._told():
+            if not self._connected:
+                self._lost = self._lost or closed_at_once(self._config)
+            else:
+                self._lost = self._lost or lost(code.value, str(code))
+
+    def _on_publish(self, _client: Any, _data: Any, number: int, code: ReasonCode, _properties: Any) -> None:
+        with self._told():
+            self._acknowledged += 1
+            self._nobody += code.value == NOBODY
+            if code.is_failure:
+                self._refused = number, code.value, str(code)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        with self._changed:
+            yield
+            self._changed.notify_all()
+
+    # --- what the section names --------------------------------------------------------------
+
+    def _password(self) -> str | None:
+        path = self._config.password_file
+        if path is None:
+            return None
+        try:
+            return path.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SinkError(f"{self._where}: {unreadable('password_file', path, error)}") from error
+
+    def _tls(self) -> ssl.SSLContext:
+        path = self._config.ca_certificate
+        try:
+            return ssl.create_default_context(cafile=None if path is None else str(path))
+        except (OSError, ssl.SSLError) as error:
+            raise SinkError(f"{self._where}: {unreadable('ca_certificate', path, error)}") from error

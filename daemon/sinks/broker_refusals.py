@@ -1,0 +1,75 @@
+"""What a broker that refuses means for a person: which key of the configuration to look at."""
+
+import socket
+import ssl
+
+from config.schema.sinks import BrokerConfig
+
+REFUSED = {
+    132: "it does not speak MQTT 5: upgrade it, or give another `host`",
+    134: "check `user_name` and `password_file`",
+    135: "check `user_name` and `password_file`, and that the broker lets this user in and publish here",
+    137: "the broker is busy or full: it is tried again",
+    138: "the broker keeps `user_name` or this computer out: let it in there",
+    142: "another client took the place of this one: `machine` and the sink's `name` together must be given only once",
+}
+"""Reason codes of MQTT 5 -> what to do."""
+UNSPECIFIED = 128
+
+
+def refusal(error: Exception, config: BrokerConfig) -> str:
+    """Return why no connection came about, and what to do."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, ssl.SSLCertVerificationError):
+        if "mismatch" in text:
+            return f"{error.verify_message}: `host` must be a name in its certificate"
+        return f"{error.verify_message}: its certificate is none that `ca_certificate` vouches for"
+    if isinstance(error, ssl.SSLError) or (config.tls and isinstance(error, ConnectionResetError | BrokenPipeError)):
+        return f"{text}: it speaks no TLS at this port: check `port`, switch TLS on there, or set `tls: false`"
+    if isinstance(error, socket.gaierror | UnicodeError):
+        return f"{text}: no address is known for `host`: check `host`"
+    return f"{text}: check `host`, `port` ({config.server_port}), the network, and that the broker runs"
+
+
+def reason(code: int, name: str) -> str:
+    """Return what a reason code of the broker means."""
+    return f"{name}: {REFUSED.get(code, 'it is tried again')}"
+
+
+def lost(code: int, name: str) -> str:
+    """Return that the connection ended; not every broker tells whom it threw out that another came in its place."""
+    if code != UNSPECIFIED:
+        return f"the connection was lost: {reason(code, name)}"
+    return (
+        "the connection was lost: it is tried again; if it is lost every time, another client has the same name: "
+        "`machine` and the sink's `name` together must be given only once"
+    )
+
+
+def closed_at_once(config: BrokerConfig) -> str:
+    """Return that the broker ended the connection without a word."""
+    asked = "set `tls: true`" if not config.tls else "check `port`"
+    return f"it closed the connection before it answered: perhaps its port {config.server_port} is another: {asked}"
+
+
+def may_not_publish(topic: str, name: str) -> str:
+    """Return that the broker's list of rights has no room for this."""
+    return f"{name}: `user_name` may not publish to {topic}: let it (the broker's access list), or give other topics"
+
+
+def nobody_subscribes(topics: list[str]) -> str:
+    """Return that rows would reach nobody."""
+    return (
+        f"nobody has subscribed to {', '.join(topics)}, so these rows wait: start what reads them, or take them out of "
+        "`history`"
+    )
+
+
+def no_acknowledgement(config: BrokerConfig) -> str:
+    """Return that the broker is there and says nothing."""
+    return f"no acknowledgement within `timeout_s` ({config.timeout_s:g} s): look at the broker and the network"
+
+
+def unreadable(key: str, path: object, error: object) -> str:
+    """Return that a file which the configuration names cannot be used."""
+    return f"`{key}` {path} cannot be used ({error}): check the path, and that the service may read it"

@@ -1,0 +1,443 @@
+"""The history at an MQTT broker: JSON that others read, nothing lost whatever is killed, refusals that name the key."""
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import history_records as make
+import jinja2
+import numpy as np
+import pytest
+import yaml
+from certificates import make_certificate
+from filled_store import add, fill
+from history_records import EPOCH_S, SMALL, StillClock
+from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber
+
+from config.sample import sample_configuration
+from config.schema.service import HistoryConfig
+from config.schema.sinks import SinkConfig
+from daemon.history import HistoryWriter, housekeeping
+from daemon.history.cursors import Cursor, cursor_path
+from daemon.sinks.ahead import Ahead
+from daemon.sinks.contract import Progress, SinkError
+from daemon.sinks.current import SILENT_AFTER_S, Freshness, current_values
+from daemon.sinks.discovery import BY_NAME, discovery, entities
+from daemon.sinks.mqtt import MqttSink, topic_level
+from daemon.sinks.outbox import STREAMS, Outbox
+from daemon.sinks.row_messages import JSON_COLUMNS, KEYS
+from daemon.sinks.running import SinkRunner, make_sink
+
+MACHINE = "mill 7"
+BASE = "toolpoint/mill 7"
+OPEN = "allow_anonymous true"
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    with mosquitto(tmp_path_factory.mktemp("broker"), OPEN) as port:
+        yield port
+
+
+def section(port: int | None, /, **changes: object) -> SinkConfig:
+    known = {"host": "127.0.0.1", "port": port, "tls": False, "timeout_s": 30.0, "resend_s": 0.0}
+    return SinkConfig.model_validate({"name": "plant", "driver": "mqtt", "mqtt": known | changes})
+
+
+def runner_for(config: SinkConfig, path: Path, machine: str = MACHINE) -> SinkRunner:
+    """A sink that ends when nothing waits any more, or when it fails."""
+    stop = threading.Event()
+    return SinkRunner(config, path, machine, stop, wait=lambda _duration_s: stop.set())
+
+
+def send(config: SinkConfig, path: Path, machine: str = MACHINE) -> Cursor:
+    """Send all that waits."""
+    runner = runner_for(config, path, machine)
+    runner.run()
+    return runner.cursor
+
+
+def rows(messages: list[tuple[bool, str, str]], stream: str) -> list[dict[str, object]]:
+    return [json.loads(payload) for _, topic, payload in messages if topic.endswith(f"/history/{stream}")]
+
+
+def test_every_record_arrives_with_its_values_and_a_key(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store)
+    expected = {
+        "temperatures": 72,
+        **dict.fromkeys(("estimates", "cnc", "displacements", "events"), 36),
+        "writes": 34,  # those of the last ten minutes wait for the guard's echo
+        "references": 4,
+    }
+    with subscriber(port, f"{BASE}/history/#") as listener:
+        cursor = send(section(port), store)
+        listener.until(lambda messages: len(messages) >= sum(expected.values()))
+    assert cursor.problem == "" and cursor.sent_rows == cursor.stored_rows == sum(expected.values())
+    assert not any(retained for retained, _, _ in listener.messages)
+    for stream in STREAMS:
+        found = rows(listener.messages, stream)
+        assert len({row["key"] for row in found}) == len(found) == expected.get(stream, 0), stream
+        for row in found:
+            assert set(row) == {"key", "machine", "stream", *STREAMS[stream].columns} and row["machine"] == MACHINE
+            assert not any(isinstance(row[name], str) for name in JSON_COLUMNS & set(row))
+    spindle = [row for row in rows(listener.messages, "temperatures") if row["line"] == "spindle"]
+    assert spindle[1]["sensor_ids"] == [13, 11, 12] and spindle[1]["degc"] == [20.0625, None, 20.1875]
+    assert spindle[1]["complete"] is True and spindle[1]["faults"] == ["ID 2 did not arrive"]
+    (estimate, *_) = rows(listener.messages, "estimates")
+    assert estimate["label_degc"]["A"] == 25.125 and estimate["thermal_error_um"]["dy"] is None
+    (write, *_) = rows(listener.messages, "writes")
+    assert write["outcome"] == "verified" and write["read_back"] == write["macros"]
+    (event, *_) = rows(listener.messages, "events")
+    assert event["text"] == "number 0\nsecond line \u00b5" and event["utc_ms"] == round(EPOCH_S * 1e3)
+
+
+def test_what_is_now_is_retained_and_home_assistant_is_told(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.5)
+    assert send(section(port, history=[]), store, "lathe/2").problem == ""
+    base = "toolpoint/lathe%2F2"
+    with subscriber(port, f"{base}/#", "homeassistant/#") as listener:
+        listener.until(
+            lambda messages: (
+                listener.last(f"{base}/state") is not None
+                and listener.last(f"{base}/status") is not None
+                and sum('"lathe/2"' in payload for _, _, payload in messages) == 1 + 6 + 17
+            )
+        )
+        state = listener.last(f"{base}/state")
+    assert all(retained for retained, _, _ in listener.messages)
+    assert listener.last(f"{base}/status") == "offline", "the sink has ended"
+    assert state["state"] == "ACTIVE" and state["reason"] == "following" and state["machine"] == "lathe/2"
+    assert state["compensation_um"] == {"X": 0.0, "Y": 5.0, "Z": 1.0}
+    assert state["error_with_um"] == {"X": None, "Y": 1.5 - 6.25, "Z": -2.25 - 1.25}
+    assert state["error_without_um"] == {"dx": 1.0, "dy": None, "dz": 5.0}
+    assert state["label_degc"] == {"A": 25.125, "Room": 21.5} and state["cnc_alarm"] is False and state["alarm"] == ""
+    told = [(topic, json.loads(text)) for _, topic, text in listener.messages if topic.startswith("homeassistant/")]
+    told = [(topic, content) for topic, content in told if content["device"]["name"] == "lathe/2"]
+    assert len(told) == 6 + sum(len(state[name]) for name in BY_NAME) == len({each["unique_id"] for _, each in told})
+    shown = {
+        content["name"]: jinja2.Template(content["value_template"]).render(value_json=state) for _, content in told
+    }
+    assert shown["State"] == "ACTIVE" and shown["Alarm"] == shown["CNC alarm"] == "OFF"
+    assert shown["Compensation Y"] == "5.0" and shown["Temperature A"] == "25.125"
+    assert shown["Thermal error without compensation dy"] == "None", "unknown to Home Assistant"
+    for topic, content in told:
+        component, device, name, last = topic.removeprefix("homeassistant/").split("/")
+        assert component in ("sensor", "binary_sensor") and last == "config"
+        assert (device + name).replace("_", "").isalnum()
+        assert content["state_topic"] == f"{base}/state" and content["availability_topic"] == f"{base}/status"
+
+
+def test_a_machine_and_labels_with_odd_names_stay_apart(tmp_path: Path) -> None:
+    assert [topic_level(name) for name in ("a/b", "a%2Fb", "+#", "Fr\u00e4se 1")] == [
+        "a%2Fb",
+        "a%252Fb",
+        "%2B%23",
+        "Fr\u00e4se 1",
+    ]
+    values = {name: {} for name in BY_NAME} | {"label_degc": {'say "A"': 1.5, "say A": 2.5, "\u00c4": 3.5}}
+    made = list(discovery("ha", "m\u00fchle", "t/m", values, "1"))
+    assert len({topic for topic, _ in made}) == len(made)
+    found = {each.name: jinja2.Template(each.template).render(value_json=values) for each in entities(values)}
+    assert found['Temperature say "A"'] == "1.5" and found["Temperature \u00c4"] == "3.5"
+
+
+def test_rows_wait_until_somebody_subscribes(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.5)
+    stop, problems = threading.Event(), []
+    runner = SinkRunner(section(port), store, "waiting", stop, wait=lambda _duration_s: stop.wait(0.02))
+    sending = threading.Thread(target=runner.run)
+    sending.start()
+    try:
+        while not (problem := runner.cursor.problem):
+            time.sleep(0.01)
+        problems.append(problem)
+        assert runner.cursor.sent_rows == 0
+        with subscriber(port, "toolpoint/waiting/history/cnc", "toolpoint/waiting/status") as listener:
+            listener.until(lambda messages: len(rows(messages, "cnc")) >= 6)
+            assert listener.last("toolpoint/waiting/status") == "online", "the connection stands"
+            while runner.cursor.sent_rows < 6:
+                time.sleep(0.01)
+    finally:
+        stop.set()
+        sending.join()
+    assert "nobody has subscribed to toolpoint/waiting/history/cnc, toolpoint/waiting/history/d" in problems[0]
+    assert "take them out of `history`" in problems[0]
+    assert runner.cursor.positions["cnc"].row == 6 and runner.cursor.positions["estimates"].row == 0
+
+
+def test_what_is_not_to_be_sent_counts_as_taken(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=3.0)
+    housekeeping(store, HistoryConfig(pack_after_s=3600.0), EPOCH_S + 5 * 3600.0)
+    cursor = send(section(port, history=[]), store, "quiet")
+    assert cursor.problem == "" and cursor.sent_rows == 0
+    with Outbox(store) as outbox:
+        for stream in STREAMS.values():
+            assert outbox.batch(stream, cursor.positions[stream.name]) is None
+            assert outbox.waiting(stream, cursor.positions[stream.name]) == (0, None)
+
+
+def test_what_was_packed_meanwhile_arrives_and_repeats_have_the_same_key(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    with subscriber(port, f"{BASE}/history/#") as listener:
+        fill(store, hours=1.5)
+        send(section(port), store)
+        fill(store, start_s=EPOCH_S + 5400.0, hours=3.5)
+        assert housekeeping(store, HistoryConfig(pack_after_s=3600.0), EPOCH_S + 5 * 3600.0).packed_hours > 0
+        cursor = send(section(port), store)
+        listener.until(lambda messages: len(messages) >= cursor.sent_rows)
+    for stream, expected in (("temperatures", 120), ("cnc", 60), ("estimates", 60)):
+        found = rows(listener.messages, stream)
+        assert len(found) > expected, "half an hour comes again with its chunk"
+        contents = {row["key"]: row for row in found}
+        assert len(contents) == expected and all(contents[row["key"]] == row for row in found)
+
+
+def test_killed_and_restarted_under_load_nothing_is_lost(tmp_path: Path) -> None:
+    """The broker, which keeps nothing on its disk, is killed under load; the sender dies before its own note."""
+    broker, store = Mosquitto(tmp_path, OPEN), tmp_path / "h.sqlite"
+    turns, deaths, stop = itertools.count(1), [], threading.Event()
+
+    class Dying(MqttSink):
+        def _send(self, batch):
+            reached = super()._send(batch)
+            if reached and next(turns) in (3, 20):
+                deaths.append(batch.stream.name)
+                raise SinkError("the sender dies before it has noted the acknowledgement")
+            return reached
+
+    broker.start()
+    runner = SinkRunner(
+        section(broker.port, resend_s=3600.0), store, MACHINE, stop, Dying, wait=lambda _duration_s: stop.wait(0.02)
+    )
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    sending = threading.Thread(target=runner.run)
+    expected = {"temperatures": 96, **dict.fromkeys(("cnc", "estimates", "displacements", "events"), 48)}
+    with subscriber(broker.port, f"{BASE}/history/#") as listener:
+        sending.start()
+        try:
+            for half_hour in range(8):
+                add(writer, EPOCH_S + 1800.0 * half_hour, 0.5)
+                if half_hour % 3 == 1:
+                    broker.kill()
+                    broker.start()
+            writer.close()
+            housekeeping(store, HistoryConfig(pack_after_s=3600.0), EPOCH_S + 4 * 3600.0)
+            listener.until(
+                lambda messages: all(
+                    len({row["key"] for row in rows(messages, name)}) == count for name, count in expected.items()
+                )
+            )
+        finally:
+            stop.set()
+            sending.join()
+            broker.kill()
+    assert len(deaths) == 2
+
+
+def test_the_command_is_killed_and_the_broker_tells_that_it_is_gone(port: int, tmp_path: Path) -> None:
+    store, config = tmp_path / "h.sqlite", tmp_path / "t.yaml"
+    there = section(port).model_dump(mode="json")
+    document = yaml.safe_load(sample_configuration()) | {"machine": "killed", "history": {"path": str(store)}}
+    config.write_text(yaml.safe_dump(document | {"sinks": [there | {"period_s": 0.05}]}))
+    fill(store, hours=0.5)
+    command = [sys.executable, "-P", "-m", "daemon.cli", "sink"]
+    with subscriber(port, "toolpoint/killed/#") as listener:
+        for number in (signal.SIGKILL, signal.SIGTERM):
+            process = subprocess.Popen([*command, "run", "--config", str(config)], stderr=subprocess.DEVNULL)
+            try:
+                listener.until(lambda messages: bool(messages) and listener.last("toolpoint/killed/status") == "online")
+                process.send_signal(number)
+                assert process.wait(PATIENCE_S) == (0 if number == signal.SIGTERM else -number)
+                listener.until(lambda messages: listener.last("toolpoint/killed/status") == "offline")
+            finally:
+                process.kill()
+    words = subprocess.run([*command, "status", "-c", str(config)], capture_output=True, check=True, text=True).stdout
+    assert f"plant (mqtt, 127.0.0.1:{port}/toolpoint)" in words and "NOT encrypted" in words
+
+
+# --- what counts as taken ------------------------------------------------------------------
+
+
+def test_the_cursor_follows_when_the_connection_has_lasted(tmp_path: Path) -> None:
+    store, now_s = tmp_path / "h.sqlite", [0.0]
+    fill(store, hours=0.5)
+    progress = Progress(cursor=Cursor(generation="one"), save=lambda _cursor: None)
+    ahead = Ahead(10.0, lambda: now_s[0])
+    with Outbox(store) as outbox:
+        stream = STREAMS["cnc"]
+        batch = outbox.batch(stream, ahead.position(progress, "cnc"))
+        assert batch is not None
+        ahead.took(batch)
+        for now_s[0], row in ((9.0, 0), (10.0, 6)):
+            ahead.settle(progress)
+            assert progress.position("cnc").row == row
+            assert ahead.position(progress, "cnc") == batch.after and outbox.batch(stream, batch.after) is None
+        ahead.took(batch)
+        progress.cursor = Cursor(generation="two")
+        assert ahead.position(progress, "cnc").row == 0, "the store was begun anew"
+        now_s[0] = 99.0
+        ahead.settle(progress)
+        assert progress.position("cnc").row == 0
+
+
+# --- what is now ---------------------------------------------------------------------------
+
+
+def test_state_and_alarm_follow_the_newest_of_write_and_event(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    clock = StillClock()
+    writer = HistoryWriter(store, clock=clock, machine=SMALL)
+    writer.start()
+
+    def told() -> tuple[object, ...]:
+        writer.event("note", "there").result(30.0)
+        with Outbox(store) as outbox:
+            values = current_values(outbox)
+        return values["state"], values["reason"], values["alarm"], values["error_with_um"].get("Z")
+
+    try:
+        assert told() == (None, None, "", None)
+        written = make.macros(1, np.zeros(3))
+        writer.write_outcome(
+            writer.write_intent(make.command(np.array([0.0, 0.0, 4.0])), written, "tick"),
+            make.receipt(EPOCH_S, written),
+        )
+        assert told() == ("ACTIVE", "following", "", -7.25)
+        clock.utc_s += 1.0
+        writer.event("state", "ACTIVE -> HOLD: line spindle: silent", "daemon")
+        assert told() == ("HOLD", "line spindle: silent", "", None)
+        clock.utc_s += 1.0
+        writer.event("alarm", "held for longer than 900 s: silent", "daemon")
+        assert told() == ("HOLD", "line spindle: silent", "held for longer than 900 s: silent", None)
+        clock.utc_s += 1.0
+        writer.event("state", "HOLD -> OFF: asked", "daemon")
+        assert told() == ("OFF", "asked", "", None)
+    finally:
+        writer.close()
+
+
+def test_a_history_to_which_nothing_is_added_is_not_online(tmp_path: Path) -> None:
+    store, now_s = tmp_path / "h.sqlite", [0.0]
+    fill(store, hours=0.1)
+    freshness = Freshness(lambda: now_s[0])
+    with Outbox(store) as outbox:
+        assert freshness.fresh(outbox)
+        now_s[0] = SILENT_AFTER_S
+        assert not freshness.fresh(outbox)
+        fill(store, start_s=EPOCH_S + 3600.0, hours=0.1)
+        assert freshness.fresh(outbox)
+
+
+def test_the_keys_are_those_of_the_tables() -> None:
+    schema = (Path(__file__).parents[2] / "daemon" / "sinks" / "schema").glob("*.sql")
+    text = "".join(path.read_text("utf-8") for path in schema).replace("reference_points (", "references (")
+    for name, columns in KEYS.items():
+        assert set(columns) <= set(STREAMS[name].columns)
+        if name != "events":
+            table = text.split(f"CREATE TABLE {name} (")[1].split("PRIMARY KEY (")[1].split(")")[0]
+            assert set(table.split(", ")) == {"machine", "time", *columns} - {"utc_ms"}
+
+
+# --- refusals ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """A broker with a user who may write below toolpoint/ alone."""
+    folder = tmp_path_factory.mktemp("guarded")
+    (folder / "passwords").write_text("plant:lathe 7\nguest:guest\n")
+    subprocess.run(["mosquitto_passwd", "-U", str(folder / "passwords")], check=True)
+    (folder / "acl").write_text("user plant\ntopic readwrite toolpoint/#\nuser guest\ntopic read toolpoint/#\n")
+    for name in ("passwords", "acl"):
+        (folder / name).chmod(0o600)
+    lines = ("allow_anonymous false", f"password_file {folder / 'passwords'}", f"acl_file {folder / 'acl'}")
+    with mosquitto(folder, *lines) as port:
+        yield port
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"password": "wrong"}, "check `user_name` and `password_file`"),
+        ({"user_name": "nobody"}, "check `user_name` and `password_file`"),
+        ({"user_name": None, "password_file": None}, "check `user_name` and `password_file`"),
+        ({"password_file": Path("/nowhere/password")}, "`password_file` /nowhere/password cannot be used"),
+        ({"tls": True}, "set `tls: false`"),
+        ({"tls": True, "ca_certificate": Path("/nowhere/ca.pem")}, "`ca_certificate` /nowhere/ca.pem cannot be used"),
+        ({"host": "no-such-host.invalid"}, "check `host`"),
+        ({"port": 1}, "check `host`, `port` (1)"),
+        ({"user_name": "guest", "password": "guest"}, "`user_name`"),
+        ({}, "`user_name` may not publish to homeassistant/"),
+    ],
+)
+def test_a_refusal_names_the_key(guarded: int, tmp_path: Path, changes: dict[str, object], said: str) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    (tmp_path / "password").write_text(f"{changes.pop('password', 'lathe 7')}\n")
+    known = {"user_name": "plant", "password_file": tmp_path / "password", "history": []}
+    cursor = send(section(guarded, **known | changes), store)
+    assert said in cursor.problem and "sink plant: broker" in cursor.problem
+    assert Cursor.read(cursor_path(store, "plant")) == cursor, "the status reads it there"
+
+
+def test_who_may_publish_is_not_refused(guarded: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    (tmp_path / "password").write_text("lathe 7\n")
+    known = {"user_name": "plant", "password_file": tmp_path / "password", "history": [], "discovery": None}
+    assert send(section(guarded, **known), store).problem == ""
+
+
+def test_two_senders_of_one_name_are_told(port: int, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    first, second = (MqttSink(section(port), "twin") for _ in range(2))
+    first.open(Cursor())
+    second.open(Cursor())
+    try:
+        with Outbox(store) as outbox, pytest.raises(SinkError, match="`machine` and the sink's `name` together"):
+            while not first._broker._lost:
+                time.sleep(0.01)
+            first.transfer(outbox, Progress(cursor=Cursor(), save=lambda _cursor: None))
+    finally:
+        first.close()
+        second.close()
+
+
+def test_tls_takes_a_broker_that_is_vouched_for_and_no_other(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    store, other = tmp_path / "h.sqlite", tmp_path_factory.mktemp("other")
+    fill(store, hours=0.2)
+    make_certificate(other)
+    make_certificate(tmp_path)
+    keys = tuple(f"{key} {tmp_path / name}" for key, name in (("certfile", "monitor.crt"), ("keyfile", "monitor.key")))
+    known = {"tls": True, "host": "localhost", "ca_certificate": tmp_path / "monitor.crt", "history": []}
+    with mosquitto(tmp_path, OPEN, *keys) as port:
+
+        def problem(**changes: object) -> str:
+            return send(section(port, **known | changes), store).problem
+
+        assert problem() == ""
+        assert "none that `ca_certificate` vouches for" in problem(ca_certificate=other / "monitor.crt")
+        assert "`host` must be a name in its certificate" in problem(host="127.0.0.1")
+        assert "none that `ca_certificate` vouches for" in problem(ca_certificate=None)
+        assert "set `tls: true`" in problem(tls=False, ca_certificate=None)
+
+
+def test_the_section_says_which_library_is_loaded() -> None:
+    config = section(1)
+    assert isinstance(make_sink(config, MACHINE), MqttSink)
+    assert section(None).mqtt.server_port == 1883 and "NOT encrypted" in config.exposed
+    assert section(None, tls=True).mqtt.server_port == 8883 and section(1, tls=True).exposed == ""
