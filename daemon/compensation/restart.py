@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import NamedTuple
 
 import structlog
 
@@ -24,6 +25,13 @@ from models.records import CncSample, FloatArray, Instant, Receipt, Trace, Write
 log = structlog.get_logger(__name__)
 
 
+class OpenWrite(NamedTuple):
+    """A write of which the previous run recorded no outcome."""
+
+    write_id: int
+    macros: tuple[tuple[int, float], ...]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumePoint:
     """What the previous run of the daemon left, as far as it may be resumed."""
@@ -34,6 +42,8 @@ class ResumePoint:
     """The outage was short enough to go on as before."""
     faults: tuple[str, ...] = ()
     """The reasons of the latched FAULT that has not been acknowledged."""
+    open_writes: tuple[OpenWrite, ...] = ()
+    """The intents without an outcome, one that the store has not got yet with them."""
 
 
 def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
@@ -75,9 +85,11 @@ def load_resume_point(
         log.warning("resume.too_old", outage_s=outage_s)
     newest = history.last_write_id()
     known, lost = last_block.newer_of(history.last_written_macros(), newest)
+    open_writes = [OpenWrite(record.write_id, record.macros) for record in history.unsettled_writes()]
     if (unaudited := last_block.unaudited(newest)) is not None:
         number, macros = unaudited
         history.write_intent(None, macros, KEPT_CAUSE, number=number)
+        open_writes.append(OpenWrite(number, tuple(macros)))
     if lost:
         log.warning("audit.gap", macros=lost)
         history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
@@ -86,6 +98,7 @@ def load_resume_point(
         resumable=resumable,
         faults=() if fault is None else fault.reasons,
         known_macros=known,
+        open_writes=tuple(open_writes),
     )
 
 
@@ -112,9 +125,18 @@ class StartupRecovery:
         self._axes = tuple(axes)
         self._model_id = model_id
         self._max_outage_s = max_outage_s
+        self._open_writes = resume.open_writes
         self._waiting: frozenset[str] = frozenset()
         self.not_begun = NOT_REACHED
         """Why nothing has begun, '' when it has."""
+
+    def settle_writes(self, history: HistoryWriter, sample: CncSample, echo: Echo, now: Instant) -> None:
+        """Give every write of the previous run without an outcome the one that reading back shows; once."""
+        for write in self._open_writes:
+            receipt = _outcome_of(write, sample, echo, now)
+            history.write_outcome(write.write_id, receipt)
+            log.warning("audit.settled", write=write.write_id, outcome=receipt.outcome.name.lower())
+        self._open_writes = ()
 
     def begin(self, session: CncSession, now_s: float) -> OutputMemory | None:
         """Return the memory to begin with at the first contact; None while the echo is vacant."""
@@ -165,30 +187,26 @@ SAME = 1e-6
 """Largest difference between a macro as written and as found."""
 
 
-def resolve_pending_writes(history: HistoryWriter, sample: CncSample, echo: Echo, now: Instant) -> None:
-    """Give every intent without an outcome the one that reading back at the start shows.
+def _outcome_of(write: OpenWrite, sample: CncSample, echo: Echo, now: Instant) -> Receipt:
+    """Return what reading back at the start shows of a write.
 
-    Only the newest intent can still be found in the CNC; an older one was overwritten by writes
-    that have outcomes of their own, or by the newest.
+    Only the newest can still be found in the CNC; an older one was overwritten by writes that have
+    outcomes of their own, or by the newest.
     """
-    for record in history.unsettled_writes():
-        found = tuple(sample.macros.get(number) for number, _ in record.macros)
-        whole = all(
-            value is not None and abs(value - written) <= SAME * max(1.0, abs(written))
-            for value, (_, written) in zip(found, record.macros, strict=True)
-        )
-        outcome = WriteOutcome.VERIFIED if whole else WriteOutcome.FAILED
-        how = "it arrived whole" if whole else "the CNC holds other values"
-        if any(number not in sample.macros for number, _ in record.macros):
-            how = "these macros are not polled; whoever owns them writes them anew"
-        receipt = Receipt(
-            sequence=record.sequence or 0,
-            macros=record.macros,
-            outcome=outcome,
-            detail=f"the daemon ended while writing; read back at the start: {how}",
-            read_back=found,
-            applied_um=echo.applied_um,
-            trace=Trace(first_byte=now, last_byte=now, read_back=now),
-        )
-        history.write_outcome(record.write_id, receipt)
-        log.warning("audit.settled", write=record.write_id, outcome=outcome.name.lower())
+    found = tuple(sample.macros.get(number) for number, _ in write.macros)
+    whole = all(
+        value is not None and abs(value - written) <= SAME * max(1.0, abs(written))
+        for value, (_, written) in zip(found, write.macros, strict=True)
+    )
+    how = "it arrived whole" if whole else "the CNC holds other values"
+    if any(number not in sample.macros for number, _ in write.macros):
+        how = "these macros are not polled; whoever owns them writes them anew"
+    return Receipt(
+        sequence=0,
+        macros=write.macros,
+        outcome=WriteOutcome.VERIFIED if whole else WriteOutcome.FAILED,
+        detail=f"the daemon ended while writing; read back at the start: {how}",
+        read_back=found,
+        applied_um=echo.applied_um,
+        trace=Trace(first_byte=now, last_byte=now, read_back=now),
+    )

@@ -25,7 +25,7 @@ from daemon.compensation.operator_requests import Cadence, Requests
 from daemon.compensation.parts import ControlParts
 from daemon.compensation.probing import MeasuredByNc, OutputNow
 from daemon.compensation.references import References
-from daemon.compensation.restart import StartupRecovery, record_changes, resolve_pending_writes
+from daemon.compensation.restart import StartupRecovery, record_changes
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, SensorsSinceReference
 from drivers.contract import DriverError, LinkError
@@ -228,8 +228,9 @@ class ControlTask:
         self._measured.tool.on_sample(sample.tool_number, self._estimate)
         await self._desk.look(session)
         if self.memory is None:
-            resolve_pending_writes(self._parts.history, sample, session.echo, self._clock.now())
-            self.memory = self._startup.begin(session, self._clock.now().monotonic_s)
+            now = self._clock.now()
+            self._startup.settle_writes(self._parts.history, sample, session.echo, now)
+            self.memory = self._startup.begin(session, now.monotonic_s)
         self._references.keep()
 
     # --- deciding and writing ------------------------------------------------------------

@@ -36,7 +36,7 @@ class HistoryBackfill:
         if not self._store.is_file():
             return
         try:
-            with HistoryReader(self._store) as reader:
+            with HistoryReader(self._store, also_on_full_disk=True) as reader:
                 window_s = max(round(WINDOW_S / period_s), 1) * period_s
                 begin_s = from_s
                 while begin_s < to_s - 1e-6:
@@ -54,7 +54,7 @@ class HistoryBackfill:
         if not self._store.is_file():
             return degc, at_s
         try:
-            with HistoryReader(self._store) as reader:
+            with HistoryReader(self._store, also_on_full_disk=True) as reader:
                 found = reader.temperatures(self._sensor_ids, now.utc_s - RECALL_S, now.utc_s)
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))

@@ -58,8 +58,12 @@ def connect_writer(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def connect_reader(path: Path) -> sqlite3.Connection:
-    """Open a connection that cannot write. Raises HistoryError with what to do."""
+def connect_reader(path: Path, *, also_on_full_disk: bool = False) -> sqlite3.Connection:
+    """Open a connection that cannot write. Raises HistoryError with what to do.
+
+    Whoever holds the store's lock may read it `also_on_full_disk`: after a power cut or a kill SQLite wants a new -shm
+    file, for which there is no space; then the index of the log is kept in memory, which locks the store meanwhile.
+    """
     try:
         there = path.is_file()
     except OSError as error:
@@ -68,7 +72,7 @@ def connect_reader(path: Path) -> sqlite3.Connection:
         ) from error
     if not there:
         raise HistoryError(f"{path}: there is no history store; give the path that the daemon writes to")
-    connection = _open_read_only(path)
+    connection = _open_read_only(path, also_on_full_disk)
     try:
         version = _checked_version(connection, path)
         if version < schema_version():
@@ -86,7 +90,7 @@ def connect_reader(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _open_read_only(path: Path) -> sqlite3.Connection:
+def _open_read_only(path: Path, also_on_full_disk: bool) -> sqlite3.Connection:
     uri = f"file:{quote(str(path.absolute()))}?mode=ro"
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_S)
     try:
@@ -94,10 +98,9 @@ def _open_read_only(path: Path) -> sqlite3.Connection:
     except sqlite3.OperationalError as error:
         connection.close()
         if Path(f"{path}-wal").exists():
-            raise HistoryError(
-                f"{path}: cannot be read ({error}); reading beside the daemon needs read and write permission "
-                "on the -shm file beside the store: join the store's group"
-            ) from error
+            if also_on_full_disk and _is_of_the_disk(error):
+                return _open_with_index_in_memory(path)
+            raise _unreadable(path, error) from error
         # Without a -wal file there is no writer; a reader that may not create one reads the file as it is.
         connection = sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
     except sqlite3.DatabaseError as error:
@@ -105,6 +108,32 @@ def _open_read_only(path: Path) -> sqlite3.Connection:
         _refuse_foreign(error, path)
         raise HistoryError(f"{path}: the store cannot be read ({error})") from error
     return connection
+
+
+def _open_with_index_in_memory(path: Path) -> sqlite3.Connection:
+    uri = f"file:{quote(str(path.absolute()))}?mode=rw"
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_S)
+    try:
+        connection.execute("PRAGMA locking_mode=EXCLUSIVE")
+        connection.execute("PRAGMA query_only=ON")
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        raise _unreadable(path, error) from error
+    return connection
+
+
+def _is_of_the_disk(error: sqlite3.OperationalError) -> bool:
+    return getattr(error, "sqlite_errorname", "").startswith(("SQLITE_IOERR", "SQLITE_FULL"))
+
+
+def _unreadable(path: Path, error: sqlite3.DatabaseError) -> HistoryError:
+    if isinstance(error, sqlite3.OperationalError) and _is_of_the_disk(error):
+        return HistoryError(f"{path}: cannot be read ({error}): free space on its disk, or look at the kernel's log")
+    return HistoryError(
+        f"{path}: cannot be read ({error}); reading beside the daemon needs read and write permission "
+        "on the -shm file beside the store: join the store's group"
+    )
 
 
 def _checked_version(connection: sqlite3.Connection, path: Path) -> int:

@@ -89,9 +89,9 @@ def _named_damage(read: Callable[Concatenate["HistoryReader", P], T]) -> Callabl
 class HistoryReader:
     """One read-only connection; for one thread. Times are UTC seconds, from <= t < to."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, also_on_full_disk: bool = False) -> None:
         self.path = path
-        self._connection = connect_reader(path)
+        self._connection = connect_reader(path, also_on_full_disk=also_on_full_disk)
 
     def close(self) -> None:
         self._connection.close()

@@ -289,11 +289,11 @@ class HistoryWriter:
         if not self.path.is_file() or self.path.stat().st_size == 0:
             return None
         try:
-            reader = HistoryReader(self.path)
+            reader = HistoryReader(self.path, also_on_full_disk=True)
         except OlderStoreError:
             with self._lock:
                 connect_writer(self.path).close()
-            reader = HistoryReader(self.path)
+            reader = HistoryReader(self.path, also_on_full_disk=True)
         with reader:
             return question(reader)
 

@@ -179,6 +179,19 @@ def test_full_disk_is_reported_and_outlived(tmp_path: Path) -> None:
     check_all_cycles(copy / "history.sqlite", said)
 
 
+def test_what_a_killed_daemon_left_is_read_on_a_full_disk(tmp_path: Path) -> None:
+    store = tmp_path / "history.sqlite"
+    killed = kill_when("cycles", store, lambda so_far: len(so_far) >= 10)
+    intents = [int(str(one["intent"])) for one in killed if "intent" in one]
+    ((one,), err) = run_to_the_end("recall", store)
+    left = one["left"]
+    assert isinstance(left, list) and len(left) <= 2, err
+    assert max(intents) <= int(str(one["last"])) and one["last"] in left, "the intents of the log count as well"
+    assert_whole(store)
+    with HistoryReader(store) as reader:
+        assert [record.write_id for record in reader.unsettled_writes()] == left
+
+
 def test_damaged_database_is_not_taken_for_whole(tmp_path: Path) -> None:
     store = tmp_path / "history.sqlite"
     sqlite3.connect(store).close()

@@ -4,6 +4,7 @@ python write_history.py cycles STORE      cycles, samples and writes, a line of 
 python write_history.py pack STORE        packs what is old, a line of output before each hour
 python write_history.py limit STORE       writes beyond a limit of the file size that is lifted later
 python write_history.py ballast STORE     writes on a full disk, until a ballast file beside the store is removed
+python write_history.py recall STORE      where no file may grow, says what an earlier process left
 """
 
 import json
@@ -72,6 +73,12 @@ def write_cycles(store: Path) -> None:
         before = (write_id, written)
 
 
+def recall(store: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    say(left=[record.write_id for record in writer.unsettled_writes()], last=writer.last_write_id())
+
+
 def pack(store: Path) -> None:
     with WriterLock(store), closing(connect_writer(store)) as connection, closing(connect_reader(store)) as reading:
         for hour in pack_hours(reading, 2**50):
@@ -108,6 +115,8 @@ def main() -> None:
         write_cycles(store)
     elif mode == "pack":
         pack(store)
+    elif mode == "recall":
+        recall(store)
     elif mode == "limit":
         hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))

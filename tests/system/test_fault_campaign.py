@@ -29,8 +29,8 @@ SCRIPT = (
     Happening(kind=Incident.BLIND, at_s=440.0, duration_s=110.0),
     Happening(kind=Incident.LYING_CNC, at_s=600.0, duration_s=15.0, target=2),
     Happening(kind=Incident.FOREIGN_WRITE, at_s=740.0, target=2),
-    Happening(kind=Incident.FULL_DISK, at_s=850.0, duration_s=30.0),
     Happening(kind=Incident.CLOCK_STEP, at_s=900.0, amount=-3600.0),
+    Happening(kind=Incident.FULL_DISK, at_s=940.0, duration_s=60.0),  # killed and started again meanwhile
     Happening(kind=Incident.KILLED_DAEMON, at_s=960.0, duration_s=10.0),
     Happening(kind=FaultKind.LOST_BYTES, at_s=1000.0, duration_s=30.0, target="spindle", amount=0.1),
     Happening(kind=Incident.ZEROED, at_s=1060.0, duration_s=40.0),
