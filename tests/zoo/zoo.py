@@ -7,7 +7,9 @@ the share of the root mean square error that is gone, each recording counted fro
 recordings, then averaged over the channels. A recording that was measured with a channel reversed is trained on like
 the others, because nobody knows, but not tested.
 
-The last columns: the family that hindsight would choose, and by how many points the default lies above it.
+The last columns: the family that hindsight would choose, and by how many points the default lies above it; then what
+the machine would get of the default on line, by its confidence, the share of the time in which the output would follow
+it, and in how many trials a channel got worse than nothing.
 """
 
 import argparse
@@ -26,17 +28,24 @@ from zoo_machines import ROSTER, SEED, Machine, chosen, recordings, reversed_run
 
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
-from models.thermal.training.inputs import build_inputs, unusable_sensors, with_sensors
+from models.records import FloatArray
+from models.thermal.family import ThermalModel
+from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
+from models.thermal.training.online import Followed, compensated_um, follow, following_share
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
-from models.thermal.training.trial import Tester, Trial, trial_rows
+from models.thermal.training.train_family import MOST_WATCHED, model_of
+from models.thermal.training.trial import Tester, Trial, since_first_known, trial_rows
 from models.thermal.training.trust import Trust, judge
+from models.thermal.training.watch_fit import fit_watch
 
 SAMPLE_S = 60.0
 GROUPS = 3
 NEAR_POINTS = 2.0
 """The default is near the best family when it is no more than so many points below."""
 DEFAULT = "default"
+HARM = 1.02
+"""A trial in which a channel has more than so many times the error without a model counts as worse than nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,24 +67,49 @@ def splits(count: int, *, forward: bool) -> list[tuple[list[int], list[int]]]:
     return [([run for run in range(count) if run not in test], test) for test in tests]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Online:
+    """What the machine would get of the default on one trial."""
+
+    left_um: FloatArray
+    """What remains of the error [um], shape (n, n_channels)."""
+    followed: Followed
+
+
 def trials(
     used: Sequence[Recording], train: Sequence[int], test: Sequence[int], family: str, probe_min: float | None
-) -> tuple[list[Trial], Trust | None]:
-    """Return a family's trials on recordings that it has not seen, and how far the default is trusted."""
+) -> tuple[list[Trial], Trust | None, list[Online]]:
+    """Return a family's trials on recordings that it has not seen, and how far the default is trusted and followed."""
     plain = build_inputs(used, sample_s=SAMPLE_S, lags_min=(), speed_lags_min=())
     trained = np.isin(plain.recording, train)
     dropped = unusable_sensors(plain, trained)
     kept = [with_sensors(r, [name for name in plain.sensor_names if name not in dropped]) for r in used]
     prepared = prepare(kept, SAMPLE_S, RECIPES[family], trained, probe_min)
-    inputs, problem = prepared.inputs, prepared.problem
-    tester = Tester(inputs, problem.fit(), None, probe_min, None, prepared.rows)
-    trust = judge(inputs, prepared.rows, prepared.fold, problem, probe_min=probe_min) if family == DEFAULT else None
-    return [tester.run(family, rows) for rows in trial_rows(inputs, np.isin(inputs.recording, test))], trust
+    inputs, problem, rows = prepared.inputs, prepared.problem, prepared.rows
+    fit = problem.fit()
+    found = [
+        Tester(inputs, fit, None, probe_min, None, rows).run(family, part)
+        for part in trial_rows(inputs, np.isin(inputs.recording, test))
+    ]
+    if family != DEFAULT:
+        return found, None, []
+    trust = judge(inputs, rows, prepared.fold, problem, probe_min=probe_min)
+    watched = inputs.layout.sensors <= MOST_WATCHED
+    watch = fit_watch(kept, SAMPLE_S, rows, prepared.fold) if watched else None
+    model = model_of(family, kept, prepared, fit, trust, watch)
+    return found, trust, [online(model, inputs, trial, probe_min, trust) for trial in found]
 
 
-def figures(found: Sequence[Trial]) -> tuple[float, float]:
-    """Return the RMSE without a model [um] and the share of it that is gone, over all trials."""
-    measured, residual = np.vstack([t.measured_um for t in found]), np.vstack([t.residual_um for t in found])
+def online(model: ThermalModel, inputs: Inputs, trial: Trial, probe_min: float | None, trust: Trust) -> Online:
+    """Return what the machine would get of a model on a trial."""
+    followed, time_min = follow(model, inputs, trial.rows), inputs.time_min[trial.rows]
+    held_um = compensated_um(followed, time_min, trial.measured_um, probe_min, trust.bias_filter)
+    return Online(left_um=since_first_known(trial.measured_um - held_um), followed=followed)
+
+
+def figures(found: Sequence[Trial], left_um: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return the RMSE without a model [um] and the share of it that is gone where so much is left, over all trials."""
+    measured, residual = np.vstack([t.measured_um for t in found]), np.vstack(left_um)
     without, remains = (np.sqrt(np.nanmean(np.square(table), axis=0)) for table in (measured, residual))
     return float(without.mean()), float(1.0 - (remains / without).mean())
 
@@ -101,13 +135,14 @@ def try_machine(machine: Machine, options: Options) -> dict[str, Any]:
     found: dict[str, Any] = {"name": machine.name, "half": machine.half, "reductions": reductions}
     for family in options.families:
         done: list[Trial] = []
+        got: list[Online] = []
         trusted: list[tuple[Trial, Trust]] = []
         refused = 0
         try:
             for train, test in splits(len(used), forward=options.forward):
                 tested = [run for run in test if run != wrong]
-                part, trust = trials(used, train, tested, family, options.probe_min)
-                done += part
+                part, trust, on_line = trials(used, train, tested, family, options.probe_min)
+                done, got = done + part, got + on_line
                 if trust is not None:
                     trusted += [(trial, trust) for trial in part]
                     refused += trust.refused is not None
@@ -115,12 +150,24 @@ def try_machine(machine: Machine, options: Options) -> dict[str, Any]:
             found.setdefault("refusals", {})[family] = str(error)
             reductions[family] = None
             continue
-        found["nothing_um"], reductions[family] = figures(done)
+        found["nothing_um"], reductions[family] = figures(done, [trial.residual_um for trial in done])
         if trusted:
+            found |= what_it_gets(done, got)
             found["band_coverage"], found["band_width_um"] = bands(trusted)
             found["refused_models"] = refused
     found["seconds"] = time.process_time() - began
     return found | judged(reductions)
+
+
+def what_it_gets(done: Sequence[Trial], got: Sequence[Online]) -> dict[str, Any]:
+    """Return what the machine gets on line, how often the output follows, and in how many trials it does harm."""
+    pairs = [(trial.measured_um, one.left_um) for trial, one in zip(done, got, strict=True)]
+    rms = [[np.sqrt(np.nanmean(np.square(um), axis=0)) for um in pair] for pair in pairs]
+    return {
+        "online": figures(done, [one.left_um for one in got])[1],
+        "active": following_share([one.followed for one in got]),
+        "worse_online": sum(bool((left > HARM * without).any()) for without, left in rms),
+    }
 
 
 def judged(reductions: dict[str, float | None]) -> dict[str, Any]:
@@ -141,7 +188,8 @@ def line(found: dict[str, Any], families: Sequence[str]) -> str:
     return (
         f"{found['name']:18} {found['half']:7} {machine.runs:3} x {machine.hours[1]:4g} h {machine.sample_s:5g} s "
         f"{machine.sensors:4} {found.get('nothing_um', float('nan')):7.1f}  {' '.join(cells)}  "
-        f"{found['best'] or '-':13} {points:>6}  {_band(found)}  {' '.join(sorted(machine.traits))}"
+        f"{found['best'] or '-':13} {points:>6}  {_band(found)}  {_percent(found.get('online')):>7} "
+        f"{_percent(found.get('active')):>6} {found.get('worse_online', '-'):>5}  {' '.join(sorted(machine.traits))}"
     )
 
 
@@ -150,7 +198,7 @@ def head(families: Sequence[str]) -> str:
     cells = " ".join(f"{family:>{max(len(family), 6)}}" for family in families)
     return (
         f"{'machine':18} {'half':7} {'recordings':>12} {'every':>7} {'T':>4} {'none um':>7}  {cells}  "
-        f"{'best family':13} {'points':>6}  {'band':>15}  what is odd"
+        f"{'best family':13} {'points':>6}  {'band':>15}  {'on line':>7} {'active':>6} {'worse':>5}  what is odd"
     )
 
 
@@ -179,6 +227,17 @@ def summary(all_found: Sequence[dict[str, Any]], half: str) -> dict[str, Any] | 
         "worst_points": float(points.min()),
         "mean_default": float(shares.mean()),
         "mean_best": float(np.mean([found["reductions"][found["best"]] for found in known])),
+    } | on_line(known)
+
+
+def on_line(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return what machines of a half get on line, in the mean, and on how many of them that is near the estimate."""
+    lost = np.array([found["reductions"][DEFAULT] - found["online"] for found in known])
+    return {
+        "mean_online": float(np.mean([found["online"] for found in known])),
+        "near_online": float((100.0 * lost <= NEAR_POINTS).mean()),
+        "mean_active": float(np.mean([found["active"] for found in known])),
+        "worse_online": sum(found["worse_online"] for found in known),
     }
 
 
@@ -186,7 +245,10 @@ def _say(found: dict[str, Any]) -> str:
     return (
         f"{found['half']}: {found['machines']} machines; default {found['mean_default']:.1%} in the mean, the best "
         f"family of each in hindsight {found['mean_best']:.1%};\n  no more than {NEAR_POINTS:g} points below it on "
-        f"{found['near']:.0%}, {found['mean_points']:+.1f} points in the mean, {found['worst_points']:+.1f} at worst"
+        f"{found['near']:.0%}, {found['mean_points']:+.1f} points in the mean, {found['worst_points']:+.1f} at worst;\n"
+        f"  on line {found['mean_online']:.1%} "
+        f"in the mean, within {NEAR_POINTS:g} points of the estimate on {found['near_online']:.0%}, following "
+        f"{found['mean_active']:.0%} of the time, worse than nothing in {found['worse_online']} trials"
     )
 
 

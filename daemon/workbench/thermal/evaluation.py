@@ -19,9 +19,7 @@ from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
-from models.thermal.sensor_watch import SensorWatch
 from models.thermal.training.choice import Choice
-from models.thermal.training.families import Fit
 from models.thermal.training.folds import cycles
 from models.thermal.training.inputs import (
     Inputs,
@@ -30,11 +28,10 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names
 from models.thermal.training.online import Followed, compensated_um, follow, following_share
-from models.thermal.training.prepared import Prepared, prepare
+from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
-from models.thermal.training.train_family import MOST_WATCHED
+from models.thermal.training.train_family import MOST_WATCHED, model_of
 from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, since_first_known, trial_rows
 from models.thermal.training.trust import Trust, judge
 from models.thermal.training.watch_fit import fit_watch
@@ -200,7 +197,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     online: list[_Online] = []
     if not inputs.axis_positions:
         watched = watch if inputs.layout.sensors <= MOST_WATCHED else None
-        made = _made(chosen, model, prepared, fit, trust, watched)
+        made = model_of(model, chosen, prepared, fit, trust, watched)
         online = _online(made, inputs, trials, protocol.probe_min, trust.bias_filter)
     return _Outcome(
         name=part.name,
@@ -211,30 +208,6 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         dropped=dropped,
         online=online,
         choice=choice_of(model, problem, trust),
-    )
-
-
-def _made(
-    recordings: Sequence[Recording], family: str, prepared: Prepared, fit: Fit, trust: Trust, watch: SensorWatch | None
-) -> ThermalModel:
-    """Return the model as the daemon would load it."""
-    recipe = RECIPES[family]
-    return recipe.make(
-        Fitted(
-            name=recipe.name,
-            kind=recipe.kind,
-            created="",
-            inputs=prepared.inputs,
-            rows=prepared.rows,
-            fit=fit,
-            trust=trust,
-            hyper_parameters=prepared.problem.hyper_parameters,
-            training=(),
-            sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names),
-            increments_k=increment_range_k(recordings),
-            pivots_mm=dict(recordings[0].pivots_mm),
-            watch=watch,
-        )
     )
 
 

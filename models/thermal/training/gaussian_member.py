@@ -84,7 +84,7 @@ class GaussianMember:
         numbers = fold_numbers(rows, fold)
         if len(numbers) > 1:
             for number in numbers:
-                self._fitted(process, frozenset({number}))
+                self._pieces[frozenset({number})] = self._made(self._posterior(process, frozenset({number})))
             self._score(inputs, rows, fold, probe_min, numbers)
             self._pieces.clear()  # most members are not chosen, and a piece of hundreds of sensors is some megabytes
 
@@ -112,15 +112,16 @@ class GaussianMember:
     def piece(self, left_out: frozenset[int]) -> Piece:
         """Return the fit on everything but some folds, in the columns of its own layout."""
         if left_out not in self._pieces:
-            self._fitted(GaussianProcess(self._rows), left_out)
+            self._pieces[left_out] = self._made(self._posterior(GaussianProcess(self._rows), left_out))
         return self._pieces[left_out]
 
-    def _fitted(self, process: GaussianProcess, left_out: frozenset[int]) -> None:
+    def _posterior(self, process: GaussianProcess, left_out: frozenset[int]) -> Posterior:
+        """Return what all rows but some folds tell."""
         used = np.flatnonzero(~np.isin(self._fold, list(left_out)))
         logarithms = self._logarithms
         if left_out:
             logarithms = process.likely(np.intersect1d(self._few, used), logarithms, STEPS_WITHOUT_FOLD)
-        self._pieces[left_out] = self._made(process.posterior(logarithms, used))
+        return process.posterior(logarithms, used)
 
     def _made(self, posterior: Posterior) -> Piece:
         directions, remaining = posterior.directions(MOST_DIRECTIONS, LEAST_KNOWN)

@@ -173,9 +173,9 @@ class GaussianProcess:
 
     def posterior(self, logarithms: FloatArray, used: IntArray) -> "Posterior":
         """Return what the displacements of some rows tell (eqs. 2.25, 2.26)."""
-        kernels, count = self._kernels.some(used), len(self.rows.groups)
-        linear = kernels.of_groups(logarithms)
-        without_linear = kernels.covariance(logarithms, *kernels.of_rows(logarithms))
+        kernels, count, both = self._kernels, len(self.rows.groups), np.ix_(used, used)
+        linear = kernels.of_groups(logarithms)[both]
+        without_linear = kernels.covariance(logarithms, *kernels.of_rows(logarithms))[both]
         inverse = inverse_of(np.linalg.cholesky(without_linear + linear))
         scale = np.zeros(self.rows.columns.shape[1])
         for size, group in zip(np.exp(logarithms[:count]), self.rows.groups, strict=True):
@@ -268,13 +268,14 @@ def squared_distances(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def inverse_of(lower: npt.NDArray[np.floating[Any]]) -> FloatArray:
-    """Return the inverse of a matrix from its Cholesky factor."""
+    """Return the inverse of a matrix from its Cholesky factor, a lower triangle."""
     from scipy.linalg.lapack import dpotri  # noqa: PLC0415 - never loaded by the resident daemon
 
     found, failed = dpotri(np.asarray(lower, dtype=np.float64), lower=1)
     if failed:
         raise np.linalg.LinAlgError("the covariance of the training rows cannot be inverted")
-    return np.asarray(np.tril(found) + np.tril(found, -1).T, dtype=np.float64)
+    found += np.tril(found, -1).T  # the factor has zeros above its diagonal
+    return np.asarray(found, dtype=np.float64)
 
 
 def principal_coordinates(columns: FloatArray, groups: Sequence[IntArray]) -> FloatArray:

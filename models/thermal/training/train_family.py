@@ -12,9 +12,10 @@ from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import HyperParameters
+from models.thermal.sensor_watch import SensorWatch
 from models.thermal.training.advice import advice, indistinct
 from models.thermal.training.choice import Choice, ChosenProblem
-from models.thermal.training.families import fold_numbers
+from models.thermal.training.families import Fit, fold_numbers
 from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.training.prepared import Prepared, prepare
@@ -132,6 +133,33 @@ def train_family(
         warnings=warnings,
         advice=_advice(prepared, trust),
         choice=problem.choice if isinstance(problem, ChosenProblem) else None,
+    )
+
+
+def model_of(
+    family: str, recordings: Sequence[Recording], prepared: Prepared, fit: Fit, trust: Trust, watch: SensorWatch | None
+) -> ThermalModel:
+    """Return a fit as the daemon would load it, to be tried: without date, and without the names of what it is from.
+
+    `recordings`: of the sensors that are used; the others: as they were made of them.
+    """
+    recipe = RECIPES[family]
+    return recipe.make(
+        Fitted(
+            name=recipe.name,
+            kind=recipe.kind,
+            created="",
+            inputs=prepared.inputs,
+            rows=prepared.rows,
+            fit=fit,
+            trust=trust,
+            hyper_parameters=prepared.problem.hyper_parameters,
+            training=(),
+            sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names),
+            increments_k=increment_range_k(recordings),
+            pivots_mm=dict(recordings[0].pivots_mm),
+            watch=watch,
+        )
     )
 
 

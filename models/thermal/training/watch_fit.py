@@ -1,13 +1,14 @@
 """Fits the watch of the sensors to training rows: predictions, and limits from stretches that were left out."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.features import BoolArray, IntArray
+from models.thermal.features import BoolArray, IntArray, Layout
 from models.thermal.sensor_watch import (
     FAST_MIN,
     FLAT_FACTOR,
@@ -21,6 +22,7 @@ from models.thermal.sensor_watch import (
     departure_maps,
 )
 from models.thermal.training.families import fold_numbers
+from models.thermal.training.gaussian_process import inverse_of
 from models.thermal.training.inputs import Inputs, build_inputs
 
 PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1)
@@ -29,6 +31,8 @@ RESTLESS_FLAT_MIN = 5.0
 """A sensor that never had the same value in two rows of training is stuck after this time [min] ..."""
 FEWEST_FLAT_ROWS = 3
 """... and so many rows without a change."""
+ROWS_AT_A_TIME, COLUMNS_AT_A_TIME = 512, 256
+"""Of a large table, while something is made of it."""
 SMALLEST_THRESHOLD_K = 0.1
 """No departure below this is a fault [K]: less than two steps of a TMP102."""
 
@@ -51,23 +55,22 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         What is left out in turn, see `inner_folds`.
 
     """
-    best: tuple[float, Inputs, float, FloatArray] | None = None
-    for speed_lags_min in ((), WATCH_LAGS_MIN):
-        inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=speed_lags_min)
-        if speed_lags_min and not inputs.layout.speed_lags_min:
-            continue
-        for penalty, largest_k in zip(PENALTIES, _left_out_departures_k(inputs, rows, fold), strict=True):
+    best: tuple[float, Layout, float, FloatArray] | None = None
+    inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=WATCH_LAGS_MIN)
+    whole = inputs.layout  # without the lagged speed, which comes last, the columns are the same
+    for layout in dict.fromkeys((replace(whole, speed_lags_min=()), whole)):
+        for penalty, largest_k in zip(PENALTIES, _left_out_departures_k(inputs, layout, rows, fold), strict=True):
             score = float(np.log(np.maximum(largest_k, 1e-3)).mean())
             if best is None or score < best[0]:
-                best = (score, inputs, penalty, largest_k)
+                best = (score, layout, penalty, largest_k)
     assert best is not None
-    _, inputs, penalty, largest_k = best
-    centre, gain = _scaling(inputs, rows)
+    _, layout, penalty, largest_k = best
+    centre, gain = _scaling(inputs.features[:, : layout.columns], rows)
     return SensorWatch(
-        layout=inputs.layout,
+        layout=layout,
         centre=centre,
         gain=gain,
-        precision=next(_precisions(inputs, rows, centre, gain, [penalty])),
+        precision=next(_precisions(inputs.features[:, : layout.columns], rows, centre, gain, [penalty])),
         threshold_k=_thresholds_k(largest_k),
         slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
         flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
@@ -83,47 +86,64 @@ def _thresholds_k(largest_k: FloatArray) -> FloatArray:
     return np.maximum(THRESHOLD_FACTOR * np.maximum(largest_k, np.median(largest_k)), SMALLEST_THRESHOLD_K)
 
 
-def _scaling(inputs: Inputs, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-    features = inputs.features[rows]
-    centre, spread = features.mean(axis=0), features.std(axis=0)
+def _scaling(features: FloatArray, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of every column, and what makes its spread 1, or 0 where it does not move."""
+    centre = features.mean(axis=0, where=rows[:, None])
+    square = np.zeros_like(centre)
+    for part in _parts(rows):
+        square += np.square(features[part] - centre).sum(axis=0)
+    spread = np.sqrt(square / max(int(rows.sum()), 1))
     moves = spread > 1e-6
     return centre, np.where(moves, 1.0 / np.where(moves, spread, 1.0), 0.0)
 
 
+def _parts(rows: BoolArray) -> list[IntArray]:
+    """Return the rows in parts: with hundreds of sensors a table of all their lags is tens of megabytes."""
+    used = np.flatnonzero(rows)
+    return [used[first : first + ROWS_AT_A_TIME] for first in range(0, len(used), ROWS_AT_A_TIME)]
+
+
 def _precisions(
-    inputs: Inputs, rows: BoolArray, centre: FloatArray, gain: FloatArray, penalties: Sequence[float]
+    features: FloatArray, rows: BoolArray, centre: FloatArray, gain: FloatArray, penalties: Sequence[float]
 ) -> Iterator[FloatArray]:
     """Yield the precision of the scaled columns for each damping, one at a time: each is large."""
-    scaled = inputs.features[rows]
-    scaled -= centre
-    scaled *= gain
-    scaled -= scaled.mean(axis=0)
-    covariance = scaled.T @ scaled / max(len(scaled), 1)
-    del scaled
-    eigenvalues, vectors = np.linalg.eigh(covariance)
+    covariance = np.zeros((len(centre), len(centre)))
+    for part in _parts(rows):
+        scaled = (features[part] - centre) * gain
+        covariance += scaled.T @ scaled
+    covariance /= max(int(rows.sum()), 1)
+    diagonal = np.diag_indices_from(covariance)
+    variance = covariance[diagonal]
     for penalty in penalties:
-        yield (vectors / (np.maximum(eigenvalues, 0.0) + penalty)) @ vectors.T
+        covariance[diagonal] = variance + penalty
+        yield inverse_of(np.linalg.cholesky(covariance))
 
 
-def _left_out_departures_k(inputs: Inputs, rows: BoolArray, fold: IntArray) -> list[FloatArray]:
+def _left_out_departures_k(inputs: Inputs, layout: Layout, rows: BoolArray, fold: IntArray) -> list[FloatArray]:
     """Return the largest departure of every sensor on folds that were left out [K], one table per penalty."""
-    largest = [np.zeros(inputs.layout.sensors) for _ in PENALTIES]
+    largest = [np.zeros(layout.sensors) for _ in PENALTIES]
+    features = inputs.features[:, : layout.columns]
     numbers = fold_numbers(rows, fold)
-    smooth = np.vstack([_against_own_mean(inputs, run) for run in np.unique(inputs.run)])
+    smooth = _against_own_mean(inputs, features)
     for number in numbers:
         rest = rows & (fold != number) if len(numbers) > 1 else rows
-        centre, gain = _scaling(inputs, rest)
+        centre, gain = _scaling(features, rest)
         judged = smooth[rows & (fold == number)] * gain
-        for index, precision in enumerate(_precisions(inputs, rest, centre, gain, PENALTIES)):
-            maps, _ = departure_maps(inputs.layout, precision, gain)
+        for index, precision in enumerate(_precisions(features, rest, centre, gain, PENALTIES)):
+            maps, _ = departure_maps(layout, precision, gain)
             largest[index] = np.maximum(largest[index], np.abs(judged @ maps.T).max(axis=0))
     return largest
 
 
-def _against_own_mean(inputs: Inputs, run: int) -> FloatArray:
-    rows = inputs.run == run
-    fast = smoothed(inputs.time_min[rows], inputs.features[rows], FAST_MIN)
-    return fast - smoothed(inputs.time_min[rows], fast, SLOW_MIN)
+def _against_own_mean(inputs: Inputs, features: FloatArray) -> FloatArray:
+    found = np.empty_like(features)
+    for run in np.unique(inputs.run):
+        rows = np.flatnonzero(inputs.run == run)
+        for first in range(0, features.shape[1], COLUMNS_AT_A_TIME):
+            columns = slice(first, first + COLUMNS_AT_A_TIME)
+            fast = smoothed(inputs.time_min[rows], features[rows, columns], FAST_MIN)
+            found[rows, columns] = fast - smoothed(inputs.time_min[rows], fast, SLOW_MIN)
+    return found
 
 
 def smoothed(time_min: FloatArray, values: FloatArray, constant_min: float) -> FloatArray:
