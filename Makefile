@@ -14,10 +14,14 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run test test-slow test-all hardships install lint types layers docs bundle simulated-model thermal-zoo clean
+.PHONY: run plant test test-slow test-all hardships install lint types layers docs bundle simulated-model thermal-zoo clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
+
+# Broker, PostgreSQL, Grafana and ten simulated machines: `make plant PLANT="--machines 3 --way packages"`.
+plant: $(VENV)/.installed
+	$(BIN)/python systemd/plant/plant.py $(PLANT)
 
 install: $(VENV)/.installed
 

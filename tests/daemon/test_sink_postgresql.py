@@ -24,12 +24,14 @@ from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
-from config.schema.sinks import SinkConfig
+from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.contract import SinkError
+from daemon.sinks.database import authorities
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.postgresql import PostgresqlSink, authorities
+from daemon.sinks.postgresql import PostgresqlSink
+from daemon.sinks.postgresql_refusals import refusal
 from daemon.sinks.running import SinkRunner, make_sink
 
 MACHINE = "mill 7"
@@ -287,6 +289,14 @@ def test_a_refusal_names_the_key(server: Server, tmp_path: Path, changes: dict[s
     cursor = send(server, tmp_path, store, **changes)
     assert said in cursor.problem and "sink plant: database" in cursor.problem
     assert Cursor.read(cursor_path(store, "plant")) == cursor, "the status reads it there"
+
+
+def test_a_server_that_is_full_of_connections_names_the_setting(server: Server) -> None:
+    """The machines of a plant have a connection each."""
+    with contextlib.ExitStack() as stack, pytest.raises(psycopg.OperationalError) as refused:
+        for _ in range(200):
+            stack.enter_context(server.connection("postgres"))
+    assert "raise its max_connections" in refusal(refused.value, PostgresqlConfig(host="db"))
 
 
 def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:

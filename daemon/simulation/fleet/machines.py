@@ -5,6 +5,7 @@ estimator runs: an estimate is the machine's true displacement with a gain error
 compensated better than others.
 """
 
+import itertools
 import signal
 import threading
 import time
@@ -202,7 +203,9 @@ class FleetMachine:
         """Note in the writer's thread when the cycles up to this one were committed."""
         now_s, waiting = time.monotonic(), self._waiting[line]
         while waiting and waiting[0][0] <= number:
-            _, utc_ms = waiting.popleft()
+            first, utc_ms = waiting.popleft()
+            if first == 1:
+                continue  # it was there before the senders
             self.commits.append(Committed(machine=self._number, line=line, utc_ms=utc_ms, monotonic_s=now_s))
 
     def _degc(self) -> np.ndarray:
@@ -324,7 +327,10 @@ def _turns(plan: FleetPlan, lines: Sequence[str]) -> Iterator[tuple[float, int, 
 
 
 def run_machines(plan: FleetPlan, parent: Connection) -> None:
-    """Make the stores, say so, wait for a word, and record until the plan is through; body of a process of its own."""
+    """Record the first cycle of each line, say so, wait for a word, and record the rest in its time.
+
+    The body of a process of its own.
+    """
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -335,11 +341,14 @@ def run_machines(plan: FleetPlan, parent: Connection) -> None:
         for machine in machines:
             machine.start()
             stack.enter_context(closing(machine))
+        turns = _turns(plan, tuple(MachineLayout.from_configuration(configuration).lines))
+        for time_s, at, line, number in itertools.islice(turns, plan.machines * len(configuration.temperatures.inputs)):
+            machines[at].cycle(line, number, time_s)
         parent.send(None)
         parent.recv()
         began_s = time.monotonic()
-        for time_s, at, line, number in _turns(plan, tuple(MachineLayout.from_configuration(configuration).lines)):
-            late_s = time.monotonic() - began_s - time_s / plan.speed
+        for time_s, at, line, number in turns:
+            late_s = time.monotonic() - began_s - (time_s - PERIOD_S) / plan.speed
             behind_s = max(behind_s, late_s)
             if stop.is_set() or (late_s < 0.0 and stop.wait(-late_s)):
                 break

@@ -30,7 +30,7 @@ SINK = "plant"
 SENDERS = 2
 """Processes that send; each has its share of the machines."""
 ALL_TAKEN_WITHIN_S = 300.0
-"""What waits when the machines have ended must be taken within this time."""
+"""What waits before the machines go on, and when they have ended, must be taken within this time."""
 WATCH_PERIOD_S = 0.2
 STOP_WITHIN_S = 30.0
 SPAWN = multiprocessing.get_context("spawn")
@@ -229,7 +229,7 @@ def simulate_fleet(
     }
     lines = tuple(MachineLayout.from_configuration(fleet_configuration()).lines)
     with ArrivalWatch(dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
-        _all_at_work(plan, keeper)
+        _all_taken(plan, keeper)  # every sender is at work, and the tables are there
         here.send(None)
         say(f"{plan.machines} machines record {plan.minutes:g} min at {plan.speed:g} times real time")
         began(keeper)
@@ -263,14 +263,6 @@ def _received(connection: Connection, process: BaseProcess, keeper: Keeper | Non
     except EOFError:
         process.join()
         raise SimulationError("the process of the machines ended early; what it said stands above") from None
-
-
-def _all_at_work(plan: FleetPlan, keeper: Keeper) -> None:
-    """Wait until every sender has said that it runs."""
-    missing = [cursor_path(plan.store(number), SINK) for number in range(plan.machines)]
-    while missing := [path for path in missing if not path.exists()]:
-        keeper.check()
-        time.sleep(WATCH_PERIOD_S)
 
 
 def _all_taken(plan: FleetPlan, keeper: Keeper) -> int:

@@ -1,0 +1,193 @@
+"""The plant's PostgreSQL database: its schema, and rows by COPY into a staging table, then what is not there yet.
+
+Every table has a key, so that a repeat changes nothing.
+"""
+
+import ssl
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime, timedelta
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import psycopg
+from psycopg import sql
+
+from config.schema.sinks import PostgresqlConfig
+from daemon.sinks.contract import SinkError
+from daemon.sinks.outbox import Stream
+from daemon.sinks.postgresql_refusals import newer_schema, refusal, unreadable
+
+SCHEMA = "toolpoint"
+ANSWER_TIMES = 6
+"""An answer may take so many times as long as connecting."""
+MIGRATING = 7_413_015
+"""Number of the lock under which tables are made, so that the sinks of several machines do not make them at once."""
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+FIRST_YEAR, LAST_YEAR = 2000, 2100
+"""Months of these years have a partition each; what a wrong clock has put elsewhere shares one."""
+PARTITIONED = ("temperatures", "estimates", "writes", "cnc", "displacements")
+TABLES = {"references": "reference_points"}
+"""Stream -> its table, where that is called otherwise."""
+COLUMNS = {"utc_ms": "time", "cycle_utc_ms": "cycle_time"}
+AUTHORITIES = ("/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt")
+"""Where Debian and Fedora keep them."""
+
+
+def time_of(ms: int) -> datetime:
+    """Return a time in milliseconds since 1970 as the database takes it."""
+    return EPOCH + timedelta(milliseconds=ms)
+
+
+def scripts() -> list[tuple[int, str]]:
+    """Return the numbered SQL files of the schema in order."""
+    folder = resources.files("daemon.sinks") / "schema"
+    files = sorted((each for each in folder.iterdir() if each.name.endswith(".sql")), key=lambda each: each.name)
+    return [(int(each.name.partition("_")[0]), each.read_text(encoding="utf-8")) for each in files]
+
+
+def authorities() -> str:
+    """Return the file of the authorities that this computer knows; the library that psycopg brings looks elsewhere."""
+    known = (ssl.get_default_verify_paths().cafile, *AUTHORITIES)
+    return next((path for path in known if path is not None and Path(path).is_file()), "system")
+
+
+class Database:
+    """One connection; a new one is made after every SinkError."""
+
+    def __init__(self, config: PostgresqlConfig, where: str, application: str) -> None:
+        self._config, self._where, self._application = config, where, application
+        self._connection: psycopg.Connection[Any] | None = None
+        self._staged: set[str] = set()
+        self._months: set[tuple[str, int, int]] = set()
+
+    @property
+    def connection(self) -> psycopg.Connection[Any]:
+        """The connection, in which whoever uses it begins and ends transactions."""
+        assert self._connection is not None
+        return self._connection
+
+    def open(self) -> None:
+        """Connect and bring the schema up to date; raises SinkError."""
+        try:
+            connection = self._connection = self._connect()
+            with connection.transaction():
+                self._migrate(connection)
+        except (psycopg.Error, OSError) as error:
+            raise self.refused(error) from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._connection is not None:
+            self._connection.close()
+
+    def refused(self, error: Exception) -> SinkError:
+        """Return what an error of the database means for a person."""
+        return SinkError(f"{self._where}: {refusal(error, self._config)}")
+
+    def put(self, stream: Stream, rows: Iterable[Sequence[Any]], days: Iterable[int]) -> int:
+        """Store rows of a stream, machine first, within a transaction; return how many were not there before.
+
+        `days` since 1970 of which there are rows. Raises psycopg.Error.
+        """
+        connection = self.connection
+        table = TABLES.get(stream.name, stream.name)
+        names = [sql.Identifier(COLUMNS.get(name, name)) for name in stream.columns]
+        target, staging = sql.Identifier(SCHEMA, table), sql.Identifier(f"staging_{table}")
+        columns = sql.SQL(", ").join([sql.Identifier("machine"), *names])
+        if table in PARTITIONED:
+            self._make_partitions(table, days)
+        if table not in self._staged:
+            like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} (LIKE {}) ON COMMIT DELETE ROWS")
+            connection.execute(like.format(staging, target))
+        with connection.cursor() as cursor:
+            with cursor.copy(sql.SQL("COPY {} ({}) FROM STDIN").format(staging, columns)) as copy:
+                for row in rows:
+                    copy.write_row(row)
+            insert = sql.SQL("INSERT INTO {} ({}) SELECT {} FROM {} ON CONFLICT DO NOTHING")
+            cursor.execute(insert.format(target, columns, columns, staging))
+            return cursor.rowcount
+
+    def committed(self, streams: Iterable[Stream]) -> None:
+        """Note that what was put is committed: the staging tables stay."""
+        self._staged |= {TABLES.get(stream.name, stream.name) for stream in streams}
+
+    def _make_partitions(self, table: str, days: Iterable[int]) -> None:
+        dates = {time_of(86_400_000 * day).date() for day in days}
+        missing = {(table, day.year, day.month) for day in dates if FIRST_YEAR <= day.year < LAST_YEAR} - self._months
+        if not missing:
+            return
+        for _, year, month in sorted(missing):
+            name = f"{SCHEMA}.{table}_{year}_{month:02d}"
+            if self.connection.execute("SELECT to_regclass(%s)", (name,)).fetchone() != (None,):
+                continue  # made by another machine's sink; asking for it again would wait for all that write there
+            self.connection.execute("SELECT pg_advisory_xact_lock(%s)", (MIGRATING,))
+            after = (year + month // 12, month % 12 + 1)
+            make = sql.SQL("CREATE TABLE IF NOT EXISTS {} PARTITION OF {} FOR VALUES FROM ({}) TO ({})")
+            self.connection.execute(
+                make.format(
+                    sql.Identifier(SCHEMA, f"{table}_{year}_{month:02d}"),
+                    sql.Identifier(SCHEMA, table),
+                    sql.Literal(f"{year}-{month:02d}-01 00:00:00+00"),
+                    sql.Literal(f"{after[0]}-{after[1]:02d}-01 00:00:00+00"),
+                )
+            )
+        self._months |= missing
+
+    # --- connection and schema -----------------------------------------------------------------
+
+    def _connect(self) -> psycopg.Connection[Any]:
+        config = self._config
+        answer_ms = int(ANSWER_TIMES * config.timeout_s * 1e3)
+        tls: dict[str, Any] = {"sslmode": "disable"}
+        if config.tls:
+            tls = {"sslmode": "verify-full", "sslrootcert": str(config.ca_certificate or authorities())}
+            if config.ca_certificate is not None and not config.ca_certificate.is_file():
+                raise SinkError(f"{self._where}: {unreadable('ca_certificate', config.ca_certificate, 'no file')}")
+        connection: psycopg.Connection[Any] = psycopg.connect(
+            host=config.host,
+            port=config.port,
+            dbname=config.database,
+            user=config.user_name,
+            password=self._password(),
+            connect_timeout=max(2, round(config.timeout_s)),
+            tcp_user_timeout=answer_ms,
+            keepalives_idle=max(1, round(config.timeout_s)),
+            application_name=self._application,
+            options=f"-c statement_timeout={answer_ms} -c search_path={SCHEMA}",
+            autocommit=True,
+            **tls,
+        )
+        return connection
+
+    def _password(self) -> str | None:
+        path = self._config.password_file
+        if path is None:
+            return None
+        try:
+            return path.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SinkError(f"{self._where}: {unreadable('password_file', path, error)}") from error
+
+    def _migrate(self, connection: psycopg.Connection[Any]) -> None:
+        """Apply the scripts that the database does not have yet; refuse a schema of a newer version."""
+        connection.execute("SELECT pg_advisory_xact_lock(%s)", (MIGRATING,))
+        there = connection.execute("SELECT 1 FROM pg_namespace WHERE nspname = %s", (SCHEMA,)).fetchone()
+        if there is None:
+            connection.execute(sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(SCHEMA)))
+        connection.execute(
+            "CREATE TABLE IF NOT EXISTS schema_versions (version integer PRIMARY KEY, "
+            "applied timestamptz NOT NULL DEFAULT now())"
+        )
+        (version,) = connection.execute("SELECT coalesce(max(version), 0) FROM schema_versions").fetchone() or (0,)
+        known = scripts()
+        if version > known[-1][0]:
+            raise SinkError(f"{self._where}: {newer_schema(version, known[-1][0])}")
+        for number, script in known:
+            if number > version:
+                connection.execute(script)
+                for table in PARTITIONED if number == 1 else ():
+                    make = sql.SQL("CREATE TABLE {} PARTITION OF {} DEFAULT")
+                    names = sql.Identifier(SCHEMA, f"{table}_other"), sql.Identifier(SCHEMA, table)
+                    connection.execute(make.format(*names))
+                connection.execute("INSERT INTO schema_versions (version) VALUES (%s)", (number,))

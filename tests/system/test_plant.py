@@ -1,0 +1,136 @@
+"""The plant's dashboard on a real database, and the files that start a plant in a box."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import history_records as make
+import numpy as np
+import pytest
+import yaml
+from history_records import FULL, StillClock
+from mosquitto import PROGRAM
+from postgresql import FOLDERS, PASSWORD, Server, postgresql
+
+from config.schema.sinks import SinkConfig
+from daemon.history import HistoryWriter
+from daemon.simulation.processes import free_port
+from daemon.sinks.running import SinkRunner
+
+FOLDER = Path(__file__).parents[2] / "systemd" / "plant"
+DASHBOARD = json.loads((FOLDER / "grafana/dashboards/fleet.json").read_text("utf-8"))
+MACHINES = ("simulated 1", "simulated 2")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with postgresql() as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def filled(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Server:
+    """Ten minutes of two machines, up to now."""
+    folder = tmp_path_factory.mktemp("plant")
+    (now_s,) = server.ask("SELECT extract(epoch FROM now())::float8")[0]
+    (folder / "password").write_text(PASSWORD)
+    there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
+    config = SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": there})
+    for number, name in enumerate(MACHINES):
+        store, stop = folder / f"{number}.sqlite", threading.Event()
+        writer = HistoryWriter(store, clock=StillClock(), machine=FULL)
+        writer.start()
+        for k in range(10):
+            at_s = now_s - 600.0 + 60.0 * k
+            writer._clock.utc_s = at_s
+            for line, members in FULL.lines.items():
+                writer.temperatures(None, make.cycle(line, k + 1, at_s, np.full(len(members), 20.0 + k)))
+            writer.cnc_sample(make.cnc_sample(at_s))
+            writer.estimate(make.estimate(at_s, np.full(3, float(k)), channels=("d1", "d2", "d3")))
+            written = make.macros(k + 1, np.zeros(3))
+            write_id = writer.write_intent(make.command(np.zeros(3)), written, "cycle")
+            writer.write_outcome(write_id, make.receipt(at_s, written))
+            writer.write_echoed(write_id, replace(make.trace(at_s), echoed=make.instant(at_s + 2.0)))
+            writer.displacement(make.displacement(at_s, np.arange(5.0)))
+            writer.event("note", f"number {k}")
+        writer.close()
+        runner = SinkRunner(config, store, name, stop, wait=lambda _duration_s, stop=stop: stop.set())
+        runner.run()
+        assert runner.cursor.problem == ""
+    return server
+
+
+def expanded(query: str) -> str:
+    """Return a query as Grafana sends it: macros and variables replaced."""
+    start, end = "now() - interval '8 hours'", "now()"
+    query = re.sub(r"\$__timeFilter\((\w+)\)", rf"\1 BETWEEN {start} AND {end}", query)
+    query = re.sub(r"\$__timeGroup\((\w+), \$__interval\)", r"floor(extract(epoch FROM \1) / 60) * 60", query)
+    query = query.replace("$__timeTo()", end).replace("$__timeFrom()", start)
+    names = {"$machine": ", ".join(f"'{name}'" for name in MACHINES), "$channel": "d1", "$label": "'A', 'Room'"}
+    for name, value in names.items():
+        query = query.replace(name, value)
+    assert "$" not in query, query
+    return query
+
+
+@pytest.mark.parametrize("panel", DASHBOARD["panels"], ids=lambda panel: panel["title"])
+def test_every_panel_shows_rows_of_both_machines(filled: Server, panel: dict) -> None:
+    (target,) = panel["targets"]
+    with filled.connection() as connection:
+        found = connection.execute(expanded(target["rawSql"]))
+        names = [column.name for column in found.description]
+        rows = found.fetchall()
+    if target["format"] == "time_series":
+        assert names == ["time", "metric", "value"]
+    shown = {str(row[names.index("machine" if "machine" in names else "metric")]) for row in rows}
+    assert {name[: len(MACHINES[0])] for name in shown} == set(MACHINES)
+    # Where a column is null in every row, the query asks for what there is not.
+    assert [name for at, name in enumerate(names) if all(row[at] is None for row in rows)] in ([], ["person"])
+
+
+@pytest.mark.parametrize("variable", DASHBOARD["templating"]["list"], ids=lambda variable: variable["name"])
+def test_every_variable_has_values(filled: Server, variable: dict) -> None:
+    assert len(filled.ask(variable["query"])) >= 2
+
+
+def test_grafana_gets_every_variable_that_its_files_name() -> None:
+    compose = yaml.safe_load((FOLDER / "compose.yaml").read_text("utf-8"))
+    provisioning = "".join(path.read_text("utf-8") for path in (FOLDER / "grafana/provisioning").rglob("*.yaml"))
+    named = set(re.findall(r"\$(TOOLPOINT_\w+)", provisioning))
+    assert named and named <= set(compose["services"]["grafana"]["environment"])
+    assert named <= set(re.findall(r'"(TOOLPOINT_\w+)"', (FOLDER / "plant.py").read_text("utf-8")))
+    (source,) = yaml.safe_load((FOLDER / "grafana/provisioning/datasources/toolpoint.yaml").read_text())["datasources"]
+    used = {json.dumps(each["datasource"]) for each in (*DASHBOARD["panels"], *DASHBOARD["templating"]["list"])}
+    assert used == {json.dumps({"type": source["type"], "uid": source["uid"]})}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(PROGRAM is None or not FOLDERS, reason="mosquitto or postgresql is not installed")
+def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
+    """Broker, database and a simulated machine; without Grafana, which Debian has not, it says so and goes on."""
+    tmp_path.chmod(0o755)
+    with tempfile.TemporaryDirectory(prefix="plant-") as folder:  # not in pytest's, which the database cannot enter
+        Path(folder).chmod(0o755)
+        ports = {f"TOOLPOINT_{name}_PORT": str(free_port()) for name in ("DATABASE", "BROKER", "GRAFANA")}
+        words = ["--way", "packages", "--machines", "1", "--hours", "0.05", "--live-minutes", "0", "--folder", folder]
+        done = subprocess.run(
+            [sys.executable, str(FOLDER / "plant.py"), *words],
+            env=os.environ | ports,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert (
+            "0 lost, 0 doubled" in done.stdout
+            and f"database: 127.0.0.1:{ports['TOOLPOINT_DATABASE_PORT']}" in done.stdout
+        )
+        log = (Path(folder) / "broker/log").read_text("utf-8")
+        assert "running" in log and "Error" not in log
