@@ -6,7 +6,6 @@ from psycopg import errors
 
 from config.schema.sinks import PostgresqlConfig
 
-NO_MORE_CONNECTIONS = "the server lets no more connections in: raise its max_connections, one for each machine's sink"
 HINTS = {
     "password authentication failed": "check `user_name` and `password_file`",
     "no password supplied": "the server asks for a password: give `password_file`",
@@ -18,8 +17,8 @@ HINTS = {
     "translate host": "no address is known for `host`: check `host`",
     "connection refused": "check `host`, `port`, and that the server runs",
     "timeout expired": "check `host`, `port` and the network",
-    "too many clients": NO_MORE_CONNECTIONS,
-    "connection slots": NO_MORE_CONNECTIONS,
+    "too many clients": "the server lets no more connections in: raise its max_connections, one for each machine's sink",
+    "connection slots": "the server lets no more connections in: raise its max_connections, one for each machine's sink",
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",
 }
