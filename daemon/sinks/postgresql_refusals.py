@@ -17,8 +17,8 @@ HINTS = {
     "translate host": "no address is known for `host`: check `host`",
     "connection refused": "check `host`, `port`, and that the server runs",
     "timeout expired": "check `host`, `port` and the network",
-    "too many clients": "the server lets no more connections in: raise its max_connections, one for each machine's sink",
-    "connection slots": "the server lets no more connections in: raise its max_connections, one for each machine's sink",
+    "many clients": "the server lets no more connections in: raise its max_connections: each machine needs one",
+    "connection slots": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",
 }
