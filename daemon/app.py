@@ -156,7 +156,7 @@ class Daemon:
             machine=MachineLayout.from_configuration(configuration),
             on_acknowledged=self._on_acknowledged,
             on_problem=self._on_history_problem,
-            sinks=[sink.name for sink in configuration.sinks or ()],
+            sinks=[sink.name for sink in configuration.sinks or () if sink.alarms is None],
         )
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)

@@ -38,6 +38,8 @@ HOST_PATTERN = r"^[^\x00-\x20\x7f/@]+$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\x00-\x20\x7f/]+(/[^\x00-\x1f\x7f]*)?$"
 AGENT_PATTERN = r"^http://[^\x00-\x20\x7f/?#@]+(/[^\x00-\x20\x7f?#]*)?$"
 FOLDER_OR_BUCKET_PATTERN = r"^(/|(s3|gs)://[^\s/])"
+WEBHOOK_PATTERN = r"^https?://[!-.0->A-~]+([/?][!-~]*)?$"
+MAIL_ADDRESS_PATTERN = r"^[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]+@[A-Za-z0-9.-]+$"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
@@ -48,6 +50,8 @@ FORMS = {
     TOPIC_PATTERN: "a topic without the wildcards + and #",
     AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
     HOST_PATTERN: "a name or an address, without blanks and control characters",
+    WEBHOOK_PATTERN: "an address such as https://chat.plant.example/hooks/42, without blanks, and no @ in its host",
+    MAIL_ADDRESS_PATTERN: "an address such as maintenance@plant.example, of ASCII characters",
     FOLDER_OR_BUCKET_PATTERN: "a folder from / such as /srv/plant/history, or s3://plant/history",
     ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
 }

@@ -144,8 +144,7 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
             at = f"{key_of}.sources[{index}].{each.driver}"
             secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
     for index, sink in enumerate(configuration.sinks or ()):
-        if sink.postgresql is not None and (path := sink.postgresql.password_file) is not None:
-            secrets.append(f"sinks[{index}].postgresql.password_file: {path}")
+        secrets += [f"sinks[{index}].{sink.driver}.{key}: {path}" for key, path in sink.secrets.items()]
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,

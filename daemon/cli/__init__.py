@@ -42,6 +42,7 @@ COMMANDS: Mapping[str, str] = {
     "export": "Export records as CSV or Parquet.",
     "sink": "Send the history to other systems; say how far it is.",
     "fleet": "Many machines: simulate a plant.",
+    "alarm": "Send a test message to those whom alarms reach.",
     "backup": "Back up history, configuration, models and records.",
     "restore": "Restore a back-up while the daemon is stopped.",
     "thermal": "Train and evaluate thermal models.",
@@ -187,6 +188,10 @@ def _module_of_admin(command: str) -> ModuleType:
             from daemon.cli.admin import keys
 
             return keys
+        case "alarm":
+            from daemon.cli.operate import alarm
+
+            return alarm
         case "users":
             from daemon.cli.admin import users
 

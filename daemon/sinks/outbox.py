@@ -115,10 +115,14 @@ class Outbox(HistoryReader):
 
     def start(self, stream: Stream, position: Position) -> Position:
         """Return the position, or the beginning where the store has never come as far: it is an older copy."""
+        return position if position.row <= self.last_row(stream) else Position()
+
+    def last_row(self, stream: Stream) -> int:
+        """Return the highest number that a row of a stream ever had."""
         with naming_damage(self.path):
             found = self._connection.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (stream.table,))
             (last,) = found.fetchone() or (0,)
-        return position if position.row <= last else Position()
+        return int(last)
 
     def batch(self, stream: Stream, position: Position) -> Batch | None:
         """Return what comes next; None when nothing waits."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
@@ -19,6 +19,9 @@ from daemon.history.database import HistoryError
 from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.watching import SILENT_AFTER_S
+
+if TYPE_CHECKING:
+    from daemon.sinks.alarms.message import Messenger
 
 log = structlog.get_logger(__name__)
 RETRY_FIRST_S = 1.0
@@ -47,6 +50,27 @@ def make_sink(config: SinkConfig, machine: str) -> Sink:
     from daemon.sinks.postgresql import PostgresqlSink  # noqa: PLC0415
 
     return PostgresqlSink(config, machine)
+
+
+def make_messenger(config: SinkConfig) -> "Messenger":
+    """Return what brings alarms to people."""
+    from daemon.sinks.alarms.mail import MailMessenger  # noqa: PLC0415
+    from daemon.sinks.alarms.webhook import WebhookMessenger  # noqa: PLC0415
+
+    return WebhookMessenger(config) if config.driver == "webhook" else MailMessenger(config)
+
+
+def opener(config: SinkConfig, configuration: Configuration) -> OpenSink:
+    """Return what makes a sink; that of alarms looks at the whole machine."""
+    if config.alarms is None:
+        return make_sink
+
+    def make_alarm_sink(config: SinkConfig, _machine: str) -> Sink:
+        from daemon.sinks.alarms.sink import AlarmSink  # noqa: PLC0415
+
+        return AlarmSink(config, configuration, make_messenger(config))
+
+    return make_alarm_sink
 
 
 class SinkRunner:
@@ -167,7 +191,10 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
             raise HistoryError(
                 f"{store}: another process sends this store to its sinks; stop that one first"
             ) from error
-        runners = [SinkRunner(each, store, configuration.machine, stop) for each in configuration.sinks or ()]
+        runners = [
+            SinkRunner(each, store, configuration.machine, stop, opener(each, configuration))
+            for each in configuration.sinks or ()
+        ]
         threads = [threading.Thread(target=each.run, name="sink", daemon=True) for each in runners]
         for thread in threads:
             thread.start()
@@ -187,7 +214,8 @@ def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) 
     with Outbox(configuration.history.path) as outbox:
         same = cursor.generation == outbox.generation()
         positions = cursor.positions if same else {}
-        found = {name: outbox.waiting(each, positions.get(name, Position())) for name, each in STREAMS.items()}
+        streams = STREAMS if config.alarms is None else {}
+        found = {name: outbox.waiting(each, positions.get(name, Position())) for name, each in streams.items()}
     oldest = [time_s for _, time_s in found.values() if time_s is not None]
     return {
         "name": config.name,

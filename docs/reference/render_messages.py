@@ -73,6 +73,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/sinks/postgresql_refusals.py",
         "daemon/sinks/broker_refusals.py",
     ),
+    "Alarms": (
+        "daemon/sinks/alarms/observing.py",
+        "daemon/sinks/alarms/mail.py",
+        "daemon/sinks/alarms/webhook.py",
+        "daemon/sinks/alarms/sending.py",
+    ),
     "The history store": (
         "daemon/history/engine.py",
         "daemon/history/writer.py",

@@ -1,0 +1,122 @@
+"""Alarms by mail: one message over SMTP, encrypted unless the configuration says otherwise."""
+
+import smtplib
+import socket
+import ssl
+from contextlib import suppress
+from datetime import UTC, datetime
+from email.message import EmailMessage
+from email.utils import format_datetime
+
+from config.schema.sinks import SinkConfig
+from daemon.sinks.alarms.message import Message
+from daemon.sinks.alarms.sending import Connection, UnreadableError, answer, secret, tls_context
+from daemon.sinks.contract import SinkError
+
+WHOLE_TIMES = 6
+"""All of it may take so many times as long as one answer."""
+READY = 220
+
+
+class MailMessenger:
+    """Hands messages to one mail server; a connection is opened for each."""
+
+    def __init__(self, config: SinkConfig) -> None:
+        assert config.mail is not None
+        self._config = config.mail
+        self._where = f"sink {config.name}: mail server {config.place}"
+
+    def send(self, message: Message) -> str:
+        """Hand a message over; raises SinkError unless the server took it, and returns whom it refused."""
+        password = ""
+        try:
+            if self._config.password_file is not None:
+                password = secret("password_file", self._config.password_file)
+            refused = self._hand_over(self.letter(message), password)
+        except UnreadableError as error:
+            raise SinkError(f"{self._where}: {error}") from None
+        except (OSError, ssl.SSLError, smtplib.SMTPException, ValueError) as error:
+            raise SinkError(f"{self._where}: {_refusal(error, password)}") from None
+        return f"{self._where}: it refuses {', '.join(sorted(refused))}: check `recipients`" if refused else ""
+
+    def letter(self, message: Message) -> EmailMessage:
+        """Return the mail; a header with an end of line in it is refused by the library."""
+        config, letter = self._config, EmailMessage()
+        letter["From"], letter["To"] = config.sender, ", ".join(config.recipients)
+        letter["Subject"] = message.subject
+        letter["Date"] = format_datetime(datetime.fromtimestamp(message.time_utc_s, UTC))
+        letter["Message-ID"] = f"<{message.number}@{config.sender.partition('@')[2]}>"
+        letter["Auto-Submitted"] = "auto-generated"
+        letter.set_content(message.text)
+        return letter
+
+    def _hand_over(self, letter: EmailMessage, password: str) -> dict[str, tuple[int, bytes]]:
+        """Return which recipients were refused."""
+        config = self._config
+        context = None if config.encryption == "none" else tls_context(config.ca_certificate)
+        with Connection(config.host, config.port, config.timeout_s, WHOLE_TIMES * config.timeout_s) as connection:
+            own = connection.socket.getsockname()[0]
+            client = smtplib.SMTP(local_hostname=f"[IPv6:{own}]" if ":" in own else f"[{own}]")
+            client.sock = connection.socket
+            if context is not None and config.encryption == "tls":
+                client.sock = connection.encrypt(context)
+            code, said = client.getreply()
+            if code != READY:
+                raise smtplib.SMTPConnectError(code, said)
+            client.ehlo_or_helo_if_needed()
+            if context is not None and config.encryption == "starttls":
+                _start_tls(client, connection, context)
+            if config.user_name is not None:
+                client.login(config.user_name, password)
+            refused = client.send_message(letter)
+            with suppress(OSError, smtplib.SMTPException):  # the message was taken
+                client.quit()
+            return refused
+
+
+def _start_tls(client: smtplib.SMTP, connection: Connection, context: ssl.SSLContext) -> None:
+    """Go on encrypted; what the server said before does not count."""
+    if not client.has_extn("starttls"):
+        raise smtplib.SMTPNotSupportedError("it offers no STARTTLS")
+    code, said = client.docmd("STARTTLS")
+    if code != READY:
+        raise smtplib.SMTPResponseException(code, said)
+    client.sock = connection.encrypt(context)
+    client.file, client.helo_resp, client.ehlo_resp = None, None, None
+    client.esmtp_features, client.does_esmtp = {}, False
+    client.ehlo_or_helo_if_needed()
+
+
+def _refusal(error: Exception, password: str) -> str:
+    """Return why nothing was handed over, and which key of the configuration to look at."""
+    hidden = (password,) if password else ()
+    match error:
+        case smtplib.SMTPAuthenticationError():
+            return f"it refuses the account ({_said(error, hidden)}): check `user_name` and `password_file`"
+        case smtplib.SMTPNotSupportedError():
+            return f"{answer(error)}: check `encryption`, `port` and `user_name`"
+        case smtplib.SMTPSenderRefused():
+            return f"it refuses the sender ({_said(error, hidden)}): check `sender` and `user_name`"
+        case smtplib.SMTPRecipientsRefused():
+            return f"it refuses {', '.join(sorted(error.recipients))}: check `recipients`"
+        case smtplib.SMTPResponseException() if error.smtp_code > 0:
+            return f"it answers {_said(error, hidden)}: look at the server; it is tried again"
+        case ssl.SSLCertVerificationError():
+            return f"its certificate is not vouched for ({error.verify_message}): check `host` and `ca_certificate`"
+        case ssl.SSLError():
+            return f"no encryption ({error.reason or 'broken off'}): check `encryption` and `port`"
+        case TimeoutError():
+            return f"no answer ({answer(error) or 'timed out'}): check `host`, `port`, `encryption` and the network"
+        case smtplib.SMTPServerDisconnected():
+            return f"it ended the connection ({answer(error, *hidden)}): check `port` and `encryption`"
+        case socket.gaierror():
+            return "no address is known for it: check `host`"
+        case OSError():
+            return f"cannot be reached ({answer(error.strerror or error)}): check `host`, `port`, and that it runs"
+    return f"does not answer as a mail server does ({type(error).__name__}): check `host` and `port`"
+
+
+def _said(error: smtplib.SMTPResponseException, hidden: tuple[str, ...]) -> str:
+    said = error.smtp_error
+    text = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
+    return f"{error.smtp_code} {answer(text, *hidden)}"

@@ -1,0 +1,204 @@
+"""The sink of alarms: looks at the events of the history and at the machine, and tells people what is due.
+
+What was told, and how far the events were read, stands in one file beside the cursor, which is written before a message
+goes out and after it was taken: over a restart nothing is lost, and what was not acknowledged is told once more with
+the same number. It holds no rows back: the retention of the history does not wait for it.
+"""
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import structlog
+from pydantic import TypeAdapter
+
+from config.schema import Configuration
+from config.schema.sinks import AlarmsConfig, SinkConfig
+from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.sinks.alarms.ledger import Condition, Ledger, Limits
+from daemon.sinks.alarms.message import Message, Messenger
+from daemon.sinks.alarms.observing import OF_STATUS, Lasting, asked, of_computer, of_status
+from daemon.sinks.alarms.output_track import ALARMING, OutputTrack, Stay
+from daemon.sinks.contract import Progress, SinkError
+from daemon.sinks.outbox import STREAMS, Outbox
+from models.records import OutputState
+
+log = structlog.get_logger(__name__)
+LOOK_S = 10.0
+"""How often the daemon is asked."""
+COMPUTER_S = 600.0
+"""How often disk and certificates are looked at."""
+EARLIER_ROWS = 5000
+"""So many latest events say where the output is when an alarm sink begins."""
+EVENTS = STREAMS["events"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watched:
+    """What the sink knows, as its file holds it."""
+
+    generation: str = ""
+    """Of the store; '' before the first look."""
+    row: int = 0
+    """Events up to this number were read."""
+    track: OutputTrack = field(default_factory=OutputTrack)
+    since_utc_s: tuple[tuple[str, str, float], ...] = ()
+    """Kind and subject of what has been wrong since a time."""
+    ledger: Ledger = field(default_factory=Ledger)
+
+
+FILE = TypeAdapter(Watched)
+
+
+def state_path(store: Path, sink: str) -> Path:
+    """Return where an alarm sink keeps what it knows."""
+    return cursor_path(store, sink).with_suffix(".alarms")
+
+
+def watched(path: Path) -> Watched:
+    """Return what a file says; what a new sink knows where there is none that can be read."""
+    try:
+        return FILE.validate_json(path.read_bytes())
+    except (OSError, ValueError):
+        return Watched()
+
+
+class AlarmSink:
+    """Tells people by one messenger."""
+
+    def __init__(
+        self,
+        config: SinkConfig,
+        configuration: Configuration,
+        messenger: Messenger,
+        now_utc_s: Callable[[], float] = time.time,
+    ) -> None:
+        assert config.alarms is not None
+        self._alarms: AlarmsConfig = config.alarms
+        self._name, self._configuration = config.name, configuration
+        self._messenger, self._now_utc_s = messenger, now_utc_s
+        self._path = state_path(configuration.history.path, config.name)
+        self._known = self._written = watched(self._path)
+        self._looked_s = self._computer_s = float("-inf")
+        self._computer: tuple[Condition, ...] = ()
+
+    def open(self, cursor: Cursor) -> Mapping[str, Position]:
+        """Return how far the events were read."""
+        return {EVENTS.name: Position(row=self._known.row)}
+
+    def close(self) -> None:
+        """Nothing stays open between two messages."""
+
+    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+        """Read what happened, look, and tell what is due."""
+        if self._known.generation != progress.cursor.generation:
+            self._begin(outbox, progress.cursor.generation)
+        events = self._read(outbox)
+        if events or not 0.0 <= time.monotonic() - self._looked_s < LOOK_S:
+            self._look()
+            self._looked_s = time.monotonic()
+        self._save()
+        told = self._tell()
+        if events or told:
+            progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
+        return False
+
+    def _begin(self, outbox: Outbox, generation: str) -> None:
+        """Learn from the latest events where the output is; what is over is not told."""
+        last = outbox.last_row(EVENTS)
+        self._known = replace(self._known, generation=generation, row=max(0, last - EARLIER_ROWS), track=OutputTrack())
+        ledger = self._known.ledger
+        self._read(outbox)
+        self._known = replace(self._known, ledger=ledger)
+
+    def _read(self, outbox: Outbox) -> int:
+        """Take the events that are new; return their number."""
+        count = 0
+        while (batch := outbox.batch(EVENTS, Position(row=self._known.row))) is not None:
+            track, ledger = self._known.track, self._known.ledger
+            for utc_ms, _, kind, text, *_ in batch.rows:
+                track, ended = track.after(utc_ms / 1e3, kind, text)
+                for stay in ended:
+                    ledger = self._over(ledger, stay, utc_ms / 1e3)
+            self._known = replace(self._known, row=batch.after.row, track=track, ledger=ledger)
+            count += len(batch.rows)
+        return count
+
+    def _over(self, ledger: Ledger, stay: Stay, ended_utc_s: float) -> Ledger:
+        condition = self._of_output(stay, ended_utc_s)
+        return ledger if condition is None else ledger.over(condition, ended_utc_s)
+
+    def _of_output(self, stay: Stay, now_utc_s: float) -> Condition | None:
+        """Return what a stay of the output is an alarm of."""
+        long_enough = now_utc_s - stay.since_utc_s >= self._alarms.hold_longer_than_s
+        kind = stay.state.lower()
+        if stay.state not in ALARMING or (stay.state == OutputState.HOLD and not long_enough) or not self._told(kind):
+            return None
+        return Condition(kind=kind, subject="", text=stay.reason, since_utc_s=stay.since_utc_s, reasons=stay.reasons)
+
+    def _told(self, kind: str) -> bool:
+        return self._alarms.kinds is None or kind in self._alarms.kinds
+
+    def _look(self) -> None:
+        """Ask the daemon, look at the computer, and note what is wrong."""
+        now_utc_s, known = self._now_utc_s(), self._known
+        lasting = Lasting({(kind, subject): since for kind, subject, since in known.since_utc_s}, now_utc_s)
+        status = asked(self._configuration.service.socket)
+        judged = {"fault", "daemon", "disk", "certificate"}
+        if isinstance(status, str):
+            found = list(lasting.condition("daemon", "", status, self._alarms.daemon_longer_than_s))
+            lasting.keep(OF_STATUS)
+            machine_utc_s = now_utc_s
+        else:
+            found = list(of_status(status, self._configuration, self._alarms, f"sink {self._name}", lasting))
+            judged |= {"hold", *OF_STATUS}
+            machine_utc_s = float(status["time_utc_s"])
+        track, ended = known.track.settled(machine_utc_s)
+        ledger = known.ledger
+        for stay in ended:
+            ledger = self._over(ledger, stay, machine_utc_s)
+        if track.now is not None and (of_output := self._of_output(track.now, machine_utc_s)) is not None:
+            found.append(of_output)
+        found += self._of_computer(ledger, now_utc_s)
+        ledger = ledger.seen([each for each in found if self._told(each.kind)], judged, now_utc_s)
+        since = tuple((*key, since) for key, since in lasting.since_utc_s.items())
+        self._known = replace(known, track=track, ledger=ledger, since_utc_s=since)
+
+    def _of_computer(self, ledger: Ledger, now_utc_s: float) -> tuple[Condition, ...]:
+        if time.monotonic() - self._computer_s >= COMPUTER_S:
+            active = [alarm.key for alarm in ledger.alarms if alarm.ended_utc_s is None]
+            self._computer = tuple(of_computer(self._configuration, self._alarms, active, now_utc_s))
+            self._computer_s = time.monotonic()
+        return self._computer
+
+    def _tell(self) -> int:
+        """Send what is due; return the number of its alarms."""
+        now_utc_s, ledger = self._now_utc_s(), self._known.ledger
+        limits = Limits(interval_s=self._alarms.interval_s, remind_s=3600.0 * self._alarms.remind_after_h)
+        if not (entries := ledger.due(limits, now_utc_s)):
+            return 0
+        message = Message(machine=self._configuration.machine, time_utc_s=now_utc_s, entries=entries)
+        if problem := self._messenger.send(message):
+            log.warning("alarms.not_everybody", sink=self._name, problem=problem)
+        self._known = replace(self._known, ledger=ledger.told(entries, now_utc_s))
+        self._save()
+        return len(entries)
+
+    def _save(self) -> None:
+        """Replace the file in one step, when it changes."""
+        if self._known == self._written:
+            return
+        self._path.parent.mkdir(exist_ok=True)
+        temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}.tmp")
+        try:
+            temporary.write_bytes(FILE.dump_json(self._known))
+            temporary.replace(self._path)
+        except OSError as error:
+            raise SinkError(f"sink {self._name}: {self._path} cannot be written ({error.strerror})") from error
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        self._written = self._known

@@ -1,0 +1,86 @@
+"""Alarms by webhook: one POST of JSON per message."""
+
+import http.client
+import json
+import ssl
+from urllib.parse import urlsplit
+
+from config.schema.sinks import SinkConfig
+from daemon.sinks.alarms.message import Message
+from daemon.sinks.alarms.sending import Connection, UnreadableError, answer, secret, tls_context
+from daemon.sinks.contract import SinkError
+
+HINTS = {
+    301: "it moved: write its new address into `url`",
+    302: "it moved: write its new address into `url`",
+    307: "it moved: write its new address into `url`",
+    308: "it moved: write its new address into `url`",
+    401: "check `token_file`",
+    403: "check `token_file` and `url`",
+    404: "check `url`",
+    405: "it takes no POST: check `url`",
+    410: "check `url`",
+    413: "it takes no message of this length: look at the server",
+    429: "it asks for fewer messages: raise `alarms.interval_s`",
+}
+"""What the server answered -> what to do."""
+MOST_BYTES = 4096
+"""So much of an answer is read."""
+
+
+class WebhookMessenger:
+    """Posts messages to one address; a connection is opened for each."""
+
+    def __init__(self, config: SinkConfig) -> None:
+        assert config.webhook is not None
+        self._config = config.webhook
+        self._where = f"sink {config.name}: webhook {config.place}"
+
+    def send(self, message: Message) -> str:
+        """Post a message; raises SinkError unless it was taken, and returns ''."""
+        config = self._config
+        try:
+            url = config.url or secret("url_file", config.url_file)  # type: ignore[arg-type] # one of them is there
+            token = "" if config.token_file is None else secret("token_file", config.token_file)
+            status, said = self._post(url, token, json.dumps(message.document(), allow_nan=False).encode())
+        except UnreadableError as error:
+            raise SinkError(f"{self._where}: {error}") from None
+        except (OSError, ssl.SSLError, http.client.HTTPException, ValueError) as error:
+            raise SinkError(f"{self._where}: {_refusal(error)}") from None
+        if not 200 <= status < 300:
+            hidden = (token, url.partition("://")[2]) if token else (url.partition("://")[2],)
+            hint = HINTS.get(status, "look at the server; it is tried again")
+            raise SinkError(f"{self._where}: it answers {status} {answer(said, *hidden)}".rstrip() + f": {hint}")
+        return ""
+
+    def _post(self, url: str, token: str, body: bytes) -> tuple[int, str]:
+        """Return status and beginning of the answer."""
+        config, parts = self._config, urlsplit(url)
+        encrypted = parts.scheme == "https"
+        if not (encrypted or (parts.scheme == "http" and not token)) or not parts.hostname or parts.username:
+            raise UnreadableError("`url_file` must hold an https:// address: write it anew")
+        headers = {"Host": parts.netloc, "Content-Type": "application/json", "User-Agent": "toolpoint"}
+        if token:
+            headers["Authorization"] = f"Bearer {token}"
+        context = tls_context(config.ca_certificate) if encrypted else None
+        port = parts.port or (443 if encrypted else 80)
+        with Connection(parts.hostname, port, config.timeout_s, config.timeout_s) as connection:
+            client = http.client.HTTPConnection(parts.hostname, port)
+            client.sock = connection.socket if context is None else connection.encrypt(context)
+            path = parts.path or "/"
+            client.request("POST", f"{path}?{parts.query}" if parts.query else path, body, headers)
+            response = client.getresponse()
+            taken = 200 <= response.status < 300  # nothing that comes after this can undo it
+            return response.status, "" if taken else response.read(MOST_BYTES).decode("utf-8", "replace")
+
+
+def _refusal(error: Exception) -> str:
+    """Return why nothing could be posted, and which key of the configuration to look at."""
+    match error:
+        case ssl.SSLCertVerificationError():
+            return f"its certificate is not vouched for ({error.verify_message}): check `url` and `ca_certificate`"
+        case TimeoutError():
+            return f"no answer ({answer(error) or 'timed out'}): check `url`, `timeout_s` and the network"
+        case OSError():
+            return f"cannot be reached ({answer(error.strerror or error)}): check `url`, and that the server runs"
+    return f"does not answer as a web server does ({type(error).__name__}): check `url`"

@@ -1,0 +1,338 @@
+"""The alarm sink on a real output task, its store, its local socket and a real web server."""
+
+import asyncio
+import contextlib
+import shutil
+import threading
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from alarm_servers import Posts, web_server
+from certificates import make_certificate
+from control_rig import HandClock, Rig, machine, record_for, running
+from memory_cnc import MemoryNc
+
+from config.loader import load_configuration
+from config.sample import sample_configuration
+from config.schema import Configuration
+from config.schema.compensation import OutputConfig
+from config.schema.sinks import AlarmsConfig, SinkConfig
+from daemon.app import Daemon
+from daemon.cnc.limits import axis_sources
+from daemon.compensation.alarms import GuardWatch, alarm_of
+from daemon.compensation.skill_monitor import SkillWatch
+from daemon.monitor.control_socket import ControlSocket
+from daemon.sinks.alarms import sink as alarm_sink
+from daemon.sinks.alarms.observing import HARM, HELD, Lasting, certificates, of_computer, of_status
+from daemon.sinks.alarms.sink import AlarmSink, state_path, watched
+from daemon.sinks.running import SinkRunner, make_messenger, sink_status
+from daemon.snapshots import LinkSnapshot
+from models.control.compensation import initial_memory
+from models.control.state import OperatorRequest
+from models.records import OutputState
+
+
+class Hall:
+    """A machine whose output task runs here, its daemon's socket, and who is told of its alarms."""
+
+    def __init__(self, rig: Rig, posts: Posts, **alarms: object) -> None:
+        self.rig, self.posts, self.away_s = rig, posts, 0.0
+        webhook = {"url": posts.url, "alarms": {"interval_s": 60.0, "disk_free_percent": 1e-9} | alarms}
+        self.config = SinkConfig.model_validate({"name": "chat", "driver": "webhook", "webhook": webhook})
+        self.configuration = rig.configuration.model_copy(update={"sinks": [self.config]})
+
+    def _now_utc_s(self) -> float:
+        return self.rig.clock.now().utc_s + self.away_s
+
+    def _run(self) -> SinkRunner:
+        stop = threading.Event()
+
+        def make(config: SinkConfig, _machine: str) -> AlarmSink:
+            return AlarmSink(config, self.configuration, make_messenger(config), self._now_utc_s)
+
+        store = self.configuration.history.path
+        runner = SinkRunner(self.config, store, "mill", stop, make, lambda _duration_s: stop.set())
+        runner.run()
+        return runner
+
+    async def look(self, after_s: float = 0.0) -> list[str]:
+        """Let time pass without the output task; return what people were told at one look of a sink begun anew."""
+        self.away_s += after_s
+        await self.rig.history.flushed()
+        before = len(self.posts.taken)
+        self.runner = await asyncio.to_thread(self._run)
+        return [alarm["sentence"] for post in self.posts.taken[before:] for alarm in post["alarms"]]
+
+
+@contextlib.asynccontextmanager
+async def hall(folder: Path, **alarms: object) -> AsyncIterator[Hall]:
+    clock = HandClock()
+    configuration = machine(folder)
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    with web_server() as posts:
+        async with running(rig), serving(rig):
+            yield Hall(rig, posts, **alarms)
+
+
+@contextlib.asynccontextmanager
+async def serving(rig: Rig) -> AsyncIterator[None]:
+    ready = asyncio.Event()
+    socket = ControlSocket(rig.configuration.service.socket, None, rig.desk().handle)
+    task = asyncio.create_task(socket.run(ready.set))
+    await ready.wait()
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def fault(rig: Rig, why: str) -> None:
+    rig.control.journal.raise_fault(why)
+    await rig.turn()
+    assert rig.control.memory.state.value == "FAULT"
+
+
+async def acknowledged(rig: Rig) -> None:
+    assert rig.control.request(OperatorRequest(acknowledge=True), "Ada") == ""
+    await rig.turn()
+    assert rig.control.memory.state.value != "FAULT"
+
+
+async def test_a_fault_is_told_and_its_end_too(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        assert await it.look() == []
+        await fault(it.rig, "read-back differs: #501")
+        (said,) = await it.look()
+        assert said.startswith("FAULT, since 20") and said.endswith("read-back differs: #501")
+        assert await it.look(3600.0) == []
+        await it.rig.turn(after_s=720.0)
+        await acknowledged(it.rig)
+        (said,) = await it.look()
+        assert said == "FAULT ended, was 12 min: read-back differs: #501"
+        assert await it.look(1e5) == []
+
+
+async def test_a_fault_that_came_and_went_while_the_sender_was_away_is_told(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        for _ in range(3):
+            await fault(it.rig, "a write was refused")
+            await it.rig.turn(after_s=60.0)
+            await acknowledged(it.rig)
+        (said,) = await it.look(60.0)
+        assert said.startswith("FAULT ended (3 times), was ") and said.endswith("a write was refused")
+
+
+async def test_faults_of_before_the_sender_are_not_told_and_one_that_stands_is(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await fault(it.rig, "long ago")
+        await acknowledged(it.rig)
+        await fault(it.rig, "still so")
+        (said,) = await it.look()
+        assert said.endswith("still so")
+
+
+async def test_a_long_hold_and_a_silent_daemon(tmp_path: Path) -> None:
+    async with hall(tmp_path, hold_longer_than_s=100.0, daemon_longer_than_s=50.0) as it:
+        await it.rig.turn()
+        await fault(it.rig, "why")
+        await it.look()
+        await acknowledged(it.rig)
+        assert it.rig.control.memory.state.value == "HOLD", "after a FAULT the output stays where it was"
+        (said,) = await it.look(60.0)
+        assert said.startswith("FAULT ended")
+        it.rig.clock.monotonic_s += 101.0
+        (said,) = await it.look()
+        assert said.startswith("HOLD, since")
+    # the daemon is stopped now
+    with web_server() as posts:
+        it = Hall(it.rig, posts, daemon_longer_than_s=50.0)
+        it.away_s = 1000.0
+        assert (await look_without_daemon(it)) == []
+        it.away_s = 1051.0
+        (said,) = await look_without_daemon(it)
+        assert said.startswith("the daemon does not run, since") and "systemctl status toolpoint" in said
+
+
+async def look_without_daemon(it: Hall) -> list[str]:
+    before = len(it.posts.taken)
+    await asyncio.to_thread(it._run)
+    return [alarm["sentence"] for post in it.posts.taken[before:] for alarm in post["alarms"]]
+
+
+async def test_a_server_that_refuses_loses_nothing_and_the_runner_says_which_key(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        await fault(it.rig, "why")
+        it.posts.status = 401
+        assert await it.look() == []
+        assert "check `token_file`" in it.runner.cursor.problem
+        (status,) = await asyncio.to_thread(sink_status, it.configuration, time.time())
+        assert "check `token_file`" in status["problem"] and status["rows"]["waiting"] == {}
+        it.posts.status = 200
+        (said,) = await it.look()
+        assert said.endswith("why") and it.runner.cursor.problem == ""
+        assert len(it.posts.asked) == 2
+
+
+async def test_what_the_server_took_without_an_answer_comes_again_with_the_same_number(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        await fault(it.rig, "why")
+        before = watched(state_path(it.configuration.history.path, "chat"))
+        await it.look()
+        state_path(it.configuration.history.path, "chat").write_bytes(alarm_sink.FILE.dump_json(before))
+        await it.look()
+        first, again = it.posts.taken
+        assert first["id"] == again["id"] and first["alarms"] == again["alarms"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00", b"[]", b'{"row": "x"}', b'{"ledger": {"alarms": [1]}}'])
+async def test_a_damaged_file_begins_anew(tmp_path: Path, content: bytes) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await fault(it.rig, "why")
+        assert len(await it.look()) == 1
+        state_path(it.configuration.history.path, "chat").write_bytes(content)
+        assert len(await it.look()) == 1 and await it.look() == []
+
+
+def test_alarms_hold_no_history_back(tmp_path: Path) -> None:
+    webhook = SinkConfig.model_validate({"name": "chat", "driver": "webhook", "webhook": {"url": "http://h/x"}})
+    plant = SinkConfig.model_validate({"name": "plant", "driver": "parquet", "parquet": {"folder": "/x"}})
+    configuration = machine(tmp_path).model_copy(update={"sinks": [webhook, plant]})
+    daemon = Daemon(configuration, HandClock())
+    assert daemon._history._sinks == ["plant"]
+
+
+# --- what counts as wrong ------------------------------------------------------------------
+
+
+async def status_of(rig: Rig) -> dict:
+    return await rig.desk().handle({"command": "status"}, "Ada")
+
+
+def judged(
+    status: dict, configuration: Configuration, *, at_s: tuple[float, ...] = (0.0, 1e4)
+) -> list[tuple[str, str]]:
+    """What is wrong when it has been so for long."""
+    since, found = {}, []
+    for now_s in at_s:
+        lasting = Lasting(since, now_s)
+        found = list(of_status(status, configuration, AlarmsConfig(), "sink chat", lasting))
+        since = lasting.since_utc_s
+    return [(each.kind, each.subject) for each in found]
+
+
+async def test_links_and_sensors_count_after_their_time_and_the_own_link_never(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        link = LinkSnapshot(
+            name="latsis bed",
+            up=False,
+            problem="no port",
+            attempts=1,
+            failures=1,
+            losses=0,
+            last_problem="",
+            last_problem_utc_s=None,
+        )
+        it.rig.snapshots.links = (link, replace(link, name="sink chat"), replace(link, name="CNC", up=True))
+        status = await status_of(it.rig)
+        status["temperatures"] = {"not_good": {"1": "no accepted value for too long"}, "not_good_count": 1}
+        status["estimate"] = {"imputed": [1, 2]}
+        assert judged(status, it.configuration, at_s=(0.0, 100.0)) == []
+        found = judged(status, it.configuration)
+        assert found[0] == ("link", "latsis bed") and len(found) == 3
+        assert [subject.split()[0] for _, subject in found[1:]] == ["1", "2"]
+        status["temperatures"] = {"not_good": {str(k): "x" for k in range(1, 21)}, "not_good_count": 100}
+        assert [each for each in judged(status, it.configuration) if each[0] == "sensor"] == [("sensor", "many")]
+
+
+async def test_alarms_of_output_model_and_store(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        status = await status_of(it.rig)
+        assert judged(status, it.configuration) == []
+        status["output"] |= {"state": "HOLD", "alarm": f"{HELD} 300 s: why"}
+        assert judged(status, it.configuration) == [], "HOLD has an alarm of its own"
+        status["output"]["alarm"] = "the guard does not apply the block (status 6, see docs/reference/macros.md)"
+        status["model"] = {"problem": "the checksum differs"}
+        status["history"]["problem"] = "the disk is full"
+        status["spindle_speed"] = {"alarm": "no resonance"}
+        expected = [("output", ""), ("output", "spindle speed"), ("model", "refused"), ("store", "")]
+        assert judged(status, it.configuration) == expected
+
+
+def test_a_model_that_stopped_helping_is_known_by_the_words_of_the_output(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    watch = SkillWatch(axis_sources(configuration), configuration)
+    for _ in range(20):
+        watch._take("z", 20.0, -20.0)
+    inhibit = watch.inhibit()
+    assert inhibit is not None and HARM in str(inhibit)
+    memory = replace(initial_memory(now_s=0.0, applied_um=np.zeros(1), wanted=(True,)), state=OutputState.HOLD)
+    held = alarm_of(memory, None, now_s=1e4, guard=GuardWatch(), config=OutputConfig(), inhibit=inhibit)
+    assert held.startswith(HELD)
+
+
+def test_certificates_that_end_soon_are_named_by_their_key(tmp_path: Path) -> None:
+    make_certificate(tmp_path)  # ends in a day
+    (tmp_path / "broken.pem").write_text("-----BEGIN CERTIFICATE-----\nno\n-----END CERTIFICATE-----\n")
+    content = yaml.safe_load(sample_configuration())
+    content["service"] |= {
+        "tls_certificate": str(tmp_path / "monitor.crt"),
+        "tls_key": str(tmp_path / "monitor.key"),
+    }
+    content["sinks"] = [
+        {
+            "name": "people",
+            "driver": "mail",
+            "mail": {
+                "host": "m",
+                "sender": "a@b",
+                "recipients": ["c@d"],
+                "ca_certificate": str(tmp_path / "broken.pem"),
+            },
+        }
+    ]
+    content["history"]["path"] = str(tmp_path / "h.sqlite")
+    path = tmp_path / "t.yaml"
+    path.write_text(yaml.safe_dump(content))
+    configuration = load_configuration(path)
+    assert {key for key, _ in certificates(configuration)} == {
+        "service.tls_certificate",
+        "sinks[0].mail.ca_certificate",
+    }
+    found = list(of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time()))
+    assert [each.subject for each in found] == ["service.tls_certificate"]
+    assert "monitor.crt ends on 20" in found[0].text and found[0].text.endswith("renew it")
+    assert (
+        list(of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9, certificate_days=0.1), (), time.time()))
+        == []
+    )
+    (late,) = of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time() + 3 * 86_400)
+    assert "monitor.crt ended on 20" in late.text
+
+
+def test_a_disk_that_is_nearly_full_stays_so_until_there_is_clearly_more(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    usage = shutil.disk_usage(tmp_path)
+    free = 100.0 * usage.free / usage.total
+    more = AlarmsConfig().model_copy(update={"disk_free_percent": free + 1.0})
+    (found,) = of_computer(configuration, more, (), 0.0)
+    assert (found.kind, found.subject) == ("disk", str(tmp_path)) and "free space on it" in found.text
+    less = more.model_copy(update={"disk_free_percent": free - 1.0})
+    assert list(of_computer(configuration, less, (), 0.0)) == []
+    assert len(list(of_computer(configuration, less, [("disk", str(tmp_path))], 0.0))) == 1
