@@ -41,7 +41,7 @@ COMMANDS: Mapping[str, str] = {
     "history": "Show what the daemon has recorded.",
     "export": "Export records as CSV or Parquet.",
     "sink": "Send the history to other systems; say how far it is.",
-    "fleet": "Many machines: simulate a plant.",
+    "fleet": "Many machines: learn a type, simulate a plant.",
     "alarm": "Send a test message to those whom alarms reach.",
     "backup": "Back up history, configuration, models and records.",
     "restore": "Restore a back-up while the daemon is stopped.",

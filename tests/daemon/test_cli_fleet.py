@@ -13,6 +13,7 @@ from sisters import few_sensors, write_configuration, write_sister
 from config.loader import parse_yaml_model
 from config.recordings.machine_map import MachineMap
 from daemon.cli import main
+from models.thermal.family import model_from_json
 
 MACHINES = (1, 2, 3, 4)
 
@@ -116,3 +117,24 @@ def test_the_map_in_the_guide_is_one() -> None:
     text = (Path(__file__).parents[2] / "docs/how-to/learn-from-a-fleet.md").read_text("utf-8")
     block = "".join(line[4:] for line in text.split("## 2.")[0].splitlines(True) if line.startswith("    "))
     assert set(parse_yaml_model(block, MachineMap, "guide").machines) == {"mill-1", "mill-2", "mill-3"}
+
+
+def test_a_sister_takes_over_the_type_with_one_recording(fleet: Path, tmp_path: Path) -> None:
+    made = train(fleet, MACHINES, "-o", str(tmp_path / "type.json"))
+    assert made.exit_code == 0, made.output
+    day = str(fleet / "m4" / "day01.csv")
+    command = ["thermal", "train", day, "--prior", str(tmp_path / "type.json"), "-o", str(tmp_path / "model.json")]
+    result = CliRunner().invoke(main, [*command, "-c", str(fleet / "toolpoint.yaml"), "--json", "-"])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["hyper_parameters"]["taken_over"] == "a combination of the fleet's models"
+    assert found["model"]["kind"] == "fleet" and found["model"]["sensors"] == 16
+    model = model_from_json((tmp_path / "model.json").read_bytes(), "model.json")
+    assert model.channels == ("Y1", "Y2", "Z1", "Z2", "Z3")
+    write_configuration(tmp_path / "other.yaml", few_sensors()[1:])
+    other = CliRunner().invoke(main, [*command, "-c", str(tmp_path / "other.yaml")])
+    assert other.exit_code == 2 and "day01.csv: column T1: " in other.output
+    both = CliRunner().invoke(main, [*command, "--model", "ridge"])
+    assert both.exit_code == 2 and "--prior says what is fitted" in both.output
+    none = CliRunner().invoke(main, [*command[:4], day, *command[5:]])
+    assert none.exit_code == 2 and f"{day}: family: this is no model file of format 3, not a type" in none.output

@@ -6,13 +6,14 @@ import numpy as np
 import yaml
 
 from config.schema.temperatures import SensorConfig
-from daemon.simulation.simulated_model import published_sensors, training_programmes
+from daemon.simulation.simulated_model import CHANNELS, published_sensors, training_programmes
 from drivers.files.recording_csv import write_recording
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.recording import record
 from drivers.sim.machine.sister import on_sister
+from models.recordings.dataset import Recording
 
-EVERY_MIN = 60.0
+EVERY_S = 60.0
 
 
 def few_sensors(count: int = 16) -> list[SensorConfig]:
@@ -21,22 +22,47 @@ def few_sensors(count: int = 16) -> list[SensorConfig]:
     return [every[at] for at in np.linspace(0, len(every) - 1, count).round().astype(int)]
 
 
-def write_sister(
-    folder: Path, machine: int, count: int, sensors: list[SensorConfig], *, hours: float = 4.0, first: int = 0
-) -> list[Path]:
-    """Write recordings of a sister, each of another day and programme."""
-    place, programmes, paths = folder / f"m{machine}", training_programmes(), []
-    place.mkdir(exist_ok=True)
+def sister_recordings(
+    machine: int, count: int, sensors: list[SensorConfig], *, hours: float = 4.0, first: int = 0
+) -> list[Recording]:
+    """Return recordings of a sister, each of another day and programme."""
+    programmes, found = training_programmes(), []
     for number in range(first, first + count):
-        day = on_sister(Day.draw(1000 * machine + number + 1), machine)
+        day = on_sister(Day.draw(1000 * machine + number + 1, start="cold"), machine)
         program = programmes[(number + 3 * machine) % len(programmes)]
-        header, rows = record(day, program, sensors, hours=hours, sample_s=EVERY_MIN, machine_seed=machine)
-        decimals = {"t": 0, "rpm": 0} | dict.fromkeys(header[2:8], 2)
-        names = {"t": "time_s", "rpm": "spindle_speed_rpm"}
-        columns = {
-            names.get(name, name): (rows[:, at], decimals.get(name, 3)) for at, name in enumerate(header) if name != "X"
+        header, rows = record(day, program, sensors, hours=hours, sample_s=EVERY_S, machine_seed=machine)
+        column = {name: at for at, name in enumerate(header)}
+        names = tuple(f"T{sensor.id}" for sensor in sensors)
+        found.append(
+            Recording(
+                name=f"day{number + 1:02}.csv",
+                time_s=rows[:, column["t"]].copy(),
+                speed_rpm=rows[:, column["rpm"]].copy(),
+                temperature_names=names,
+                temperatures_degc=rows[:, [column[name] for name in names]],
+                displacement_names=CHANNELS,
+                displacements_um=rows[:, [column[name] for name in CHANNELS]],
+            )
+        )
+    return found
+
+
+def write_sister(
+    folder: Path, machine: int, count: int, sensors: list[SensorConfig], *, hours: float = 4.0
+) -> list[Path]:
+    """Write recordings of a sister."""
+    place, paths = folder / f"m{machine}", []
+    place.mkdir(exist_ok=True)
+    for one in sister_recordings(machine, count, sensors, hours=hours):
+        assert one.speed_rpm is not None
+        columns = {"time_s": (one.time_s, 0), "spindle_speed_rpm": (one.speed_rpm, 0)}
+        columns |= {
+            name: (values, 2) for name, values in zip(one.displacement_names, one.displacements_um.T, strict=True)
         }
-        paths.append(place / f"day{number + 1:02}.csv")
+        columns |= {
+            name: (values, 3) for name, values in zip(one.temperature_names, one.temperatures_degc.T, strict=True)
+        }
+        paths.append(place / one.name)
         write_recording(paths[-1], {"machine": f"sister {machine}"}, columns)
     return paths
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from daemon.cli.common import (
+    CONFIGURATION_VARIABLE,
+    DEFAULT_CONFIGURATION,
     FILE,
     POSITIVE,
     ProgressBar,
@@ -65,6 +67,16 @@ thermal.add_command(sensors)
     help="Family of models. Without: default, which takes the one that the recordings support best; or the model of "
     "increments as --interval-min, --ridge, --b0 and --split-at-speed say, where one of them is given.",
 )
+@option("--prior", "prior_path", type=FILE, help="Take over what a type knows: the file of `toolpoint fleet train`.")
+@option(
+    "--config",
+    "-c",
+    "config_path",
+    type=FILE,
+    default=DEFAULT_CONFIGURATION,
+    envvar=CONFIGURATION_VARIABLE,
+    help="With --prior: the machine's configuration, which says where its sensors sit.",
+)
 @hours_option("--hours", help="Train on these hours of each recording only.")
 @option("--interval-min", type=POSITIVE, help="Interval of the increments [min]. Without: 1.")
 @option("--ridge", metavar="X|auto", callback=_ridge, help="Ridge penalty [K^2]; auto chooses it. Without: none.")
@@ -81,6 +93,8 @@ def train(
     recordings: tuple[Path, ...],
     map_path: Path | None,
     family: str | None,
+    prior_path: Path | None,
+    config_path: Path,
     hours: tuple[float, float] | None,
     interval_min: float | None,
     ridge: float | Literal["auto"] | None,
@@ -100,6 +114,7 @@ def train(
     columns must carry the usual names; where they do not, a map is proposed.
     """
     from config.recordings.recording_map import load_recording_map
+    from daemon.workbench.thermal.prior import read_machine_type, train_with_prior
     from daemon.workbench.thermal.reading import columns_left_out
     from daemon.workbench.thermal.training import (
         Selection,
@@ -117,6 +132,8 @@ def train(
     of_increments = interval_min is not None or ridge is not None or intercept or split_at_speed
     if family is not None and of_increments:
         raise click.UsageError("--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed")
+    if prior_path is not None and (family is not None or of_increments):
+        raise click.UsageError("--prior says what is fitted; leave out --model and the options of the increments")
     if family is None and not of_increments:
         family = MODELS[0]
     choices = IncrementChoices(
@@ -128,8 +145,12 @@ def train(
             hours=hours, channels=_names(channels), common_columns=common_columns, without=without, recent=recent
         )
         with ProgressBar() as bar:
-            recipe = increment_recipe(choices) if family is None else family
-            result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
+            if prior_path is not None:
+                of_type = read_machine_type(prior_path)
+                result = train_with_prior(recordings, recording_map, selection, of_type, config_path, bar.show)
+            else:
+                recipe = increment_recipe(choices) if family is None else family
+                result = train_from_files(recordings, recording_map, selection, recipe, bar.show)
         write_model_file(result.model, output)
     except OSError as error:
         refuse(f"{output}: the model cannot be written ({error.strerror})")

@@ -42,15 +42,25 @@ def train_from_files(
     progress: Callable[[str, int, int], None],
 ) -> FamilyTraining:
     """Read the recordings and train; raises RecordingFileError or DatasetError."""
-    paths = kept_paths(paths, selection)
     keep_one_heap()  # else the heap keeps a tenth of what training needs at most
     return train_family(
-        [_selected(r, selection) for r in read_alike(paths, recording_map, progress, common=selection.common_columns)],
+        selected_recordings(paths, recording_map, selection, progress),
         recipe,
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
     )
+
+
+def selected_recordings(
+    paths: Sequence[Path],
+    recording_map: RecordingMap | None,
+    selection: Selection,
+    progress: Callable[[str, int, int], None],
+) -> list[Recording]:
+    """Read the part of the recordings that is trained on; raises RecordingFileError or DatasetError."""
+    kept = kept_paths(paths, selection)
+    return [_selected(r, selection) for r in read_alike(kept, recording_map, progress, common=selection.common_columns)]
 
 
 def kept_paths(paths: Sequence[Path], selection: Selection) -> list[Path]:

@@ -63,8 +63,8 @@ def prepare(
     wanted = np.ones(inputs.rows, dtype=np.bool_) if wanted is None else wanted
     if recipe.lags:
         lags = offered_lags(inputs, wanted & inputs.trainable())
-        speed_lags_min = lags.all_speed_min
-        inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags.all_min, speed_lags_min=speed_lags_min)
+        lags_min, speed_lags_min = recipe.needed_lags_min or (lags.all_min, lags.all_speed_min)
+        inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags_min, speed_lags_min=speed_lags_min)
     rows = wanted & inputs.trainable()
     require_rows(inputs, wanted, rows)
     wrong = reversed_runs(inputs, rows) if recipe.lags else {}

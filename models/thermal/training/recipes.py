@@ -31,6 +31,8 @@ class Recipe:
     """It works on temperatures, their lags and lagged speed; else on temperatures alone."""
     fewest_runs: int = FEWEST_CYCLES
     """With fewer runs than this, spindle cycles or blocks are left out in turn, and not runs."""
+    needed_lags_min: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Lags of temperatures and of speed that it needs [min]; None: those that the rows can teach."""
     make: Callable[[Fitted], ThermalModel] = make_linear_model
     """Makes the model of what was fitted."""
 

@@ -3,8 +3,8 @@
 With no recording the mean of the fleet's models is taken. With one or two, a combination of them, no share negative,
 that is pulled towards the mean: it cannot leave what sisters do, and so cannot do much harm. A fit that may go anywhere
 from there is dangerous after one recording (it was worse than no model by a factor of five on one machine of eight).
-From three recordings on, what leaves least of left-out recordings is taken: combinations that are pulled less, one of
-each channel of its own, free departures from them, or the machine's own ridge.
+From three recordings on, what leaves least of left-out recordings is taken: combinations that are pulled more or less,
+of all channels or of each; from five on also free departures from them, or the machine's own ridge.
 
 All is done on cross products, see `Products`.
 """
@@ -22,7 +22,10 @@ FEW = 2
 """Up to so many recordings nothing is chosen."""
 FIRST_PULL = 0.3
 """Pull towards the mean, as a share of what the mean explains, with few recordings; chosen on the tuning sisters."""
-PULLS = (0.03, 0.3, 3.0)
+FREE_FROM = 5
+"""With fewer recordings only combinations are tried: of three, left-out ones chose free fits on tuning sisters, which
+were worse."""
+PULLS = (0.1, 0.3, 1.0)
 DEPARTURES = (1e-2, 1e-1, 1.0)
 """Penalties of free departures from a combination, relative to the mean variance of the columns."""
 LONE_PENALTY = 1e-3
@@ -33,7 +36,9 @@ FEWEST_EACH = 2
 """So many recordings must lie before a change, and after it ..."""
 FEWEST_IN_ALL = 5
 """... and there must be so many in all."""
-BETTER = 0.8
+CHANGE_PENALTY = 1e-2
+"""Of the ridges that look for a change."""
+BETTER = 0.7
 """Without what came before, no more than this share of what is left of the error since the change may remain."""
 
 Fitter = Callable[[Sequence[Products]], FloatArray]
@@ -131,34 +136,32 @@ def taken_over(products: Sequence[Products], members: FloatArray) -> Taken:
         for pull in PULLS:
             of = " of each channel" if by_channel else ""
             fitters[f"a combination{of} of the fleet's models, pull {pull:g}"] = _combined(members, pull, by_channel)
-    for penalty in DEPARTURES:
-        fitters[f"free departures from a combination, penalty {penalty:g}"] = _departing(members, penalty)
-    best_own = own_ridge(products)
-    fitters[best_own.how] = best_own.fitter
+    if len(products) >= FREE_FROM:
+        for penalty in DEPARTURES:
+            fitters[f"free departures from a combination, penalty {penalty:g}"] = _departing(members, penalty)
+        best_own = own_ridge(products)
+        fitters[best_own.how] = best_own.fitter
     return _best(products, fitters)
 
 
 def first_that_counts(products: Sequence[Products]) -> int:
     """Return the first recording of a machine as it is now; 0 where it has not changed.
 
-    What is recent must predict what is recent better than everything together does, see `change_of_regime`; here on
-    cross products, and with the machine's own ridge.
+    It has changed where the recordings before and after are each predicted best by their own kind, and what came before
+    is of harm to what came after.
     """
     count = len(products)
     if count < FEWEST_IN_ALL:
         return 0
 
-    def remains(train: Sequence[Products], test: Sequence[Products], penalty: float = 1e-2) -> float:
-        """Return what a ridge on some recordings leaves of others."""
-        weights, whole = ridge(train, penalty), summed(test)
-        return relative(whole, weights)
+    def left(some: Sequence[Products]) -> FloatArray:
+        """Return what a ridge on the others leaves of each recording, one after the other."""
+        return np.array([relative(one, ridge(_without(some, at), CHANGE_PENALTY)) for at, one in enumerate(some)])
 
-    places = range(FEWEST_EACH, count - FEWEST_EACH + 1)
-    place = max(places, key=lambda at: remains(products[:at], [products[at]]))
-    later = range(place, count)
-    everything = np.mean([remains(_without(products, at), [products[at]]) for at in later])
-    recent = np.mean([remains(_without(products[place:], at - place), [products[at]]) for at in later])
-    return place if recent <= BETTER * everything else 0
+    together = left(products)
+    apart = {at: np.append(left(products[:at]), left(products[at:])) for at in range(FEWEST_EACH, count - 1)}
+    place = min(apart, key=lambda at: float(np.square(apart[at]).sum()))
+    return place if apart[place][place:].mean() <= BETTER * together[place:].mean() else 0
 
 
 def weighed(products: Sequence[Products]) -> list[Products]:

@@ -1,6 +1,6 @@
 """A type of machine as its fleet knows it: places of sensors, directions of features, and a model of each machine."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,8 +24,6 @@ class MachineType:
     parts: tuple[Part, ...]
     """Where each sensor of the type sits; `space.layout` counts them in this order."""
     channels: tuple[str, ...]
-    pivots_mm: dict[str, float]
-    """Channels that are slopes along an axis, and where each adds nothing [mm]."""
     space: Space
     """Its directions are the principal ones of the whole fleet."""
     eigenvalues: Numbers
@@ -44,6 +42,8 @@ class MachineType:
     """Largest leverage of a change since the first row of a run."""
     band_um: Numbers
     """Half width of the band on machines that were left out, by `COUNTS`, shape (4, n_channels); NaN: not known."""
+    pivots_mm: dict[str, float] = field(default_factory=dict)
+    """Channels that are slopes along an axis, and where each adds nothing [mm]."""
 
     def __post_init__(self) -> None:
         """Check what belongs together; raises ModelError."""
