@@ -8,7 +8,7 @@ import yaml
 from config.schema.temperatures import SensorConfig
 from daemon.simulation.simulated_model import CHANNELS, published_sensors, training_programmes
 from drivers.files.recording_csv import write_recording
-from drivers.sim.machine.day import Day
+from drivers.sim.machine.day import Day, Start
 from drivers.sim.machine.recording import record
 from drivers.sim.machine.sister import on_sister
 from models.recordings.dataset import Recording
@@ -23,12 +23,18 @@ def few_sensors(count: int = 16) -> list[SensorConfig]:
 
 
 def sister_recordings(
-    machine: int, count: int, sensors: list[SensorConfig], *, hours: float = 4.0, first: int = 0
+    machine: int,
+    count: int,
+    sensors: list[SensorConfig],
+    *,
+    hours: float = 4.0,
+    first: int = 0,
+    start: Start | None = "cold",
 ) -> list[Recording]:
     """Return recordings of a sister, each of another day and programme."""
     programmes, found = training_programmes(), []
     for number in range(first, first + count):
-        day = on_sister(Day.draw(1000 * machine + number + 1, start="cold"), machine)
+        day = on_sister(Day.draw(1000 * machine + number + 1, start=start), machine)
         program = programmes[(number + 3 * machine) % len(programmes)]
         header, rows = record(day, program, sensors, hours=hours, sample_s=EVERY_S, machine_seed=machine)
         column = {name: at for at, name in enumerate(header)}
