@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.features import IntArray
+from models.thermal.features import BoolArray, IntArray
 
 RUN_VARIANCE = 10.0
 """Of the constant of a run, relative to the variance of the displacements: it may be anything."""
@@ -48,16 +48,33 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Kernels:
-    """What the covariance of rows is made of, whatever the hyper-parameters."""
+    """What the covariance of rows is made of, whatever the hyper-parameters.
+
+    All of it is symmetric: a search needs the lower triangles alone, row after row, shape (n (n + 1) / 2,) in place of
+    (n, n), and takes half the time.
+    """
 
     linear: FloatArray
     """Products of the columns of each group, shape (n_groups, n, n)."""
     apart: FloatArray
     """Squared distances of the coordinates, shape (n, n)."""
-    same_run: FloatArray
-    """1 for two rows of one run, shape (n, n)."""
+    same_run: BoolArray
+    """Whether two rows are of one run, shape (n, n)."""
     elapsed_min: FloatArray
     """Time between two rows, shape (n, n)."""
+    diagonal: Any
+    """Index of what is on the diagonal."""
+
+    def lower(self) -> "_Kernels":
+        """Return the lower triangles."""
+        below = np.tri(len(self.apart), dtype=np.bool_)
+        return _Kernels(
+            linear=np.stack([each[below] for each in self.linear]),
+            apart=self.apart[below],
+            same_run=self.same_run[below],
+            elapsed_min=self.elapsed_min[below],
+            diagonal=np.cumsum(np.arange(1, len(below) + 1)) - 1,
+        )
 
     def some(self, used: IntArray) -> "_Kernels":
         """Return those of some rows; of all in their order these themselves, which may be tens of megabytes."""
@@ -69,53 +86,67 @@ class _Kernels:
             apart=self.apart[both],
             same_run=self.same_run[both],
             elapsed_min=self.elapsed_min[both],
+            diagonal=np.diag_indices(len(used)),
         )
 
     def of_groups(self, logarithms: FloatArray) -> FloatArray:
         """Return the covariance of the linear part, shape (n, n)."""
-        total = np.zeros_like(self.apart)
-        for variance, each in zip(np.exp(2.0 * logarithms[: len(self.linear)]), self.linear, strict=True):
-            total += variance * each
-        return total
+        return np.tensordot(np.exp(2.0 * logarithms[: len(self.linear)]), self.linear, axes=1)
 
     def of_rows(self, logarithms: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the covariance of what bends, and of the residual that persists, each of shape (n, n)."""
         bend, length, residual, residual_min = np.exp(logarithms[len(self.linear) : -1])
-        bends = np.square(bend) * np.exp(-0.5 * self.apart / np.square(length))
-        return bends, np.square(residual) * np.exp(-self.elapsed_min / residual_min) * self.same_run
+        bends = self.apart * (-0.5 / np.square(length))
+        np.exp(bends, out=bends)
+        bends *= np.square(bend)
+        persists = np.zeros_like(self.elapsed_min)
+        persists[self.same_run] = np.square(residual) * np.exp(self.elapsed_min[self.same_run] * (-1.0 / residual_min))
+        return bends, persists
 
     def covariance(self, logarithms: FloatArray, bends: FloatArray, persists: FloatArray) -> FloatArray:
         """Return the covariance of the displacements without the linear part, shape (n, n)."""
-        found = bends + persists + RUN_VARIANCE * self.same_run
-        found[np.diag_indices_from(found)] += np.exp(2.0 * logarithms[-1])
+        found = RUN_VARIANCE * self.same_run
+        found += bends
+        found += persists
+        found[self.diagonal] += np.exp(2.0 * logarithms[-1])
         return found
 
 
-def _surprise(logarithms: FloatArray, kernels: _Kernels, values: FloatArray) -> tuple[float, FloatArray]:
-    """Return what `GaussianProcess.surprise` says of the rows of the kernels; `values`, shape (m, n_channels)."""
+def _surprise(
+    logarithms: FloatArray, kernels: _Kernels, values: FloatArray, below: BoolArray
+) -> tuple[float, FloatArray]:
+    """Return what `GaussianProcess.surprise` says of the rows of the kernels, which are lower triangles.
+
+    `values`, shape (m, n_channels). `below`: what of a matrix is in the lower triangle, shape (m, m).
+    """
+    from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # noqa: PLC0415 - never loaded by the resident daemon
+
     bend, residual = kernels.of_rows(logarithms)
     covariance = kernels.covariance(logarithms, bend, residual)
     covariance += kernels.of_groups(logarithms)
-    try:
-        lower = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
+    matrix, (rows, channels) = np.empty(below.shape), values.shape
+    matrix[below] = covariance
+    factor, failed = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+    if failed:
         return 1e6, np.zeros_like(logarithms)
-    inverse, (rows, channels) = inverse_of(lower), values.shape
-    weights = inverse @ values
-    value = 0.5 * float((weights * values).sum()) + channels * float(np.log(np.diagonal(lower)).sum())
-    pull = channels * inverse - weights @ weights.T
+    weights, _ = dpotrs(factor, values, lower=0)
+    value = 0.5 * float((weights * values).sum()) + channels * float(np.log(np.diagonal(factor)).sum())
+    inverse, _ = dpotri(factor, lower=0, overwrite_c=1)
+    inverse *= channels
+    inverse -= weights @ weights.T
+    inverse *= 2.0  # what is below the diagonal stands for what is above it
+    inverse[np.diag_indices(rows)] *= 0.5
+    pull = inverse.T[below]
     count, scale = len(kernels.linear), np.exp(logarithms)
     gradient = np.empty_like(logarithms)
-    gradient[:count] = [
-        variance * np.vdot(each, pull) for variance, each in zip(scale**2, kernels.linear, strict=False)
-    ]
+    gradient[:count] = scale[:count] ** 2 * (kernels.linear @ pull)
     bend *= pull
     residual *= pull
     gradient[count] = bend.sum()
     gradient[count + 1] = 0.5 * np.vdot(bend, kernels.apart) / np.square(scale[count + 1])
     gradient[count + 2] = residual.sum()
     gradient[count + 3] = 0.5 * np.vdot(residual, kernels.elapsed_min) / scale[count + 3]
-    gradient[count + 4] = np.square(scale[-1]) * np.trace(pull)
+    gradient[count + 4] = np.square(scale[-1]) * pull[kernels.diagonal].sum()
     return value / rows, gradient / rows
 
 
@@ -130,8 +161,9 @@ class GaussianProcess:
         self._kernels = _Kernels(
             linear=np.stack([rows.columns[:, group] @ rows.columns[:, group].T for group in rows.groups]),
             apart=squared_distances(rows.coordinates, rows.coordinates),
-            same_run=(rows.run[:, None] == rows.run).astype(np.float64),
+            same_run=rows.run[:, None] == rows.run,
             elapsed_min=np.abs(rows.time_min[:, None] - rows.time_min),
+            diagonal=np.diag_indices(len(rows.run)),
         )
         known = self._kernels.apart[self._kernels.apart > 0.0]
         self._typical = 0.5 * float(np.log(np.median(known))) if len(known) else 0.0
@@ -155,7 +187,8 @@ class GaussianProcess:
 
         `logarithms`: of the hyper-parameters. `used`, shape (m,): rows.
         """
-        return _surprise(logarithms, self._kernels.some(used), self.rows.values[used])
+        below = np.tri(len(used), dtype=np.bool_)
+        return _surprise(logarithms, self._kernels.some(used).lower(), self.rows.values[used], below)
 
     def likely(self, used: IntArray, begin: FloatArray, steps: int) -> FloatArray:
         """Return the logarithms of the hyper-parameters with the largest evidence, by L-BFGS within `bounds`.
@@ -167,7 +200,7 @@ class GaussianProcess:
         bounds = self.bounds
         start = np.clip(begin, [low for low, _ in bounds], [high for _, high in bounds])
         options = {"maxiter": steps, "maxfun": 2 * steps + 5}
-        arguments = self._kernels.some(used), self.rows.values[used]
+        arguments = self._kernels.some(used).lower(), self.rows.values[used], np.tri(len(used), dtype=np.bool_)
         found = minimize(_surprise, start, args=arguments, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         return np.asarray(found.x, dtype=np.float64)
 
