@@ -1,12 +1,14 @@
 """Axis positions of a recording are inputs of models like temperatures, and are watched and replayed like none."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from searched_once import searched_once
 
 from daemon.cli import main
 from daemon.model_release.loading import read_model
@@ -14,6 +16,13 @@ from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 
 MAP = "time: t\nspeed: rpm\ntemperatures: ['t[0-9]*']\naxis_positions: ['*_mm']\ndisplacements: [c1]\n"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def searches_once() -> Iterator[None]:
+    """The family that is named and the one that is chosen are trained on the same day."""
+    with searched_once():
+        yield
 
 
 @pytest.fixture

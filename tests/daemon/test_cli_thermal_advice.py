@@ -1,16 +1,25 @@
 """What a new user is told whose recordings support less of a model than there could be, and what to record next."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from searched_once import searched_once
 from thermal_runs import WEIGHTS, run
 
 from daemon.cli import main
 from models.thermal.family import model_from_json
+
+
+@pytest.fixture(autouse=True, scope="module")
+def searches_once() -> Iterator[None]:
+    """Several are trained on the same runs, with other words on the command line."""
+    with searched_once():
+        yield
 
 
 def trained(folder: Path, *arguments: object, model: str = "ridge") -> dict[str, Any]:
