@@ -91,7 +91,8 @@ class _Kernels:
 
     def of_groups(self, logarithms: FloatArray) -> FloatArray:
         """Return the covariance of the linear part, shape (n, n)."""
-        return np.tensordot(np.exp(2.0 * logarithms[: len(self.linear)]), self.linear, axes=1)
+        variances = np.exp(2.0 * logarithms[: len(self.linear)])
+        return np.asarray(np.tensordot(variances, self.linear, axes=1), dtype=np.float64)
 
     def of_rows(self, logarithms: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the covariance of what bends, and of the residual that persists, each of shape (n, n)."""
@@ -105,8 +106,7 @@ class _Kernels:
 
     def covariance(self, logarithms: FloatArray, bends: FloatArray, persists: FloatArray) -> FloatArray:
         """Return the covariance of the displacements without the linear part, shape (n, n)."""
-        found = RUN_VARIANCE * self.same_run
-        found += bends
+        found = RUN_VARIANCE * self.same_run + bends
         found += persists
         found[self.diagonal] += np.exp(2.0 * logarithms[-1])
         return found
