@@ -16,7 +16,7 @@ from typing import Any
 
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parent.parent / "support")]
 
-from bench_focas import exchange, main, time_blocks  # noqa: E402
+from bench_focas import exchange, held, main, time_blocks  # noqa: E402
 from scripted_machine import ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
@@ -103,13 +103,13 @@ class Fuzz:
             self.disturb = k >= bad
             stamp = float(count % 100_000 * 100 + k)
             for number in NUMBERS:
-                self.nc.macros.values[number] = stamp + number / 1000.0
+                self.nc.macros.values[number] = held(stamp, number)
             try:
                 found = await cnc.read_macros(NUMBERS)
             except DriverError:
                 break
             self.taken += len(found)
-            self.wrong += sum(found[number] != stamp + number / 1000.0 for number in NUMBERS)
+            self.wrong += sum(found[number] != held(stamp, number) for number in NUMBERS)
         await cnc.close()
 
     def spoil_requests(self, count: int) -> None:

@@ -1,19 +1,31 @@
-"""Cost of the LATSIS driver; run by hand: `python tests/benchmarks/bench_latsis.py [--seconds 30]`.
+"""The LATSIS driver; run by hand: `python tests/benchmarks/bench_latsis.py [--seconds 30] [--frames 100000]`.
 
 Prints the time per frame of parser and assembler, then what three lines with 302 sensors cost when their
 bytes trickle in one at a time, at 9600 baud, over pseudo-terminals: share of one core, and how long after
-the last byte was written the cycle was at hand. Nothing here passes or fails.
+the last byte was written the cycle was at hand. Last, frames with a checksum come late, twice, swapped, cut, with a
+flipped bit or behind garbage, without a wire: it counts values that a sensor took from another one. Nothing here passes
+or fails.
 """
 
 import argparse
 import asyncio
+import gc
 import os
+import random
 import statistics
 import subprocess
 import sys
 import threading
 import time
 import tty
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
+
+from latsis_line import Line, instant
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import SystemClock
@@ -21,7 +33,9 @@ from drivers.contract import LinkError
 from drivers.latsis.cycle import CycleAssembler
 from drivers.latsis.frames import FrameParser, sum8
 from drivers.latsis.source import LatsisSerialSource
+from models.quality import Quality
 from models.records import Instant
+from models.units import TMP102_DEGC_PER_LSB
 
 BAUD = 9600
 PERIOD_S = 10.0
@@ -144,17 +158,109 @@ def report(profile: str, written: list[str], seen: dict[str, list[tuple[float, f
     )
 
 
+KINDS = ("late", "twice", "swapped", "cut", "bits", "garbage", "lost")
+NODES = 12
+PASSES_TOLD = 16
+"""A code tells the node and, among so many, the pass that it was measured in."""
+FIRST_CODE = 0x140
+
+
+class FrameFuzz:
+    """A chain whose frames are disturbed; every value tells which node sent it, and in which pass."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._line = Line(NODES, profile="checked")
+        self._passes = 0
+        self._past: list[list[bytes]] = []
+        self.frames = Counter[str]()
+        self.taken = self.wrong = self.old = 0
+
+    def one_pass(self) -> None:
+        """Send one pass, a quarter of them undisturbed, and judge the cycles that it brings."""
+        line, rng = self._line, self._random
+        self._passes += 1
+        told = self._passes % PASSES_TOLD
+        sent = [
+            line.frame(wire_id, FIRST_CODE + PASSES_TOLD * (wire_id - line.offset) + told, status=0)
+            for wire_id in line.ids
+        ]
+        share = rng.choice((0.0, 0.05, 0.2, 0.5))
+        cycles = []
+        for frame in self._disturbed(sent, share):
+            cycles += line.assembler.feed(frame, instant(line.at_s))
+            line.at_s += len(frame) * 10 / BAUD
+        cycles += line.rest()
+        self._past = [*self._past[-3:], sent]
+        for cycle in cycles:
+            self._judge(cycle.degc, cycle.quality, told)
+
+    def _disturbed(self, sent: list[bytes], share: float) -> list[bytes]:
+        rng, out = self._random, list[bytes]()
+        for place, frame in enumerate(sent):
+            kind = rng.choice(KINDS) if rng.random() < share else "right"
+            self.frames[kind] += 1
+            if kind == "late" and self._past:
+                out.append(rng.choice(rng.choice(self._past)))
+            elif kind == "twice":
+                out += [frame, frame]
+            elif kind == "swapped" and out:
+                out.insert(rng.randrange(len(out)), frame)
+            elif kind == "cut":
+                out.append(frame[: rng.randrange(len(frame))])
+            elif kind == "bits":
+                spoiled = bytearray(frame)
+                spoiled[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+                out.append(bytes(spoiled))
+            elif kind == "garbage":
+                out += [rng.randbytes(rng.randrange(1, 20)), sent[rng.randrange(place + 1)][-4:], frame]
+            elif kind != "lost":
+                out.append(frame)
+        return out
+
+    def _judge(self, degc: np.ndarray, quality: np.ndarray, told: int) -> None:
+        good = quality == Quality.GOOD
+        codes = np.rint(degc[good] / TMP102_DEGC_PER_LSB).astype(int) - FIRST_CODE
+        self.taken += len(codes)
+        self.wrong += int((codes // PASSES_TOLD != np.flatnonzero(good) + 1).sum())
+        self.old += int((codes % PASSES_TOLD != told).sum())
+
+
+def resident_kb() -> float:
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1024
+
+
+def bench_frames(count: int, seed: int) -> None:
+    fuzz = FrameFuzz(seed)
+    for _ in range(200):
+        fuzz.one_pass()
+    before_kb, started_s = resident_kb(), time.process_time()
+    while sum(fuzz.frames.values()) < count:
+        fuzz.one_pass()
+    used_s = time.process_time() - started_s
+    print(f"{sum(fuzz.frames.values())} frames ({dict(fuzz.frames)}) in {used_s:.0f} s of a core")
+    print(
+        f"{fuzz.taken} values taken, {fuzz.wrong} of another sensor, {fuzz.old} of an earlier pass; memory grew by "
+        f"{resident_kb() - before_kb:.0f} kB"
+    )
+
+
 def main() -> None:
     if sys.argv[1:2] == ["--writer"]:
         write_lines(sys.argv[2], [int(text) for text in sys.argv[4:]], float(sys.argv[3]))
         return
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--seconds", type=float, default=30.0, help="length of the measurement per profile")
-    seconds = arguments.parse_args().seconds
-    for profile in ("bare", "checked"):
+    arguments.add_argument("--seconds", type=float, default=30.0, help="length of the measurement per profile, 0: none")
+    arguments.add_argument("--frames", type=int, default=100_000, help="frames of the fuzz, 0: none")
+    arguments.add_argument("--seed", type=int, default=1)
+    options = arguments.parse_args()
+    for profile in ("bare", "checked") if options.seconds else ():
         bench_parser(profile)
-    for profile in ("bare", "checked"):
-        asyncio.run(bench_lines(profile, seconds))
+    for profile in ("bare", "checked") if options.seconds else ():
+        asyncio.run(bench_lines(profile, options.seconds))
+    if options.frames:
+        bench_frames(options.frames, options.seed)
 
 
 if __name__ == "__main__":
