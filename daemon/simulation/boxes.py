@@ -1,9 +1,9 @@
-"""Simulated boxes for the sources of a configuration, and the published machine's sensors put on such boxes."""
+"""Simulated boxes for the sources of a configuration, and the published machine's sensors put on other wires."""
 
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
 from config.schema import Configuration
@@ -15,24 +15,28 @@ from daemon.simulation.processes import free_port
 from drivers.sim.wires.source_wires import SourceWires
 
 TMP102 = {"scale": 0.0625}
-MLX90615 = {"unit": "K", "scale": 0.02, "type": "uint16"}
+MLX90615 = {"unit": "K", "scale": 0.02}
 """How the numbers of the two devices are read; the boxes hold the sensors' own codes."""
 
 
-def put_on_boxes(content: dict[str, Any]) -> None:
-    """Make a box of every line: its sensors in successive registers, in the order of the chain."""
+def put_on(driver: str, content: dict[str, Any]) -> None:
+    """Make a source of every line, at an address of its own: a Modbus box, or a broker with one topic.
+
+    Boxes hold the sensors in successive registers, in the order of the chain; a message is a JSON object of them all.
+    """
     temperatures = content["temperatures"]
     known = {sensor["id"]: sensor for sensor in temperatures.pop("sensors")}
     temperatures["sources"] = [
         {
             "name": line["name"],
-            "driver": "modbus",
+            "driver": driver,
             "cycle_period_s": line.get("cycle_period_s", 10.0),
-            "modbus": {
+            driver: {
                 "host": "127.0.0.1",
                 "port": free_port(),
                 "sensors": [
-                    _sensor(known[sensor_id], address) for address, sensor_id in enumerate(expand_ranges(line["chain"]))
+                    _sensor(known[sensor_id]) | PLACES[driver](line["name"], sensor_id, place)
+                    for place, sensor_id in enumerate(expand_ranges(line["chain"]))
                 ],
             },
         }
@@ -41,9 +45,16 @@ def put_on_boxes(content: dict[str, Any]) -> None:
     temperatures["lines"] = []
 
 
-def _sensor(sensor: dict[str, Any], address: int) -> dict[str, Any]:
+PLACES: dict[str, Callable[[str, int, int], dict[str, Any]]] = {
+    "modbus": lambda line, sensor_id, place: {"address": place},
+    "mqtt": lambda line, sensor_id, place: {"topic": f"toolpoint/{line}", "field": f"t{sensor_id}"},
+}
+"""Driver -> where a sensor of a line is found, by the line's name, its ID and its place in the chain."""
+
+
+def _sensor(sensor: dict[str, Any]) -> dict[str, Any]:
     device = MLX90615 if sensor.get("device") == "MLX90615" else TMP102
-    return {key: value for key, value in sensor.items() if key != "device"} | {"address": address} | device
+    return {key: value for key, value in sensor.items() if key != "device"} | device
 
 
 def swinging_degc(sensor_ids: Sequence[int]) -> list[float]:

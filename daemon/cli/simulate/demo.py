@@ -25,7 +25,7 @@ from daemon.cli.common import (
 )
 from daemon.monitor.control_socket import DaemonUnreachableError
 from daemon.simulation import SimulationError
-from daemon.simulation.boxes import put_on_boxes
+from daemon.simulation.boxes import put_on
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch
 from daemon.simulation.processes import (
     RunningSimulation,
@@ -35,7 +35,7 @@ from daemon.simulation.processes import (
     write_simulation_configuration,
 )
 
-SENSORS = ("latsis", "modbus")
+SENSORS = ("latsis", "modbus", "mqtt")
 LIVE_PERIOD_S = 0.25
 WEB_PORT = 8080
 CNC_WIRES = ("opcua", "focas", "haas", "sinumerik")
@@ -65,7 +65,7 @@ CNC_WIRES = ("opcua", "focas", "haas", "sinumerik")
     "--sensors",
     type=click.Choice(SENSORS),
     default=SENSORS[0],
-    help="What brings the temperatures: serial LATSIS lines, or boxes that answer Modbus TCP.",
+    help="What brings the temperatures: serial LATSIS lines, boxes that answer Modbus TCP, or an MQTT broker.",
 )
 @json_option
 def demo(
@@ -99,7 +99,7 @@ def demo(
         for line in machine["temperatures"]["lines"]:
             line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
         if sensors != SENSORS[0]:
-            put_on_boxes(machine)
+            put_on(sensors, machine)
         path, _ = write_simulation_configuration(
             machine, folder, speed=speed, http_port=port, secure=secure, driver=driver
         )

@@ -36,16 +36,20 @@ class DisplacementCsv:
         utc_of: Callable[[float], float],
         *,
         start_s: float = 0.0,
+        period_s: float | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """Prepare the logger; `read` gives displacements by channel [um], `utc_of` the UTC of a simulated time."""
+        """Prepare the logger; `read` gives displacements by channel [um], `utc_of` the UTC of a simulated time.
+
+        `period_s` None: the configured interval, or a minute.
+        """
         assert config.file is not None
         self._file = config.file
         self._scale_um = {channel.name: channel.scale_um for channel in config.channels}
         self._columns = _columns(config)
         self._read = read
         self._utc_of = utc_of
-        self._period_s = config.file.interval_s or ROW_PERIOD_S
+        self._period_s = period_s or config.file.interval_s or ROW_PERIOD_S
         self._next_s = start_s
         self._faults = list(of_kind(faults, FaultKind.CSV_TRUNCATED, FaultKind.CSV_ROTATED))
         self._halves = list(of_kind(faults, FaultKind.CSV_HALF_ROW))

@@ -105,6 +105,7 @@ async def run_simulated_machine(
             configuration.temperatures.sources or (),
             temperatures_of(machine, configuration.temperatures),
             until_s=until_s - origin_s,
+            utc_of=lambda time_s: origin_utc_s + time_s,
         )
         await boxes.open()
         wires.open()

@@ -1,18 +1,20 @@
-"""The boxes of a simulated machine whose sensors do not hang on LATSIS lines."""
+"""The sources of a simulated machine whose sensors do not hang on LATSIS lines."""
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 from config.schema.modbus import ModbusConfig, ModbusRequest
 from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import CsvConfig, MqttConfig, ProcessConfig
 from config.schema.sources import SourceSensorConfig
 from config.schema.temperatures import SensorConfig, TemperaturesConfig
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.wires.modbus_box import Contents, ModbusTcpBox, Send, Table, registers_of
+from drivers.sim.wires.pushed_wires import CsvFace, LinesFace, MqttFace, Temperatures
 
-Temperatures = Callable[[Sequence[int]], Sequence[float]]
-"""Sensor IDs -> what they measure now [degC]."""
+UtcOf = Callable[[float], float]
+"""Simulated time [s] -> UTC [s since 1970]."""
 
 INFRARED = ("K", 0.02)
 """Unit and scale of the infrared sensor's own numbers."""
@@ -40,43 +42,75 @@ def temperatures_of(machine: SimulatedMachine, config: TemperaturesConfig) -> Te
     return read
 
 
-class SourceWires:
-    """All boxes of one machine. They answer when they are asked; from `until_s` on no cycle begins."""
+class Face(Protocol):
+    """What stands for one source; it counts the cycles that it has brought."""
 
-    def __init__(self, sources: Sequence[SourceConfig], read: Temperatures, *, until_s: float = math.inf) -> None:
-        self._boxes = {source.name: _Box(source, read) for source in sources}
+    cycles: int
+    stopped: bool
+
+    async def open(self) -> None:
+        """Be there for the daemon."""
+        ...
+
+    async def step(self, now_s: float, until_s: float) -> None:
+        """Do what is due at a simulated time [s]; from `until_s` on no cycle begins."""
+        ...
+
+    async def close(self) -> None:
+        """Be gone. May be called more than once."""
+        ...
+
+
+def face_of(source: SourceConfig, read: Temperatures, utc_of: UtcOf = float) -> Face:
+    """Return what stands for a source; raises ValueError for one that cannot be simulated."""
+    if isinstance(source.connection, MqttConfig):
+        return MqttFace(source, read)
+    if isinstance(source.connection, CsvConfig):
+        return CsvFace(source, read, utc_of)
+    if isinstance(source.connection, ProcessConfig):
+        return LinesFace(source, read)
+    return _Box(source, read)
+
+
+class SourceWires:
+    """All sources of one machine. From `until_s` on no cycle begins."""
+
+    def __init__(
+        self,
+        sources: Sequence[SourceConfig],
+        read: Temperatures,
+        *,
+        until_s: float = math.inf,
+        utc_of: UtcOf = float,
+    ) -> None:
+        """Prepare; `utc_of` gives the UTC of a simulated time [s]. Raises ValueError."""
+        self._faces = {source.name: face_of(source, read, utc_of) for source in sources}
         self._until_s = until_s
 
     @property
     def cycles_sent(self) -> dict[str, int]:
-        """Cycles whose last answer went out, by source."""
-        return {name: box.cycles for name, box in self._boxes.items()}
+        """Cycles that went out whole, by source."""
+        return {name: face.cycles for name, face in self._faces.items()}
 
     @property
     def idle(self) -> bool:
-        """No box answers any more."""
-        return all(box.stopped for box in self._boxes.values())
+        """Nothing comes any more."""
+        return all(face.stopped for face in self._faces.values())
 
     async def open(self) -> None:
-        """Let all boxes answer."""
-        for box in self._boxes.values():
-            await box.server.start()
+        """Let all of them be there."""
+        for face in self._faces.values():
+            await face.open()
 
     async def step(self, now_s: float) -> None:
-        """Stop what has come to the end of its last cycle at a simulated time [s]."""
-        for box in self._boxes.values():
-            if (
-                now_s >= self._until_s
-                and not box.stopped
-                and (not box.under_way or now_s >= box.given_up(self._until_s))
-            ):
-                box.stopped = True
-                await box.server.stop()
+        """Send what is due at a simulated time [s], and stop what has come to the end of its last cycle."""
+        for face in self._faces.values():
+            await face.step(now_s, self._until_s)
 
     async def close(self) -> None:
-        """Stop all boxes."""
-        for box in self._boxes.values():
-            await box.server.stop()
+        """Let all of them be gone."""
+        for face in self._faces.values():
+            await face.close()
 
 
 class _Box:
@@ -85,24 +119,32 @@ class _Box:
     def __init__(self, source: SourceConfig, read: Temperatures) -> None:
         config = source.connection
         if not isinstance(config, ModbusConfig) or config.host is None:
-            raise ValueError(f"source {source.name}: only Modbus over TCP can be simulated, and `host` must be given")
+            raise ValueError(
+                f"source {source.name}: driver {source.driver} cannot be simulated, nor Modbus without `host`"
+            )
         self._period_s = source.cycle_period_s
         self._requests: tuple[ModbusRequest, ...] = config.requests
         self._asked = 0
         self.cycles = 0
         self.stopped = False
-        self.server = ModbusTcpBox(
+        self._server = ModbusTcpBox(
             self._counted(registers_with(config, read)), port=config.port, rtu=config.is_rtu, way=self._way
         )
 
-    @property
-    def under_way(self) -> bool:
-        """Some requests of a cycle have been answered, and some have not."""
-        return self._asked > 0
+    async def open(self) -> None:
+        """Answer."""
+        await self._server.start()
 
-    def given_up(self, until_s: float) -> float:
-        """Return when a cycle that was begun is not waited for any more [s]."""
-        return until_s + self._period_s
+    async def step(self, now_s: float, until_s: float) -> None:
+        """Stop at the end of the last cycle; one that was begun is waited for during a period."""
+        under_way = self._asked > 0 and now_s < until_s + self._period_s
+        if now_s >= until_s and not self.stopped and not under_way:
+            self.stopped = True
+            await self._server.stop()
+
+    async def close(self) -> None:
+        """Answer nobody any more."""
+        await self._server.stop()
 
     def _counted(self, contents: Contents) -> Contents:
         def counted(unit: int, table: Table, start: int, count: int) -> Sequence[int] | None:
