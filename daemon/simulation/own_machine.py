@@ -6,6 +6,7 @@ very sensors, because a model of the real machine knows nothing of this one.
 """
 
 import json
+import math
 import zlib
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -19,6 +20,7 @@ from config.records.commissioning import CommissionedAxis, CommissioningRecord, 
 from config.schema import Configuration
 from config.schema.modbus import ModbusConfig
 from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import CsvConfig, MqttConfig, ProcessConfig
 from config.schema.sources import SourceSensorConfig
 from daemon.simulation import SimulationError
 from daemon.simulation.processes import free_port, write_simulation_configuration
@@ -27,7 +29,8 @@ from daemon.workbench.thermal.training import write_model_file
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.guard.text import GUARD_VERSION
 from drivers.sim.machine.sensor_places import COMPONENTS
-from drivers.sim.wires.source_wires import as_simulated
+from drivers.sim.wires.pushed_wires import follows
+from drivers.sim.wires.source_wires import as_simulated, face_of
 from models.thermal.training.increment_family import IncrementChoices
 from models.thermal.training.recipes import increment_recipe
 from models.thermal.training.train_family import train_family
@@ -48,7 +51,7 @@ WORDS = (
     ("Bed", ("bed", "base", "frame", "foundation", "bett", "gestell")),
 )
 """Component of the simulated machine -> words in a foreign one's name, the first that fits."""
-SIMULATED_WIRES = ("opcua", "focas", "haas")
+SIMULATED_WIRES = ("opcua", "focas", "haas", "mtconnect")
 """Drivers for which there is a simulated control."""
 LEFT_OUT = ("displacements", "spindle_speed", "signatures", "opcua_server", "shdr", "sinks")
 """The last three would tell others what is simulated, where they look for the machine."""
@@ -74,11 +77,15 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     base = yaml.safe_load(path.read_text(encoding="utf-8"))
     for section in (section for section in LEFT_OUT if base.pop(section, None)):
         say(f"{section}: left out")
-    _move_sensors(base, configuration, say)
+    _move_sensors(base, configuration, directory, say)
     driver = configuration.cnc.driver
-    if driver not in SIMULATED_WIRES:
+    if configuration.cnc.is_sinumerik:
+        driver = "sinumerik"
+    elif driver not in SIMULATED_WIRES:
         say(f"cnc: a simulated control that speaks OPC UA stands for {driver}; that wire is not tried")
         driver = "opcua"
+    elif driver == "mtconnect":
+        say("cnc: an MTConnect agent is only read, so nothing can be enabled and nothing is written")
     compensation = base["compensation"]
     compensation["reference"] = {"sequence_numbers": [100]}
     compensation.setdefault("output", {})["safe_sequence_numbers"] = [900]
@@ -107,20 +114,51 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     return written
 
 
-def _move_sensors(base: dict[str, Any], configuration: Configuration, say: Callable[[str], None]) -> None:
+def _move_sensors(
+    base: dict[str, Any], configuration: Configuration, directory: Path, say: Callable[[str], None]
+) -> None:
     temperatures = base["temperatures"]
     temperatures.setdefault("lines", [])
     for sensor in temperatures.get("sensors", []):
         _place(sensor, sensor["component"], say)
     sources = configuration.temperatures.sources or ()
     if sources:
-        temperatures["sources"] = [_box(source, say) for source in sources]
+        temperatures["sources"] = [_on_its_wire(source, directory, say) or _box(source, say) for source in sources]
 
 
 def _place(sensor: dict[str, Any], component: str, say: Callable[[str], None]) -> None:
     sensor["component"] = placed(component)
     if sensor["component"] != component:
         say(f"sensor {sensor['id']}: {component} is the simulated machine's {sensor['component']}")
+
+
+def _on_its_wire(source: SourceConfig, directory: Path, say: Callable[[str], None]) -> dict[str, Any] | None:
+    """Return the source as it is, at what stands here for its broker, file or program; None where nothing can."""
+    config = source.connection
+    described: dict[str, Any] = json.loads(config.model_dump_json(exclude_none=True))
+    for sensor in described["sensors"]:
+        _place(sensor, sensor["component"], say)
+    if isinstance(config, MqttConfig):
+        moved = {"host": "127.0.0.1", "port": free_port(), "sensors": described["sensors"]}
+        words = "a broker of this computer, without TLS and user"
+    elif isinstance(config, CsvConfig):
+        moved = described
+        name = config.file.path.name
+        moved["file"] |= {"path": str(directory / source.name / name), "encoding": "utf-8"}
+        words = f"files in {directory / source.name}"
+    elif isinstance(config, ProcessConfig):
+        moved = described | {"command": follows(directory / f"{source.name}.jsonl")}
+        words = f"`{' '.join(moved['command'])}`"
+    else:
+        return None
+    entry = {"name": source.name, "driver": source.driver, "cycle_period_s": source.cycle_period_s}
+    entry[source.driver] = moved
+    try:
+        face_of(SourceConfig.model_validate_json(json.dumps(entry)), lambda ids: [math.nan] * len(ids))
+    except ValueError:
+        return None
+    say(f"source {source.name}: {words} instead")
+    return entry
 
 
 def _box(source: SourceConfig, say: Callable[[str], None]) -> dict[str, Any]:

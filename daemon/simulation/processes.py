@@ -120,6 +120,8 @@ def _control(driver: str, directory: Path, *, secure: bool) -> dict[str, Any]:
         return {"driver": "opcua", "opcua": section | kind}
     if secure:
         raise SimulationError(f"driver {driver} cannot encrypt: leave --secure out, or use --cnc opcua")
+    if driver == "mtconnect":
+        return {"driver": driver, driver: {"url": f"http://127.0.0.1:{free_port()}"}}
     return {"driver": driver, driver: {"host": "127.0.0.1", "port": free_port()}}
 
 

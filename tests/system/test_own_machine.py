@@ -13,7 +13,7 @@ from daemon.simulation.own_machine import placed
 
 
 def stranger(path: Path) -> Path:
-    """A box of PT100s and a program, components that nobody knows, and a FANUC over Ethernet."""
+    """A box of PT100s, a program, a broker and a logger, components that nobody knows, and a FANUC over Ethernet."""
     content = yaml.safe_load(shipped_file("pt100.yaml").read_text(encoding="utf-8"))
     box = content["temperatures"]["sources"][0]
     box["modbus"]["sensors"][3]["component"] = "Portal left"
@@ -25,7 +25,25 @@ def stranger(path: Path) -> Path:
             "sensors": [{"id": 21, "component": "Quill", "field": "t1", "unit": "degF"}],
         },
     }
-    content["temperatures"]["sources"].append(program)
+    broker = {
+        "name": "broker",
+        "driver": "mqtt",
+        "mqtt": {
+            "host": "192.0.2.2",
+            "tls": True,
+            "sensors": [{"id": 31, "component": "Bett", "topic": "hall/bed", "field": "a.b", "scale": 0.1}],
+        },
+    }
+    files = {"path": "/srv/logger/*.csv", "delimiter": ";", "decimal": ",", "header": "Zeit", "time_columns": ["Zeit"]}
+    logger = {
+        "name": "files",
+        "driver": "csv",
+        "csv": {
+            "file": {**files, "time_format": "%d.%m.%Y %H:%M:%S", "time_zone": "Europe/Berlin"},
+            "sensors": [{"id": 41, "component": "Ständer", "column": "T1"}],
+        },
+    }
+    content["temperatures"]["sources"] += [program, broker, logger]
     content["cnc"] |= {"driver": "focas", "focas": {"host": "192.168.10.20"}}
     del content["cnc"]["opcua"]
     content["compensation"]["axes"]["z"]["estimate"] = "Weg Z"
@@ -55,10 +73,11 @@ def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, [*command, "--directory", str(tmp_path / "folder")])
     assert done.exit_code == 0, done.output
     assert "sensor 4: Portal left is the simulated machine's Column" in done.output
-    assert "source logger: a simulated Modbus box stands for process" in done.output
+    for words in ("logger: `tail -n +1 -F", "broker: a broker of this computer", "files: files in"):
+        assert f"source {words}" in done.output
     assert "axis z: Weg Z is the simulated machine's Z1" in done.output
     numbers = json.loads(done.stdout)
-    assert numbers["estimates"] > 0
+    assert numbers["estimates"] > 0 and numbers["cycles"]["incomplete"] == 0
     assert numbers["writes"]["verified"] == numbers["writes"]["sent"] > 0
     assert numbers["error_um"]["z"]["verdict"] == "passed"
     written = yaml.safe_load((tmp_path / "folder" / "toolpoint.yaml").read_text(encoding="utf-8"))

@@ -118,8 +118,9 @@ def test_no_source_and_a_wrong_key_are_refused_in_words(tmp_path: Path) -> None:
 
 @pytest.mark.wires
 @pytest.mark.slow
-def test_the_demo_compensates_with_its_sensors_on_modbus_boxes() -> None:
-    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", "modbus", "--headless", "--minutes", "30"]
+@pytest.mark.parametrize("sensors", ["modbus", "mqtt"])
+def test_the_demo_compensates_with_its_sensors_on_other_wires(sensors: str) -> None:
+    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", sensors, "--headless", "--minutes", "20"]
     done = subprocess.run(
         [*command, "--json", "-"],
         capture_output=True,
@@ -130,7 +131,7 @@ def test_the_demo_compensates_with_its_sensors_on_modbus_boxes() -> None:
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result["cycles"]["received"] == result["cycles"]["expected"] > 500
+    assert result["cycles"]["received"] == result["cycles"]["expected"] >= 357
     assert result["error_um"]["z"]["verdict"] == "passed"
 
 

@@ -59,6 +59,10 @@ class DisplacementCsv:
         self.rows = 0
         """Rows written."""
 
+    def begin(self) -> None:
+        """Write the file's head, which else comes with the first row."""
+        self._append(b"")
+
     def step(self, now_s: float) -> None:
         """Write the rows that are due at a simulated time [s] and let faults happen."""
         while self._next_s <= now_s:

@@ -101,7 +101,8 @@ class CsvFace(Pushed):
         )
 
     async def open(self) -> None:
-        """Its folder is made with the first row."""
+        """Begin the file."""
+        self._file.begin()
 
     def send(self, numbers: dict[int, float], at_s: float) -> bool:
         """Append the row of this time."""

@@ -11,7 +11,7 @@ from config.schema.sources import SourceSensorConfig
 from config.schema.temperatures import SensorConfig, TemperaturesConfig
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.wires.modbus_box import Contents, ModbusTcpBox, Send, Table, registers_of
-from drivers.sim.wires.pushed_wires import CsvFace, LinesFace, MqttFace, Temperatures
+from drivers.sim.wires.pushed_wires import CsvFace, LinesFace, MqttFace, Temperatures, can_be_pushed
 
 UtcOf = Callable[[float], float]
 """Simulated time [s] -> UTC [s since 1970]."""
@@ -63,6 +63,8 @@ class Face(Protocol):
 
 def face_of(source: SourceConfig, read: Temperatures, utc_of: UtcOf = float) -> Face:
     """Return what stands for a source; raises ValueError for one that cannot be simulated."""
+    if not can_be_pushed(source.sensors):
+        raise ValueError(f"source {source.name}: one field of a message cannot be a number and hold others")
     if isinstance(source.connection, MqttConfig):
         return MqttFace(source, read)
     if isinstance(source.connection, CsvConfig):
