@@ -24,6 +24,8 @@ class CncConnection(Section):
     """Name of the driver, which is also the key of the section."""
     encryption_key: ClassVar[str] = ""
     """Key in the section that encrypts the connection; empty: the protocol cannot be encrypted."""
+    read_only: ClassVar[bool] = False
+    """Whether nothing is ever written over it."""
 
     @property
     def encrypted(self) -> bool:
@@ -259,6 +261,7 @@ class MtconnectConfig(CncConnection):
     """An MTConnect agent, which is only read: state, program, speed; nothing can be compensated through it."""
 
     driver: ClassVar[str] = "mtconnect"
+    read_only: ClassVar[bool] = True
 
     url: str = Field(
         pattern=AGENT_PATTERN,
@@ -357,6 +360,8 @@ class CncDriverConfig(SectionOfDriver):
     @property
     def insecure_advice(self) -> str:
         """What to do when nothing may be written because the connection is not encrypted."""
+        if self.connection.read_only:
+            return f"driver {self.driver} only reads; reach the control by another driver (cnc.driver) to compensate"
         allow = "set cnc.allow_insecure_writes: true"
         if self.encryption_key:
             return f"configure {self.encryption_key}, or, in a laboratory only, {allow}"

@@ -10,6 +10,8 @@ from drivers.guard.text import GuardTextError
 def insecure(configuration: Configuration) -> str:
     """Return why nothing is written over the connection, '' when it may be."""
     cnc = configuration.cnc
+    if cnc.connection.read_only:
+        return f"nothing is written to this control: {cnc.insecure_advice}"
     if cnc.connection.encrypted or cnc.allow_insecure_writes:
         return ""
     return f"nothing is written over an unencrypted, anonymous connection: {cnc.insecure_advice}"

@@ -78,7 +78,7 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     for section in (section for section in LEFT_OUT if base.pop(section, None)):
         say(f"{section}: left out")
     _move_sensors(base, configuration, directory, say)
-    driver = configuration.cnc.driver
+    driver: str = configuration.cnc.driver
     if configuration.cnc.is_sinumerik:
         driver = "sinumerik"
     elif driver not in SIMULATED_WIRES:
@@ -136,8 +136,6 @@ def _on_its_wire(source: SourceConfig, directory: Path, say: Callable[[str], Non
     """Return the source as it is, at what stands here for its broker, file or program; None where nothing can."""
     config = source.connection
     described: dict[str, Any] = json.loads(config.model_dump_json(exclude_none=True))
-    for sensor in described["sensors"]:
-        _place(sensor, sensor["component"], say)
     if isinstance(config, MqttConfig):
         moved = {"host": "127.0.0.1", "port": free_port(), "sensors": described["sensors"]}
         words = "a broker of this computer, without TLS and user"
@@ -157,6 +155,8 @@ def _on_its_wire(source: SourceConfig, directory: Path, say: Callable[[str], Non
         face_of(SourceConfig.model_validate_json(json.dumps(entry)), lambda ids: [math.nan] * len(ids))
     except ValueError:
         return None
+    for sensor in moved["sensors"]:
+        _place(sensor, sensor["component"], say)
     say(f"source {source.name}: {words} instead")
     return entry
 

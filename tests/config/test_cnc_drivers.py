@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 import jsonschema
 import pytest
 from pydantic import Field
+from scripted_machine import cnc_config
 
 from config.loader import ConfigurationError, parse_yaml_model
 from config.schema.cnc_drivers import CncConnection, CncDriverConfig, OpcUaConfig
@@ -79,6 +80,13 @@ def test_a_driver_that_cannot_encrypt_says_so() -> None:
     assert config.insecure_advice == (
         "driver other cannot encrypt; on a wire of its own, set cnc.allow_insecure_writes: true"
     )
+
+
+def test_a_driver_that_only_reads_is_not_advised_to_allow_writes() -> None:
+    section = {"url": "http://192.0.2.1:5000"}
+    for changes in ({}, {"allow_insecure_writes": True}):
+        advice = cnc_config(mtconnect=section, **changes).insecure_advice
+        assert "allow" not in advice and "another driver (cnc.driver)" in advice
 
 
 def test_secrets_are_named_by_their_keys_and_can_lie_elsewhere() -> None:

@@ -15,6 +15,8 @@ from models.errors import RefusedInputError
 
 LOOK_S = 1.0
 WEB_PORT = 8080
+NOT_ENABLED = ("nothing was written", "was switched on", ": None um applied")
+"""What a run shows in which nobody switched anything on; the last of a control that gives no macro variables."""
 
 
 def simulate_own(
@@ -52,9 +54,7 @@ def simulate_own(
     numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
     write_json(json_path, numbers)
     if not enable:
-        failures = [
-            failure for failure in failures if failure != "nothing was written" and "was switched on" not in failure
-        ]
+        failures = [failure for failure in failures if not any(words in failure for words in NOT_ENABLED)]
     for failure in failures:
         say(failure)
     sys.exit(1 if failures else 0)
