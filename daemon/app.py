@@ -24,13 +24,13 @@ from daemon.compensation.restart import load_resume_point
 from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.compensation.temperature_macro import TemperatureMacro
+from daemon.estimation.inputs import poll_of
 from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
-from daemon.messages import SpindleSpeed
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.reload import ModelReload
@@ -229,9 +229,7 @@ class Daemon:
                 model_id=model_id,
                 tell_thermal=inbox.put_nowait,
                 on_tick=self._on_tick,
-                on_sample=lambda sample: inbox.put_nowait(
-                    SpindleSpeed(monotonic_s=sample.time.monotonic_s, rpm=sample.spindle_speed_rpm)
-                ),
+                on_sample=lambda sample: inbox.put_nowait(poll_of(sample, self._link.cnc)),
                 on_change=self._publish_output,
                 macro_clients=(temperature, self.spindle_speed),
             )

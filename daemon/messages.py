@@ -1,7 +1,7 @@
 """The messages between the tasks, both ways through the other's inbox, and the requests of people."""
 
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
 
 from models.control.reference_records import (
     ReferenceEnded,
@@ -54,6 +54,10 @@ class SpindleSpeed:
 
     monotonic_s: float
     rpm: float
+    positions_mm: Mapping[str, float] = field(default_factory=dict)
+    """Machine positions of the axes that the configuration names [mm]; NaN where the control gives none."""
+    no_position: str = ""
+    """Why the control gives no axis position, '' where it does."""
 
 
 __all__ = [

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from enum import StrEnum, auto
 from typing import Literal, Protocol
 
-from config.schema.cnc import CncConfig
+from config.schema.cnc import AxisPositionConfig, CncConfig
 from models.errors import RefusedInputError
 from models.records import CncMode, CncRun, CncSample, DisplacementSample, TemperatureCycle
 
@@ -42,6 +42,8 @@ class Capability(StrEnum):
     POWER_ON_COUNT = auto()
     WORK_OFFSET = auto()
     TOOL_NUMBER = auto()
+    AXIS_POSITION = auto()
+    """Of the axes in `cnc.axis_positions`; one that is missing is the whole that is missing."""
 
 
 class DriverError(Exception):
@@ -143,6 +145,16 @@ def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncC
                 raise NotSentError(f"macro variable #{number} is outside cnc.macros.writable; nothing was sent")
             if not math.isfinite(value):
                 raise NotSentError(f"{value} must not be written to macro variable #{number}; nothing was sent")
+
+
+MM_PER_INCH = 25.4
+
+
+def position_mm(axis: AxisPositionConfig, value: float | None, *, inch: bool | None = None) -> float:
+    """Return a machine position [mm], NaN for none; `inch` is what the control says of its unit, None: nothing."""
+    if value is None or not math.isfinite(value):
+        return math.nan
+    return value * MM_PER_INCH if (axis.unit == "inch" if inch is None else inch) else value
 
 
 class ClockWatch:

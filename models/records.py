@@ -148,6 +148,8 @@ class CncSample:
     tool_number: int
     macros: dict[int, float | None] = field(default_factory=dict)
     """The macro variables asked for; None where the variable is vacant."""
+    positions_mm: dict[str, float] = field(default_factory=dict)
+    """Machine positions of the axes that the configuration names [mm]; NaN where the control gives none."""
 
 
 class Phase(StrEnum):

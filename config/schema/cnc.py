@@ -2,8 +2,9 @@
 
 import hashlib
 import json
+import math
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -200,6 +201,44 @@ class TemperatureMacroConfig(Section):
     )
 
 
+AXIS_NUMBERS = {letter: number for number, letter in enumerate("XYZABC", start=1)}
+
+
+class AxisPositionConfig(Section):
+    """One axis position that is read from the control: of the machine's coordinates, kept in mm."""
+
+    axis: str = Field(pattern="^[A-Z][0-9]?$", description="letter of the axis on the control", examples=["Z"])
+    number: int | None = Field(
+        None, ge=1, le=32, description="number of the axis on the control, from 1; none: X 1, Y 2, Z 3, A 4, B 5, C 6"
+    )
+    unit: Literal["mm", "inch"] = Field(
+        "mm", description="unit of the control's machine coordinates, where the control itself does not say it"
+    )
+    travel_mm: tuple[float, float] = Field(
+        description="lowest and highest machine position [mm]; a value outside counts as none", examples=[[0.0, 500.0]]
+    )
+    rapid_mm_per_min: float = Field(
+        gt=0,
+        allow_inf_nan=False,
+        description="the axis never moves faster [mm/min]; a value that it cannot have reached counts as none",
+        examples=[30000.0],
+    )
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "AxisPositionConfig":
+        lowest, highest = self.travel_mm
+        if not -math.inf < lowest < highest < math.inf:
+            raise KeyProblems([(("travel_mm",), "the lowest position comes first, then the highest [mm]")])
+        if self.number is None and self.axis not in AXIS_NUMBERS:
+            raise KeyProblems([(("number",), f"is missing: which number axis {self.axis} has is not usual")])
+        return self
+
+    @property
+    def place(self) -> int:
+        """Number of the axis on the control, from 1."""
+        return self.number or AXIS_NUMBERS[self.axis]
+
+
 class CncConfig(CncDriverConfig):
     """The CNC."""
 
@@ -211,6 +250,13 @@ class CncConfig(CncDriverConfig):
     macros: MacroMapConfig = Field(description="macro variables", examples=[{"check": 506}])
     temperature_macro: TemperatureMacroConfig | None = Field(
         None, description="one temperature in a macro of its own; none: off"
+    )
+    axis_positions: dict[Name, AxisPositionConfig] = Field(
+        default_factory=dict,
+        max_length=9,
+        description="axis positions that are read and recorded, by the name of their column in recordings; needed by "
+        "models that were trained with them",
+        examples=[{"Z_mm": {"axis": "Z", "travel_mm": [0.0, 500.0], "rapid_mm_per_min": 30000.0}}],
     )
     guard: GuardConfig = Field(default_factory=GuardConfig, description="guard macro that the CNC runs at safe points")
 

@@ -108,12 +108,20 @@ class OpcUaNodesConfig(Section):
     power_on_count: str | None = Field(None, description="rises with every power-on", examples=["s=PowerOnCount"])
     work_offset: str | None = Field(None, description="active work offset, 54..59", examples=["s=WorkOffset"])
     tool_number: str | None = Field(None, description="tool in the spindle", examples=["s=ToolNumber"])
+    axis_position: str | None = Field(
+        None,
+        description="machine position of an axis; {axis} (its letter) or {number} is replaced",
+        examples=["s=AxisPosition.{axis}"],
+    )
     macro: str | None = Field(None, description="macro variable; {number} is replaced", examples=["s=Macro.{number}"])
 
     @model_validator(mode="after")
     def _sensible(self) -> "OpcUaNodesConfig":
         if self.macro not in (None, NO_NODE) and "{number}" not in str(self.macro):
             raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
+        position = self.axis_position
+        if position not in (None, NO_NODE) and "{axis}" not in str(position) and "{number}" not in str(position):
+            raise KeyProblems([(("axis_position",), "must contain {axis} or {number}, which stand for the axis")])
         if absent := [name for name in NEEDED_NODES if getattr(self, name) == NO_NODE]:
             raise KeyProblems([((absent[0],), "no control can be compensated without it: name its identifier")])
         return self
@@ -267,6 +275,11 @@ class MtconnectConfig(CncConnection):
         pattern=AGENT_PATTERN,
         description="address of the agent: http://host:port",
         examples=["http://192.168.10.20:5000"],
+    )
+    position_items: dict[str, str] = Field(
+        default_factory=dict,
+        description="id or name of the data item of each axis' machine position, by the axis' letter",
+        examples=[{"Z": "Zact"}],
     )
     device: str | None = Field(
         None, description="name or uuid of the device; none: the agent has only one", examples=["VMC-3Axis"]

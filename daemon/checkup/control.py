@@ -23,6 +23,8 @@ async def probe_control(configuration: Configuration, clock: Clock) -> dict[str,
         await cnc.read(configuration.cnc.macros.block)
         identity = cnc.identity
         refused = dict(cnc.cannot)
+        if not configuration.cnc.axis_positions:
+            refused.setdefault(Capability.AXIS_POSITION, "cnc.axis_positions names no axis to read")
         if problem := insecure(configuration):
             refused.setdefault(Capability.WRITE_MACROS, problem)
     except DriverError as error:

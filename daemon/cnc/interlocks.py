@@ -11,7 +11,12 @@ from drivers.contract import SIMULATED_CNC_IDENTITY, Capability, Cnc
 from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OperatorRequest
 
-OPTIONAL = (Capability.SEQUENCE_NUMBER, Capability.SPINDLE_SPEED, Capability.MOTOR_TEMPERATURE)
+OPTIONAL = (
+    Capability.SEQUENCE_NUMBER,
+    Capability.SPINDLE_SPEED,
+    Capability.MOTOR_TEMPERATURE,
+    Capability.AXIS_POSITION,
+)
 NEEDED = tuple(name for name in Capability if name not in OPTIONAL)
 """What no axis is compensated without."""
 

@@ -261,6 +261,11 @@ class CncLink:
         self.session: CncSession | None = None
         self.health = LinkHealth("cnc")
 
+    @property
+    def cnc(self) -> Cnc | None:
+        """The control while there is a session."""
+        return None if self.session is None else self.session.cnc
+
     async def attempt(self) -> None:
         """Connect, offer the session until it is lost, close. Raises what ended it."""
         cnc = self._open_cnc()

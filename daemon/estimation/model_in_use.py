@@ -32,7 +32,7 @@ Answer = tuple[Estimation, Reference]
 
 
 class ModelInUse:
-    """One model in use; owned by the thermal task. Temperatures come in the machine's order.
+    """One model in use; owned by the thermal task. Axis positions come behind the machine's temperatures in its order.
 
     Parameters
     ----------
@@ -40,18 +40,28 @@ class ModelInUse:
         Of whatever family.
     sensor_ids, components
         Of the machine's sensors, in its order.
+    positions
+        Names of the axis positions that follow the temperatures.
     history
         Reads the store.
 
     """
 
     def __init__(
-        self, model: ThermalModel, sensor_ids: Sequence[int], components: Sequence[str], history: History
+        self,
+        model: ThermalModel,
+        sensor_ids: Sequence[int],
+        components: Sequence[str],
+        history: History,
+        positions: Sequence[str] = (),
     ) -> None:
         self.model = model
+        temperatures = model.sensor_ids[: len(model.sensor_ids) - len(model.axis_positions)]
         position = {sensor_id: index for index, sensor_id in enumerate(sensor_ids)}
-        self.places: npt.NDArray[np.intp] = np.array([position[i] for i in model.sensor_ids], dtype=np.intp)
+        self.places: npt.NDArray[np.intp] = np.array([position[i] for i in temperatures], dtype=np.intp)
         """Of the model's sensors in the machine's order; they are set anew when they return."""
+        behind = [len(sensor_ids) + list(positions).index(name) for name in model.axis_positions]
+        self._inputs = np.array([*self.places, *behind], dtype=np.intp)
         self._online = model.runtime(Machine(components=dict(zip(sensor_ids, components, strict=True))))
         self._period_s = model.period_s or PERIOD_S
         self._history = history
@@ -65,16 +75,17 @@ class ModelInUse:
 
     def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
-        self._online.on_sample(now_s / 60.0, degc[self.places], speed_rpm)
+        self._online.on_sample(now_s / 60.0, degc[self._inputs], speed_rpm)
 
     def set_reference(
         self,
         reference: Reference,
+        degc: FloatArray,
         now_s: float,
         excluded: Mapping[int, str] | None = None,
         kept: Mapping[str, Any] | None = None,
     ) -> None:
-        """Count from this reference from now on.
+        """Count from this reference from now on; `degc`: its temperatures with the axis positions behind them.
 
         A new one admits every sensor. One that is taken up again comes with the sensors that were `excluded`
         since (ID: sign) and with what a model has `kept`, this one or another; it may be read up in the
@@ -87,7 +98,7 @@ class ModelInUse:
             OnlineReference(
                 time_min=then_s / 60.0,
                 now_min=now_s / 60.0,
-                degc=reference.degc[self.places],
+                degc=degc[self._inputs],
                 history=self._samples(then_s) if late and not stateless else None,
                 excluded=excluded,
                 kept=kept,
@@ -103,7 +114,9 @@ class ModelInUse:
 
         `absent` says in the machine's order which sensors have been imputed until now.
         """
-        estimation, anew = self._online.estimate(now_s / 60.0, degc[self.places], absent[self.places])
+        away = np.zeros(len(self._inputs), dtype=np.bool_)
+        away[: len(self.places)] = absent[self.places]
+        estimation, anew = self._online.estimate(now_s / 60.0, degc[self._inputs], away)
         if anew:
             log.info("reference.rebased", reference=reference.reference_id, sensors=list(anew[:SHOWN]), count=len(anew))
             reference = self._rebased(reference)
@@ -115,7 +128,7 @@ class ModelInUse:
         if counted is None:
             return reference
         degc = reference.degc.copy()
-        degc[self.places] = counted
+        degc[self.places] = counted[: len(self.places)]
         return replace(reference, degc=degc)
 
     def contributions(self) -> Contributions | None:
@@ -127,7 +140,9 @@ class ModelInUse:
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        return self._online.level_um(uncertainty_k[self.places])
+        of_inputs = np.zeros(len(self._inputs))
+        of_inputs[: len(self.places)] = uncertainty_k[self.places]
+        return self._online.level_um(of_inputs)
 
     @property
     def excluded(self) -> dict[int, str]:
@@ -163,4 +178,4 @@ class ModelInUse:
     def _samples(self, until_s: float) -> Samples:
         span_s = self._online.history_min * 60.0 + SPARE_PERIODS * self._period_s
         history = self._history(until_s - span_s, until_s, self._period_s)
-        return ((time_s / 60.0, degc[self.places], rpm) for time_s, degc, rpm in history)
+        return ((time_s / 60.0, degc[self._inputs], rpm) for time_s, degc, rpm in history)

@@ -14,7 +14,8 @@ import structlog
 
 from config.schema import Configuration
 from daemon.estimation.cleansing import NAMED, Cleansing
-from daemon.estimation.model_in_use import ModelInUse
+from daemon.estimation.inputs import open_positions
+from daemon.estimation.model_in_use import History, ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
 from daemon.history.writer import HistoryWriter
@@ -34,6 +35,7 @@ from drivers.clock import Clock
 from models.align import RollingMean
 from models.records import (
     FloatArray,
+    Instant,
     MachineTemperatures,
     Reference,
     TemperatureCycle,
@@ -116,6 +118,8 @@ class ThermalTask:
         self.line_faults: dict[str, tuple[str, ...]] = {}
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
+        self._positions = open_positions(configuration)
+        self._past = HistoryBackfill(history.path, self._sensor_ids, clock, self._positions.names)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
@@ -154,8 +158,7 @@ class ThermalTask:
 
     async def recall(self) -> None:
         """Hold the first temperatures against those that the previous run accepted last."""
-        past = HistoryBackfill(self._history.path, self._sensor_ids, self._clock)
-        degc, at_s = await asyncio.to_thread(past.last_accepted)
+        degc, at_s = await asyncio.to_thread(self._past.last_accepted)
         self._cleansing.recall(degc, at_s)
 
     async def _take(self, item: Message) -> None:
@@ -164,6 +167,7 @@ class ThermalTask:
         elif isinstance(item, SpindleSpeed):
             self._speed.add(item.monotonic_s, np.array([item.rpm]))
             self._speed_at_s = item.monotonic_s
+            self._positions.take(item)
         elif isinstance(item, ReferenceEnded):
             if item.for_good and self._reference is not None and self._reference.reference_id == item.reference_id:
                 self._reference = None
@@ -179,9 +183,11 @@ class ThermalTask:
         reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
         self._since.take_up(reference, message.sensors)
+        if self._positions.names:
+            then = (reference.time.monotonic_s, self._speed.window_s)
+            self._positions.set_reference(self._taken_up_s, await asyncio.to_thread(self._past.positions_at, *then))
         if self._online is not None:
-            known = (self._since.excluded, self._since.of_model)
-            await asyncio.to_thread(self._online.set_reference, reference, self._taken_up_s, *known)
+            await self._count_from_reference(self._online, reference, self._taken_up_s)
         self._reference = reference
 
     async def use_model(self, model: ThermalModel | None) -> None:
@@ -191,26 +197,27 @@ class ThermalTask:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
-                known = (self._since.excluded, self._since.of_model)
-                await asyncio.to_thread(online.set_reference, self._reference, now_s, *known)
+                await self._count_from_reference(online, self._reference, now_s)
         at_once = self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
+
+    async def _count_from_reference(self, online: ModelInUse, reference: Reference, now_s: float) -> None:
+        degc = self._positions.at_reference(reference.degc)
+        known = (self._since.excluded, self._since.of_model)
+        await asyncio.to_thread(online.set_reference, reference, degc, now_s, *known)
 
     def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
         if model is None:
             return None
-        past = HistoryBackfill(self._history.path, self._sensor_ids, self._clock)
-
-        def means(from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
-            levels = self._cleansing.levels
-            for time_s, degc, speed_rpm in past.means(from_s, to_s, period_s):
-                yield time_s, unshifted(levels, time_s, degc), speed_rpm
-
-        return ModelInUse(model, self._sensor_ids, self._components, means)
+        means = _means_of(self._past, self._cleansing, len(self._sensor_ids))
+        return ModelInUse(model, self._sensor_ids, self._components, means, self._positions.names)
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
-        return "" if self._online is None else self._online.inhibit(self._cleansing.window_s, self._cleansing.least)
+        if self._online is None:
+            return ""
+        unknown = self._positions.unknown(self._online.model, self._clock.now().monotonic_s)
+        return unknown or self._online.inhibit(self._cleansing.window_s, self._cleansing.least)
 
     async def _on_cycle(self, cycle: TemperatureCycle) -> None:
         """Hand the estimate on first: the control task looks ahead while it is made, and writes before the history."""
@@ -249,12 +256,13 @@ class ThermalTask:
         online, reference = self._online, self._reference
         if online is None:
             return None
+        inputs = self._positions.behind(degc, clock_s := self._clock.now().monotonic_s)
         for each in filter(None, (online, self._next)):
-            each.on_sample(now_s, degc, speed_rpm)
+            each.on_sample(now_s, inputs, speed_rpm)
         self._heard |= np.isfinite(degc)
         if reference is None or self._waits_for_sensors(online, reference, now_s):
             return None
-        if (answer := online.estimate(reference, now_s, degc, self._since.absent)) is None:
+        if (answer := online.estimate(reference, now_s, inputs, self._since.absent)) is None:
             return None
         outcome, counted = answer
         if counted is not reference:
@@ -264,7 +272,9 @@ class ThermalTask:
         level_k, tool_um_per_k = self._cleansing.levels.uncertainty_k, self._tool_um_per_k
         unsure = self._cleansing.withheld(degc, outcome.confidence) or self._since.wrong_in_tool(degc, tool_um_per_k)
         unsure = unsure or _unsure(outcome, online, level_k, tool_um_per_k, self._sensor_ids)
-        followed = not unsure and outcome.in_domain and outcome.confidence >= self._cleansing.least
+        of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
+        unsure, confidence = unsure or untrusted, outcome.confidence * of_positions
+        followed = not unsure and outcome.in_domain and confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
         self._since.update(degc, online, outcome.found_wrong_um)
         return ThermalErrorEstimate(
@@ -274,7 +284,7 @@ class ThermalTask:
             label_degc=_label_means(self._labels, degc),
             label_increment_degc=self._since.label_increments(degc, now_s / 60.0),
             in_domain=outcome.in_domain,
-            confidence=0.0 if unsure else outcome.confidence,
+            confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
             fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
             found_wrong_um=self._since.found_wrong_um,
@@ -296,9 +306,7 @@ class ThermalTask:
         """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
         if now_s - self._taken_up_s > self._cleansing.stale_after_s:
             return False
-        needed = np.zeros(len(self._heard), dtype=bool)
-        for places in (*self._labels.values(), online.places):
-            needed[places] = True
+        needed = np.isin(np.arange(len(self._heard)), np.concatenate([*self._labels.values(), online.places]))
         return bool((needed & np.isfinite(reference.degc) & ~self._since.absent & ~self._heard).any())
 
     def _set_reference(self, request: ReferenceRequest) -> None:
@@ -310,21 +318,15 @@ class ThermalTask:
             refused = f"reference of {request.source} refused: {why}"
             self._deliver(ReferenceRefused(reference_id=request.reference_id, why=refused))
             return
-        reference = Reference(
-            reference_id=request.reference_id,
-            time=now,
-            source=request.source,
-            degc=degc,
-            program=request.program,
-            work_offset=request.work_offset,
-            power_on_count=request.power_on_count,
-        )
+        reference = _reference(request, now, degc)
         self._reference, self._taken_up_s = reference, -np.inf
         self._online, self._next = self._next or self._online, None
         self._cleansing.trust_anew()
         self._since.begin(reference)
+        self._positions.set_reference(now.monotonic_s)
         if self._online is not None:
-            self._online.set_reference(reference, now.monotonic_s)
+            degc = self._positions.at_reference(reference.degc)
+            self._online.set_reference(reference, degc, now.monotonic_s)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:
@@ -332,6 +334,30 @@ class ThermalTask:
             self.latest_estimate = first
             self._deliver(first)
             self._deliver_sensors()
+
+
+def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> History:
+    """Return what reads the means of a machine with so many sensors from its store, as their levels count now."""
+
+    def means(from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
+        levels = cleansing.levels
+        for time_s, row, speed_rpm in past.means(from_s, to_s, period_s):
+            degc = unshifted(levels, time_s, row[:count])
+            yield time_s, np.concatenate([degc, row[count:]]) if len(row) > count else degc, speed_rpm
+
+    return means
+
+
+def _reference(request: ReferenceRequest, now: Instant, degc: FloatArray) -> Reference:
+    return Reference(
+        reference_id=request.reference_id,
+        time=now,
+        source=request.source,
+        degc=degc,
+        program=request.program,
+        work_offset=request.work_offset,
+        power_on_count=request.power_on_count,
+    )
 
 
 async def _turns(count: int) -> None:

@@ -127,8 +127,7 @@ class HistoryReader:
         parts = []
         with self._snapshot():
             for layout_id, line, members in self._line_layouts():
-                positions = [position for position, i in enumerate(members) if i in column_of]
-                if positions:
+                if positions := [position for position, i in enumerate(members) if i in column_of]:
                     columns = [column_of[members[position]] for position in positions]
                     for content in self._cycles(layout_id, positions, ms_from_s(from_utc_s), ms_from_s(to_utc_s)):
                         parts.append((line, columns, content))
@@ -211,6 +210,7 @@ class HistoryReader:
             work_offset=frame.integers("work_offset"),
             tool_number=frame.integers("tool_number"),
             macros={int(key): values for key, values in frame.mapping("macros").values.items()},
+            positions_mm=frame.mapping("positions_mm").values,
         )
 
     @_named_damage

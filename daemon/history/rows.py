@@ -133,6 +133,7 @@ def cnc_row(layout: MachineLayout, sample: CncSample) -> Parameters:
         sample.work_offset,
         sample.tool_number,
         _json(macros),
+        _mapping(sample.positions_mm, sample.positions_mm.values(), 3) if sample.positions_mm else None,
     )
 
 

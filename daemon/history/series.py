@@ -75,6 +75,8 @@ class CncHistory:
     tool_number: IntArray
     macros: dict[int, FloatArray]
     """NaN where vacant or not asked for."""
+    positions_mm: dict[str, FloatArray]
+    """Machine positions by name [mm], NaN where there was none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

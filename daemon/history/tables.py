@@ -29,6 +29,7 @@ KEY_NAMES = {
     "requested_um": "{}_requested_um",
     "compensation_um": "{}_compensation_um",
     "macros": "macro_{}",
+    "positions_mm": "position_{}",
     "read_back": "macro_{}_read_back",
     "applied_um": "{}_applied_um",
 }

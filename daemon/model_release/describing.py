@@ -46,7 +46,9 @@ def _in_force(configuration: Configuration) -> dict[str, Any]:
     except OSError:
         content = b""  # the daemon's own words about its model say why
     sensors = configuration.temperatures.sensor_ids
-    model, _ = model_from_text(content, str(path), sensors, channels_in_use(configuration))
+    model, _ = model_from_text(
+        content, str(path), sensors, channels_in_use(configuration), configuration.cnc.axis_positions
+    )
     return {"sha256": sha256_of(content), "scores": None if model is None else _scores(model, configuration)}
 
 

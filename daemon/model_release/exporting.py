@@ -69,7 +69,7 @@ class RecordingTable:
         if self._first is None:
             raise DatasetError("no displacements were measured in that time; a recording needs them, choose another")
         names = ["utc_s", "spindle_speed_rpm", *(f"t{i}" for i in configuration.temperatures.sensor_ids)]
-        names += [f"{channel}_um" for channel in self._channels]
+        names += [*configuration.cnc.axis_positions, *(f"{channel}_um" for channel in self._channels)]
         self.columns = tuple(TableColumn(name=name, type=TableType.NUMBER) for name in names)
 
     def windows(self) -> Iterator[list[Values]]:
@@ -81,7 +81,7 @@ class RecordingTable:
 
 
 def _values(piece: Minutes) -> list[Values]:
-    return [MINUTE_S * piece.minute, piece.speed_rpm, *piece.degc.T, *piece.own_um.T]
+    return [MINUTE_S * piece.minute, piece.speed_rpm, *piece.degc.T, *piece.positions_mm.T, *piece.own_um.T]
 
 
 def write(configuration: Configuration, export: Export, stream: BinaryIO) -> None:

@@ -80,7 +80,9 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
 
     def read(content: bytes, source: str) -> tuple[ThermalModel | None, str, str]:
         """Return the thermal model, and what stands against it."""
-        model, inhibit = model_from_text(content, source, configuration.temperatures.sensor_ids, wanted)
+        model, inhibit = model_from_text(
+            content, source, configuration.temperatures.sensor_ids, wanted, configuration.cnc.axis_positions
+        )
         if model is not None and (inhibit := slope_inhibit(model, configuration)):
             return None, f"{source}: {inhibit}", ""
         return model, inhibit, "" if model is None else training_inhibit(model)
@@ -155,30 +157,37 @@ def _not_released(wanted: WantedModel, path: Path, account: Account, record: Rel
     return ""
 
 
-def read_model(path: Path, sensor_ids: Iterable[int], channels: Iterable[str]) -> tuple[ThermalModel | None, str]:
+def read_model(
+    path: Path, sensor_ids: Iterable[int], channels: Iterable[str], positions: Iterable[str] = ()
+) -> tuple[ThermalModel | None, str]:
     """Return the model, or why it cannot serve a machine with these sensors that needs these channels."""
     try:
         content = path.read_bytes()
     except OSError as error:
         return None, f"{path}: the thermal model cannot be read ({error.strerror})"
-    return model_from_text(content, str(path), sensor_ids, channels)
+    return model_from_text(content, str(path), sensor_ids, channels, positions)
 
 
 def model_from_text(
-    content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str]
+    content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str], positions: Iterable[str] = ()
 ) -> tuple[ThermalModel | None, str]:
-    """Return the model that a file's bytes hold, or why it cannot serve such a machine."""
+    """Return the model that a file's bytes hold, or why it cannot serve such a machine.
+
+    `positions`: names of the axis positions that are read from the control.
+    """
     try:
         model = model_from_json(content, source)
     except ModelError as error:
         return None, str(error)
-    if model.axis_positions:
-        names = ", ".join(model.axis_positions[:8])
+    if unread := [name for name in model.axis_positions if name not in set(positions)]:
         return None, (
-            f"{source}: the model needs axis positions ({names}), which are not read while the machine runs; "
-            "take axis_positions out of the map and train it again"
+            f"{source}: the model needs axis positions ({', '.join(unread[:8])}), which are not read while the machine "
+            "runs: name them under cnc.axis_positions, or take axis_positions out of the map and train it again"
         )
-    if foreign := sorted(set(model.sensor_ids) - set(sensor_ids)):
+    of_temperatures = model.sensor_ids[: len(model.sensor_ids) - len(model.axis_positions)]
+    if set(model.sensor_ids[len(of_temperatures) :]) & set(sensor_ids := tuple(sensor_ids)):
+        return None, f"{source}: gives an axis position the ID of a sensor, as versions before did: train it again"
+    if foreign := sorted(set(of_temperatures) - set(sensor_ids)):
         return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):
         return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"

@@ -43,6 +43,8 @@ class Minutes:
     degc: FloatArray
     own_um: FloatArray
     """Displacements minus what was applied [um], shape (n, n_channels)."""
+    positions_mm: FloatArray
+    """Axis positions [mm], in the order of `cnc.axis_positions`, shape (n, n_axes)."""
     file: tuple[str, ...]
     """The logger's file of each minute: another file may have another zero."""
 
@@ -70,11 +72,13 @@ def recordings_from_history(
     *,
     from_utc_s: float,
     to_utc_s: float,
+    positions: bool = False,
 ) -> list[Recording]:
     """Return the stretches with displacements that are long enough to train on.
 
     `um_per_unit` is what one unit of an axis' echo macro means [um]; None on a machine that was never
-    commissioned, where nothing can have been applied. Raises DatasetError without a measured channel that
+    commissioned, where nothing can have been applied. With `positions` the axis positions are inputs too, which a model
+    without a watch of its sensors pays for. Raises DatasetError without a measured channel that
     an axis follows, and when no stretch is long enough.
     """
     channels = used_channels(configuration)
@@ -85,7 +89,8 @@ def recordings_from_history(
         )
     sensor_ids = configuration.temperatures.sensor_ids
     pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
-    found = [run for run in _runs(pieces, sensor_ids, tuple(channels)) if run.rows >= LEAST_MIN]
+    axes = tuple(configuration.cnc.axis_positions) if positions else ()
+    found = [run for run in _runs(pieces, sensor_ids, tuple(channels), axes) if run.rows >= LEAST_MIN]
     if not found:
         raise DatasetError(
             f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}; "
@@ -156,8 +161,16 @@ def _piece(
         speed_rpm=_means(cnc.time_s, cnc.spindle_speed_rpm[:, None], first, count)[:, 0],
         degc=degc,
         own_um=um - applied_um,
+        positions_mm=_means(cnc.time_s, _positions_mm(configuration, cnc), first, count),
         file=tuple(files.get(int(number), "") for number in minute),
     )
+
+
+def _positions_mm(configuration: Configuration, cnc: CncHistory) -> FloatArray:
+    """Return the axis positions of each poll [mm], in the configuration's order, NaN where there was none."""
+    none = np.full(len(cnc.time_s), np.nan)
+    named = configuration.cnc.axis_positions
+    return np.array([cnc.positions_mm.get(name, none) for name in named]).reshape(len(named), len(none)).T
 
 
 def _echo_um(configuration: Configuration, cnc: CncHistory, axis: str, um_per_unit: float) -> FloatArray:
@@ -178,7 +191,9 @@ def _means(time_s: FloatArray, values: FloatArray, first: int, count: int) -> Fl
     return np.where(number > 0, total / np.maximum(number, 1.0), np.nan)
 
 
-def _runs(pieces: list[Minutes], sensor_ids: tuple[int, ...], channels: tuple[str, ...]) -> Iterator[Recording]:
+def _runs(
+    pieces: list[Minutes], sensor_ids: tuple[int, ...], channels: tuple[str, ...], axes: tuple[str, ...]
+) -> Iterator[Recording]:
     if not pieces:
         return
     minute = np.concatenate([piece.minute for piece in pieces])
@@ -189,14 +204,15 @@ def _runs(pieces: list[Minutes], sensor_ids: tuple[int, ...], channels: tuple[st
         return
     breaks = (np.diff(minute[measured]) > LONGEST_GAP_MIN) | (file[measured][1:] != file[measured][:-1])
     speed = np.concatenate([piece.speed_rpm for piece in pieces])
-    degc = np.concatenate([piece.degc for piece in pieces])
+    inputs = np.concatenate([np.column_stack([piece.degc, piece.positions_mm][: 1 + bool(axes)]) for piece in pieces])
     for rows in np.split(measured, np.flatnonzero(breaks) + 1):
         yield Recording(
             name=f"{NAME}{int(minute[rows[0]])}",
             time_s=MINUTE_S * (minute[rows] - minute[rows[0]]),
             speed_rpm=speed[rows] if np.isfinite(speed[rows]).any() else None,
-            temperature_names=tuple(f"T{sensor_id}" for sensor_id in sensor_ids),
-            temperatures_degc=degc[rows],
+            temperature_names=(*(f"T{sensor_id}" for sensor_id in sensor_ids), *axes),
+            temperatures_degc=inputs[rows],
+            axis_positions=axes,
             displacement_names=channels,
             displacements_um=own_um[rows],
         )

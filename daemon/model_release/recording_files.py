@@ -27,7 +27,9 @@ def write_recordings(
     DatasetError when there is no stretch to train on, OSError when nothing can be written.
     """
     um_per_unit = commissioned_um_per_unit(configuration)
-    found = recordings_from_history(configuration, reader, um_per_unit, from_utc_s=from_utc_s, to_utc_s=to_utc_s)
+    found = recordings_from_history(
+        configuration, reader, um_per_unit, from_utc_s=from_utc_s, to_utc_s=to_utc_s, positions=True
+    )
     paths = [output if len(found) == 1 else output.with_stem(f"{output.stem}-{n}") for n in range(1, len(found) + 1)]
     for path, recording in zip(paths, found, strict=True):
         _write(path, recording, configuration.machine, um_per_unit)
@@ -58,10 +60,11 @@ def _map_keys(recording: Recording) -> dict[str, object] | None:
     header = [TIME, SPEED, *recording.temperature_names, *recording.displacement_names]
     try:
         usual = resolve_columns(usual_map(header), header)
-        if len(usual.displacements) == len(recording.displacement_names):
+        if len(usual.displacements) == len(recording.displacement_names) and not recording.axis_positions:
             return None
     except ColumnError:
         pass
     speed = {} if recording.speed_rpm is None else {"speed": SPEED}
-    names = {"temperatures": list(recording.temperature_names), "displacements": list(recording.displacement_names)}
-    return {"time": TIME, **speed, **names}
+    positions = {"axis_positions": list(recording.axis_positions)} if recording.axis_positions else {}
+    names = {"temperatures": list(recording.temperature_names[: recording.sensors])}
+    return {"time": TIME, **speed, **names, **positions, "displacements": list(recording.displacement_names)}

@@ -205,9 +205,7 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
             changed_s = path.stat().st_mtime
         except (ReleaseError, OSError):
             continue  # gone, or not for us to read: nothing to propose
-        model, inhibit = model_from_text(
-            content, str(path), configuration.temperatures.sensor_ids, _wanted(configuration)
-        )
+        model, inhibit = _read(configuration, content, str(path))
         if model is not None:
             inhibit = gate_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
@@ -216,8 +214,10 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
     return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
 
 
-def _wanted(configuration: Configuration) -> list[str]:
-    return list(channels_in_use(configuration))
+def _read(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel | None, str]:
+    """Return the model, or why it cannot serve this machine."""
+    sensor_ids, positions = configuration.temperatures.sensor_ids, configuration.cnc.axis_positions
+    return model_from_text(content, source, sensor_ids, list(channels_in_use(configuration)), positions)
 
 
 def _content(path: Path) -> bytes:
@@ -238,12 +238,12 @@ def _content(path: Path) -> bytes:
 
 def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel, list[str]]:
     """Return the model and what was found good; raises ReleaseError."""
-    model, inhibit = model_from_text(content, source, configuration.temperatures.sensor_ids, _wanted(configuration))
+    model, inhibit = _read(configuration, content, source)
     if model is None:
         raise ReleaseError(inhibit)
     if inhibit := gate_inhibit(model, configuration):
         raise ReleaseError(f"{source}: {inhibit}")
-    bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in _wanted(configuration))
+    bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in channels_in_use(configuration))
     return model, [
         "the checksum fits the content",
         f"{len(model.test_vectors)} test vectors are met",

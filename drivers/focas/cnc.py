@@ -126,7 +126,7 @@ class FocasCnc(LinkedCnc):
         (answer,) = await self._exchange([Ask(Function.SYSTEM)])
         system = SystemInfo.parse(answer)
         self.identity = SIMULATED_CNC_IDENTITY if system.text == SIMULATED_SYSTEM else f"{system.text}@{self._name}"
-        self._state = StateRequest(self._focas, system)
+        self._state = StateRequest(self._focas, system, self._config.axis_positions)
 
     async def _sample(self, macros: Sequence[int]) -> CncSample:
         request = self._state
@@ -155,6 +155,7 @@ class FocasCnc(LinkedCnc):
             work_offset=int(offset) if offset.is_integer() else await self._additional_offset(offset),
             tool_number=round(tool),
             macros={number: values[number] for number in macros},
+            positions_mm=state.positions_mm,
         )
 
     async def _additional_offset(self, code: float) -> int:

@@ -54,6 +54,7 @@ class Direction(IntEnum):
 class Function(IntEnum):
     """What a block asks for."""
 
+    AXIS_POSITION = 0x26
     DIAGNOSIS = 0x30
     DIAGNOSIS_31I = 0x93
     PROGRAM_NUMBER = 0x1C

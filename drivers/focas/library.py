@@ -17,7 +17,7 @@ from drivers.focas.cnc import FocasCnc
 from drivers.focas.codec import Answer, Ask
 from drivers.linked_cnc import LinkedCnc
 
-NOT_ASKED = "FANUC's library is not asked for a diagnosis: leave cnc.focas.library out to read it"
+NOT_ASKED = "FANUC's library is not asked for {}: leave cnc.focas.library out to read it"
 WHEN_IT_ENDS = "if it happens again, cnc.focas.library does not fit this computer: leave it out"
 
 
@@ -64,7 +64,9 @@ class LibraryFocasCnc(FocasCnc):
             raise FatalDriverError(f"cnc.focas.library: {self._focas.library} {first['fatal']}")
         await self._introduced()
         assert self._state is not None
-        self._state.cannot[Capability.MOTOR_TEMPERATURE] = NOT_ASKED
+        self._state.cannot[Capability.MOTOR_TEMPERATURE] = NOT_ASKED.format("a diagnosis")
+        if self._config.axis_positions:
+            self._state.cannot[Capability.AXIS_POSITION] = NOT_ASKED.format("axis positions")
 
     async def _exchange(self, asks: Sequence[Ask]) -> list[Answer]:
         if self._bridge is None:

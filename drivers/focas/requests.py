@@ -5,8 +5,9 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from config.schema.cnc import AxisPositionConfig
 from config.schema.cnc_drivers import FocasConfig
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import Capability, FatalDriverError, LinkError, position_mm
 from drivers.focas.codec import (
     Answer,
     Ask,
@@ -22,6 +23,9 @@ MACROS_PER_BLOCK = 5
 """A control answers so many macro variables to one block that reads them."""
 WORK_OFFSET, ADDITIONAL_OFFSET = 4014, 4130
 """System variables: modal G of the work offset; P of G54.1."""
+MACHINE_COORDINATES, ALL_AXES = 1, -1
+"""Arguments of the block that reads axis positions."""
+BYTES_PER_AXIS = 8
 BUSY = -1
 NO_FUNCTION, NO_OPTION = 1, 6
 REFUSALS: Mapping[int, str] = {
@@ -123,14 +127,18 @@ class State:
     sequence_number: int
     spindle_speed_rpm: float
     motor_temperature_degc: float
+    positions_mm: dict[str, float]
 
 
 class StateRequest:
     """The blocks that read the state; what the control does not have is left out once it has said so."""
 
-    def __init__(self, config: FocasConfig, system: SystemInfo) -> None:
+    def __init__(
+        self, config: FocasConfig, system: SystemInfo, axes: Mapping[str, AxisPositionConfig] | None = None
+    ) -> None:
         self._diagnosis = config.motor_temperature_diagnosis
         self._is_31i = system.is_31i
+        self._axes = axes or {}
         self.cannot: dict[str, str] = {}
         """Measurements that the control does not give, with the reason."""
         if self._diagnosis is None:
@@ -147,6 +155,8 @@ class StateRequest:
             number = self._diagnosis or 0
             function = Function.DIAGNOSIS_31I if self._is_31i else Function.DIAGNOSIS
             asks.append(Ask(function, (number, number, 1)))
+        if self._axes and Capability.AXIS_POSITION not in self.cannot:
+            asks.append(Ask(Function.AXIS_POSITION, (MACHINE_COORDINATES, ALL_AXES)))
         return asks
 
     def parse(self, asks: Sequence[Ask], answers: Sequence[Answer]) -> State:
@@ -174,7 +184,19 @@ class StateRequest:
             sequence_number=sequence_number,
             spindle_speed_rpm=math.nan if speed is None else _value(speed),
             motor_temperature_degc=math.nan if motor is None else self._temperature(motor),
+            positions_mm=self._positions_mm(found.get(Function.AXIS_POSITION)),
         )
+
+    def _positions_mm(self, answer: Answer | None) -> dict[str, float]:
+        """Return the position of each axis [mm], NaN where there is none."""
+        data = self._measured(Capability.AXIS_POSITION, answer) or b""
+        values = parse_values(data, len(data) // BYTES_PER_AXIS)
+        if data and (beyond := [name for name, axis in self._axes.items() if axis.place > len(values)]):
+            self.cannot[Capability.AXIS_POSITION] = f"{beyond[0]}: the control has {len(values)} axes"
+        return {
+            name: position_mm(axis, values[axis.place - 1] if axis.place <= len(values) else None)
+            for name, axis in self._axes.items()
+        }
 
     def _measured(self, name: str, answer: Answer | None) -> bytes | None:
         """Return the bytes of a measurement, None where the control does not have it."""

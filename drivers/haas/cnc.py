@@ -46,7 +46,7 @@ class HaasCnc(LinkedCnc):
         self._haas = config.connection_as(HaasConfig)
         super().__init__(config, clock, self._haas.address)
         self._link: HaasLink | None = None
-        self._state = StateVariables(self._haas)
+        self._state = StateVariables(self._haas, config.axis_positions)
         self._random = random.Random()
         self._clock_ms = 0.0
         self._power_on_count: int | None = None
@@ -115,6 +115,7 @@ class HaasCnc(LinkedCnc):
             work_offset=state.work_offset(values),
             tool_number=round(tool),
             macros={number: values[number] for number in macros},
+            positions_mm=state.positions_mm(values),
         )
 
     async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]:

@@ -5,14 +5,20 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from config.schema.cnc import AxisPositionConfig
 from config.schema.cnc_drivers import HaasConfig
-from drivers.contract import Capability
+from drivers.contract import Capability, position_mm
 from drivers.haas.codec import Answer
 from models.records import CncMode, CncRun
 
 TIED_OFFSET = 154
 """G154 takes its offset from a word P."""
 OFFSET_P = 4116
+MACHINE_POSITION = 5020
+"""#5021 .. hold the machine positions of axis 1 .., in the unit of the control."""
+MOST_AXES = 6
+UNIT_CODE, INCH, METRIC = 4006, 20, 21
+"""System variable with the modal G20 or G21, which agrees with the control's setting 9."""
 MODES: Mapping[str, CncMode] = {
     "MEM": CncMode.MEMORY,
     "MDI": CncMode.MDI,
@@ -59,7 +65,11 @@ class ProgramState:
 class StateVariables:
     """The system variables of the state; what the control leaves vacant at first is left out, and said."""
 
-    def __init__(self, config: HaasConfig) -> None:
+    def __init__(self, config: HaasConfig, axes: Mapping[str, AxisPositionConfig] | None = None) -> None:
+        self._axes = axes or {}
+        self._asked = {name: MACHINE_POSITION + axis.place for name, axis in self._axes.items()}
+        if max((axis.place for axis in self._axes.values()), default=0) > MOST_AXES:
+            self._asked = {}
         self.sequence_number, self.program = config.sequence_number_macro, config.program_macro
         self.tool, self.speed, self.offset = config.tool_macro, config.spindle_speed_macro, config.work_offset_macro
         self.cannot: dict[str, str] = {Capability.MOTOR_TEMPERATURE: NO_MOTOR_TEMPERATURE}
@@ -74,18 +84,37 @@ class StateVariables:
     def numbers(self) -> tuple[int, ...]:
         """The variables to read."""
         optional = [number for name, number in self._optional.items() if name not in self.cannot]
-        return (self.offset, OFFSET_P, self.tool, *optional)
+        axes = (*self._asked.values(), UNIT_CODE) if self._asked else ()
+        return (*self.marks, *(number for number in optional if number == self.speed), *axes)
 
     @property
     def marks(self) -> tuple[int, ...]:
         """Those that tell where the program is."""
-        return tuple(number for number in self.numbers if number != self.speed)
+        optional = [number for name, number in self._optional.items() if name not in self.cannot]
+        return (self.offset, OFFSET_P, self.tool, *(number for number in optional if number != self.speed))
 
     def judge(self, values: Mapping[int, float | None]) -> None:
         """Leave out, from the first values, what is vacant."""
         for name, number in self._optional.items():
             if values[number] is None:
                 self.cannot[name] = f"system variable #{number} is vacant"
+        if self._axes and not self._asked:
+            self.cannot[Capability.AXIS_POSITION] = f"a Haas control tells the positions of {MOST_AXES} axes"
+        elif self._axes and values.get(UNIT_CODE) not in (INCH, METRIC):
+            said = f"its unit is not known: system variable #{UNIT_CODE} is neither {INCH} nor {METRIC}"
+            self.cannot[Capability.AXIS_POSITION] = said
+        elif vacant := [number for number in self._asked.values() if values[number] is None]:
+            self.cannot[Capability.AXIS_POSITION] = f"system variable #{vacant[0]} is vacant"
+
+    def positions_mm(self, values: Mapping[int, float | None]) -> dict[str, float]:
+        """Return the position of each axis [mm], NaN where the control tells neither it nor its unit."""
+        unit = values.get(UNIT_CODE)
+        return {
+            name: position_mm(axis, values.get(self._asked.get(name, 0)), inch=unit == INCH)
+            if unit in (INCH, METRIC)
+            else math.nan
+            for name, axis in self._axes.items()
+        }
 
     def speed_rpm(self, values: Mapping[int, float | None]) -> float:
         """Return the spindle speed [1/min], NaN where it is not told."""

@@ -97,7 +97,9 @@ class Bridge:
             "offset": stat.g5x_index or active_system(stat.gcodes),
             "tool": stat.tool_in_spindle,
             "speed": abs(stat.spindle[0]["speed"]) if stat.spindles else None,
-            "position": list(stat.actual_position[:3]),
+            "position": list(stat.actual_position),
+            "units_per_mm": stat.linear_units,
+            "axes": stat.axis_mask,
         }
 
     def write(self, values: list[tuple[int, float]]) -> dict[str, Any]:

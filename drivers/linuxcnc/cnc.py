@@ -16,7 +16,7 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import LinuxcncConfig
 from drivers.bridge_link import BridgeError, BridgeLink
 from drivers.clock import Clock
-from drivers.contract import Capability, FatalDriverError, NotSentError
+from drivers.contract import MM_PER_INCH, Capability, FatalDriverError, NotSentError, position_mm
 from drivers.linked_cnc import LinkedCnc
 from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun, CncSample
@@ -26,6 +26,8 @@ RUNS_AS = "cnc.linuxcnc.command must run as LinuxCNC's own user"
 MODES = {1: CncMode.JOG, 2: CncMode.MEMORY, 3: CncMode.MDI}
 RUNS = {1: CncRun.RESET, 2: CncRun.START, 3: CncRun.HOLD, 4: CncRun.START}
 """State of the interpreter: idle, reading, paused, waiting."""
+AXES = "XYZABCUVW"
+"""In the order of its positions and of the bits of its axis mask."""
 ON = 4
 """State of the task: the machine is on; 1 and 2 are E-stop, 3 is off."""
 OFF = 3
@@ -45,11 +47,15 @@ class LinuxcncCnc(LinkedCnc):
         super().__init__(config, clock, NAME, "encrypted")
         self._pins = Pins.of(config)
         self._link: BridgeLink | None = None
+        self._lacking: list[str] = []
 
     @property
     def cannot(self) -> Mapping[str, str]:
         """What LinuxCNC does not give, with the reason."""
-        return CANNOT
+        if not self._lacking:
+            return CANNOT
+        lacking = ", ".join(self._lacking)
+        return {**CANNOT, Capability.AXIS_POSITION: f"LinuxCNC has no axis {lacking}, or its unit is no usual one"}
 
     @property
     def _present_link(self) -> BridgeLink | None:
@@ -92,7 +98,20 @@ class LinuxcncCnc(LinkedCnc):
             work_offset=work_offset(int(found["offset"])),
             tool_number=int(found["tool"]),
             macros=values,
+            positions_mm=self._positions_mm(found),
         )
+
+    def _positions_mm(self, found: Mapping[str, Any]) -> dict[str, float]:
+        """Return the machine position of each axis [mm]; NaN of one that the machine does not have."""
+        axes, places = self._config.axis_positions, found["position"]
+        inch = {1.0: False, round(1.0 / MM_PER_INCH, 6): True}.get(round(float(found["units_per_mm"]), 6))
+        told = {
+            name: float(places[AXES.index(axis.axis)])
+            for name, axis in axes.items()
+            if inch is not None and axis.axis in AXES and int(found["axes"]) >> AXES.index(axis.axis) & 1
+        }
+        self._lacking = [axis.axis for name, axis in axes.items() if name not in told]
+        return {name: position_mm(axis, told.get(name), inch=bool(inch)) for name, axis in axes.items()}
 
     async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         return (await self._read(macros))[0]

@@ -82,13 +82,12 @@ class MtconnectCnc(LinkedCnc):
 
     async def _connect(self) -> None:
         self._link = AgentLink()
-        agent = self._agent
         root = await self._asked("/probe")
         if root.name != "MTConnectDevices":
             raise FatalDriverError(
                 f"{self._name} is no MTConnect agent: its probe is a {root.name}; check cnc.mtconnect.url"
             )
-        device = chosen_device(root, agent.device, agent.spindle_speed_item, agent.motor_temperature_item)
+        device = chosen_device(root, self._config)
         self._device = device
         self.identity = SIMULATED_CNC_IDENTITY if device.uuid == SIMULATED_UUID else f"mtconnect:{device.uuid}"
         self._instance = _header(root).get("instanceId", "")
@@ -112,6 +111,7 @@ class MtconnectCnc(LinkedCnc):
             work_offset=device.work_offset,
             tool_number=device.tool_number,
             macros=await self._macros(macros),
+            positions_mm=device.positions_mm(),
         )
 
     async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]:

@@ -3,9 +3,11 @@
 import math
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from config.schema.cnc import AxisPositionConfig, CncConfig
+from config.schema.cnc_drivers import MtconnectConfig
 from drivers.contract import Capability, FatalDriverError
 from drivers.mtconnect.xml import Element, XmlError
 from models.records import CncMode, CncRun
@@ -64,6 +66,8 @@ class DataItem:
     name: str
     kind: str
     subtype: str
+    unit: str = ""
+    coordinates: str = ""
 
 
 @dataclass
@@ -75,6 +79,8 @@ class Device:
     items: tuple[DataItem, ...]
     spindle_item: str | None = None
     motor_item: str | None = None
+    axes: Mapping[str, tuple[AxisPositionConfig, str | None]] = field(default_factory=dict)
+    """Axis positions by their names: the axis, and the id or name of its data item."""
     values: dict[str, str] = field(default_factory=dict)
     """Text of the latest observation by data item."""
     faults: dict[str, set[str]] = field(default_factory=dict)
@@ -103,6 +109,28 @@ class Device:
             self.cannot[Capability.SEQUENCE_NUMBER] = NO_ITEM.format("LINE_LABEL or BLOCK")
         if self._chosen.get(Capability.MOTOR_TEMPERATURE) is None:
             self.cannot[Capability.MOTOR_TEMPERATURE] = "no data item is named in cnc.mtconnect.motor_temperature_item"
+        for name, (axis, item) in self.axes.items():
+            self._choose_position(name, axis, item)
+
+    def _choose_position(self, name: str, axis: AxisPositionConfig, item: str | None) -> None:
+        """Take the data item of an axis position, or say why it tells none."""
+        why = ""
+        if item is None:
+            why = f"no data item is named for {axis.axis} in cnc.mtconnect.position_items"
+        else:
+            found = next(each for each in self.items if each.item_id == self._named(item))
+            if found.unit != "MILLIMETER":
+                why = f"data item {item} of {axis.axis} is in {found.unit or 'no unit'}, not in MILLIMETER"
+            elif found.coordinates == "WORK" or found.subtype == "PROGRAMMED":
+                why = f"data item {item} of {axis.axis} is no actual position in coordinateSystem MACHINE"
+            else:
+                self._chosen[f"position {name}"] = found.item_id
+        if why:
+            self.cannot.setdefault(Capability.AXIS_POSITION, why)
+
+    def positions_mm(self) -> dict[str, float]:
+        """Return the position of each axis [mm], NaN where it is not told now."""
+        return {name: self.number(f"position {name}") for name in self.axes}
 
     def _choose(self, kinds: tuple[tuple[str, str], ...]) -> str | None:
         for kind, subtype in kinds:
@@ -226,11 +254,15 @@ def data_items(device: Element) -> Iterator[DataItem]:
             name=found.get("name", ""),
             kind=found.get("type", ""),
             subtype=found.get("subType", ""),
+            unit=found.get("units", ""),
+            coordinates=found.get("coordinateSystem", ""),
         )
 
 
-def chosen_device(probe: Element, wanted: str | None, spindle: str | None, motor: str | None) -> Device:
-    """Return the device of this name or uuid, or the only one; raises FatalDriverError."""
+def chosen_device(probe: Element, config: CncConfig) -> Device:
+    """Return the device of the configured name or uuid, or the only one; raises FatalDriverError."""
+    agent = config.connection_as(MtconnectConfig)
+    wanted = agent.device
     devices = list(probe.below("Device"))
     names = ", ".join(sorted(each.attributes.get("name", "") for each in devices)) or "none"
     found = [each for each in devices if wanted in (None, each.attributes.get("name"), each.attributes.get("uuid"))]
@@ -239,4 +271,11 @@ def chosen_device(probe: Element, wanted: str | None, spindle: str | None, motor
         raise FatalDriverError(f"the agent {what}: put one of its names into cnc.mtconnect.device; there are {names}")
     device = found[0]
     name, uuid = device.attributes.get("name", ""), device.attributes.get("uuid", "")
-    return Device(name=name, uuid=uuid, items=tuple(data_items(device)), spindle_item=spindle, motor_item=motor)
+    return Device(
+        name=name,
+        uuid=uuid,
+        items=tuple(data_items(device)),
+        spindle_item=agent.spindle_speed_item,
+        motor_item=agent.motor_temperature_item,
+        axes={name: (axis, agent.position_items.get(axis.axis)) for name, axis in config.axis_positions.items()},
+    )

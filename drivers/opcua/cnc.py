@@ -22,7 +22,15 @@ from cryptography.exceptions import InvalidSignature
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.clock import Clock
-from drivers.contract import ClockWatch, DriverError, FatalDriverError, LinkError, Security, refuse_forbidden
+from drivers.contract import (
+    Capability,
+    ClockWatch,
+    DriverError,
+    FatalDriverError,
+    LinkError,
+    Security,
+    refuse_forbidden,
+)
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
@@ -211,7 +219,7 @@ class OpcUaCnc:
             raise FatalDriverError(
                 f"{self._endpoint} has no namespace {uri!r} (cnc.opcua.namespace_uri); it has {', '.join(namespaces)}"
             )
-        variables = Variables(node_map(self._config), namespaces.index(uri))
+        variables = Variables(node_map(self._config), namespaces.index(uri), self._config.axis_positions)
         block = self._config.macros.block
         answers = await services.read(variables.read_request(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
@@ -222,6 +230,9 @@ class OpcUaCnc:
             for name, value in measured.items()
             if math.isnan(value) and name not in variables.cannot
         }
+        if lacking := [name for name, value in sample.positions_mm.items() if math.isnan(value)]:
+            why = f"the server gives no value for cnc.opcua.nodes.axis_position of {', '.join(lacking)}"
+            self.cannot.setdefault(Capability.AXIS_POSITION, why)
         return variables
 
     async def _write(self, services: Services, requests: Sequence[tuple[Sequence[tuple[int, float]], bytes]]) -> None:

@@ -42,6 +42,7 @@ def sinumerik_map(shown: int) -> NodeMap:
             "power_on_count": R_PARAMETER.format(number=shown + 1),
             "work_offset": "s=/Channel/SelectedFunctions/ncFkt[u1,8]",
             "tool_number": "s=/Channel/State/actTNumber[u1]",
+            "axis_position": "s=/Channel/MachineAxis/actToolBasePos[u1,{number}]",
             "macro": R_PARAMETER,
         },
         modes=MODES,

@@ -9,7 +9,8 @@ from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
-from drivers.contract import MODES, RUNS, FatalDriverError, LinkError
+from config.schema.cnc import AxisPositionConfig
+from drivers.contract import MODES, RUNS, Capability, FatalDriverError, LinkError, position_mm
 from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
 
@@ -54,6 +55,7 @@ FANUC_NODES = {
     "power_on_count": "s=PowerOnCount",
     "work_offset": "s=WorkOffset",
     "tool_number": "s=ToolNumber",
+    "axis_position": "s=AxisPosition.{axis}",
     "macro": "s=Macro.{number}",
 }
 Reading = Callable[[str], float]
@@ -76,7 +78,9 @@ class NodeMap:
 class Variables:
     """Node ids of one CNC, built once per connection, and requests prepared from them."""
 
-    def __init__(self, found: NodeMap, namespace_index: int) -> None:
+    def __init__(
+        self, found: NodeMap, namespace_index: int, axes: Mapping[str, AxisPositionConfig] | None = None
+    ) -> None:
         self._map = found
         self._namespace_index = namespace_index
         self._macro_pattern = found.nodes["macro"]
@@ -92,13 +96,26 @@ class Variables:
             if key not in self._keys
         }
         """What the control has no variable for, with the reason."""
+        self._axes = axes or {}
+        pattern = found.nodes.get("axis_position")
+        if self._axes and pattern is None:
+            self._axes = {}
+            self.cannot[Capability.AXIS_POSITION] = "cnc.opcua.nodes.axis_position names no variable of the server"
+        self._nowhere = dict.fromkeys(set(axes or {}) - set(self._axes), math.nan)
+        self._positions = [
+            self._node_id(
+                "axis_position",
+                str(pattern).replace("{axis}", each.axis).replace("{number}", str(each.place)),
+            )
+            for each in self._axes.values()
+        ]
 
     def read_request(self, macros: Sequence[int], *, state: bool) -> bytes:
         """Return the parameters that read the state (or not) and the given macro variables."""
         key = (int(state), *macros)
         if key not in self._reads:
             wanted = [self._macro_node_id(number) for number in macros]
-            self._reads[key] = encode_read([*self._state, *wanted] if state else wanted)
+            self._reads[key] = encode_read([*self._state, *self._positions, *wanted] if state else wanted)
         return self._reads[key]
 
     def write_request(self, group: Sequence[tuple[int, float]]) -> bytes:
@@ -112,10 +129,12 @@ class Variables:
 
     def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[Answer]) -> CncSample:
         """Return what the answers to a read of state and macros say; raises LinkError or FatalDriverError."""
-        expected = len(self._keys) + len(macros)
+        first_macro = len(self._keys) + len(self._positions)
+        expected = first_macro + len(macros)
         if len(answers) != expected:
             raise LinkError(f"the CNC answered {len(answers)} values to a request for {expected}")
-        values = {key: math.nan if key in (*MEASURED, "clock") else 0.0 for key in self.cannot}
+        values = {key: math.nan if key in (*MEASURED, "clock") else 0.0 for key in STATE_NODES}
+        positions = zip(self._axes.items(), answers[len(self._keys) : first_macro], strict=True)
         for key, text, answer in zip(self._keys, self._texts, answers, strict=False):
             values[key] = self._state_value(key, text, answer)
         return CncSample(
@@ -131,7 +150,8 @@ class Variables:
             power_on_count=int(values["power_on_count"]),
             work_offset=int(values["work_offset"]),
             tool_number=int(values["tool_number"]),
-            macros=self.macro_values(macros, answers[len(self._keys) :]),
+            macros=self.macro_values(macros, answers[first_macro:]),
+            positions_mm={name: _position_mm(axis, answer) for (name, axis), answer in positions} | self._nowhere,
         )
 
     def macro_values(self, macros: Sequence[int], answers: Sequence[Answer]) -> dict[int, float | None]:
@@ -192,6 +212,12 @@ def _number(name: str, answer: Answer) -> float:
     if not isinstance(value, (bool, int, float)):
         raise FatalDriverError(f"the CNC's {name} is a {type(value).__name__} ({value!r:.40}), not a number")
     return float(value)
+
+
+def _position_mm(axis: AxisPositionConfig, answer: Answer) -> float:
+    """Return the position of an axis [mm], NaN where the server gives no number."""
+    good = ua.StatusCode(ua.UInt32(answer.status)).is_good()
+    return position_mm(axis, float(answer.value) if good and type(answer.value) in (int, float) else None)
 
 
 def _unreadable(name: str, status: ua.StatusCode) -> LinkError | FatalDriverError:

@@ -44,10 +44,12 @@ class SimulatedNc(Protocol):
     work_offset: int
     tool_number: int
     macros: Macros
+    positions_mm: dict[str, float]
+    """Machine positions by the axis' letter [mm]."""
 
 
-NC_STATE = tuple(name for name in SimulatedNc.__annotations__ if name != "macros")
-"""What a simulated NC shows besides its macro variables."""
+NC_STATE = tuple(name for name in SimulatedNc.__annotations__ if name not in ("macros", "positions_mm"))
+"""What a simulated NC shows besides its macro variables and its axis positions."""
 
 
 class SimulatedMachine(Protocol):

@@ -45,7 +45,7 @@ class ThermalModel(Protocol):
 
     @property
     def axis_positions(self) -> tuple[str, ...]:
-        """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
+        """The last of `sensor_names`, when they are axis positions [mm], which the control must give."""
         ...
 
     @property

@@ -107,7 +107,7 @@ class LinearParameters:
     """Date and time of the fit, ISO 8601."""
     test_vectors: tuple[TestVector, ...]
     axis_positions: tuple[str, ...] = ()
-    """The last of `sensor_names`, when they are axis positions [mm], which the running daemon does not read."""
+    """The last of `sensor_names`, when they are axis positions [mm], which the control must give."""
     pivots_mm: dict[str, float] = field(default_factory=dict)
     """Channels that are slopes along an axis, so that their unit is um/m, and where each adds nothing [mm]."""
     start: StartDeviation | None = None

@@ -1,4 +1,4 @@
-"""Axis positions of a recording are inputs of models like temperatures, and are watched and replayed like none."""
+"""Axis positions of a recording are inputs of models like temperatures, are watched like none, and must be read."""
 
 import json
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from daemon.cli import main
 from daemon.model_release.loading import read_model
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
+from models.thermal.training.making import FIRST_POSITION_ID
 
 MAP = "time: t\nspeed: rpm\ntemperatures: ['t[0-9]*']\naxis_positions: ['*_mm']\ndisplacements: [c1]\n"
 
@@ -63,7 +64,9 @@ def test_a_position_tells_what_no_temperature_does(files: tuple[Path, Path]) -> 
 
 
 @pytest.mark.parametrize("family", ["default", "ridge", "increments", None])
-def test_a_model_with_positions_is_trained_and_not_run(files: tuple[Path, Path], family: str | None) -> None:
+def test_a_model_with_positions_is_trained_and_runs_where_they_are_read(
+    files: tuple[Path, Path], family: str | None
+) -> None:
     recording, columns = files
     model_file = recording.with_name("model.json")
     chosen = [] if family is None else ["--model", family]
@@ -73,7 +76,11 @@ def test_a_model_with_positions_is_trained_and_not_run(files: tuple[Path, Path],
     model = model_from_json(model_file.read_text(encoding="utf-8"), "model.json")
     assert (model.sensor_names, model.axis_positions) == (("t1", "t2", "Z_mm"), ("Z_mm",))
     refused, why = read_model(model_file, range(1, 9), ("c1",))
-    assert refused is None and "needs axis positions (Z_mm)" in why and "train it again" in why
+    assert refused is None and "needs axis positions (Z_mm)" in why and "name them under cnc.axis_positions" in why
+    assert read_model(model_file, range(1, 3), ("c1",), ("X_mm", "Z_mm"))[0] is not None
+    assert model.sensor_ids == (1, 2, FIRST_POSITION_ID)
+    refused, why = read_model(model_file, (1, 2, FIRST_POSITION_ID), ("c1",), ("Z_mm",))
+    assert refused is None and "the ID of a sensor" in why
     played = CliRunner().invoke(main, ["replay", str(recording), "--map", str(columns), "--model", str(model_file)])
     assert played.exit_code == 2 and "axis positions" in played.output
     report = ["thermal", "report", str(recording), "--map", str(columns), "--model", str(model_file)]

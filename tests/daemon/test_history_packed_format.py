@@ -1,6 +1,7 @@
 """The packed format: any integers, floats, rows and temperatures come back as they went in."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,13 +128,18 @@ def test_joining_frames_joins_their_rows(first: list[tuple[object, ...]], second
 
 
 def test_one_column_is_read_with_what_it_is_relative_to() -> None:
-    rows = [(1000 + k, 500 + k, "memory", "start", 0, 1, 2, 3.0, 4.0, 5.0, 6, 54, 7, '{"600":1}') for k in range(3)]
+    told = ("memory", "start", 0, 1, 2, 3.0, 4.0, 5.0, 6, 54, 7, '{"600":1}')
+    rows = [(1000 + k, 500 + k, *told, '{"Z_mm":250.5}') for k in range(3)]
     packed = encode_frame(CNC, frame_from_rows(CNC, CNC.names, rows))
     frame = decode_frame(CNC, packed, ["monotonic_ms"])
     assert set(frame.columns) == {"utc_ms", "monotonic_ms"}
     assert frame.integers("monotonic_ms").tolist() == [500, 501, 502]
     with pytest.raises(ValueError, match=r"cnc have no columns \['speed'\]"):
         decode_frame(CNC, packed, ["speed"])
+    before = replace(CNC, columns=CNC.columns[:-1])
+    old = encode_frame(before, frame_from_rows(before, before.names, [row[:-1] for row in rows]))
+    joined = concatenate([decode_frame(CNC, old), decode_frame(CNC, packed)]).mapping("positions_mm")
+    assert joined.row(0) is None and joined.row(3) == {"Z_mm": 250.5}, "hours of a version before have no positions"
 
 
 @st.composite

@@ -222,7 +222,7 @@ class MtconnectBench(SimulatedBench):
         self._server = SimulatedMtconnectAgent(self._nc, cnc_config(mtconnect={"url": "http://127.0.0.1:1"}), port=0)
 
     def open_at(self, port: int, **changes: Any) -> Cnc:
-        section = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat"}
+        section = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat", "position_items": {"Z": "zact"}}
         return MtconnectCnc(cnc_config(mtconnect=section, **changes), SystemClock())
 
     def written(self) -> list[int]:

@@ -40,6 +40,11 @@ START = f"{CLOCK}net since-start since-start.out => motion.analog-in-{PINS.clock
 class LinuxcncBench:
     """LinuxCNC, started once for all checks, and again after it was lost."""
 
+    @property
+    def z_mm(self) -> float:
+        """Where LinuxCNC's own pins say that Z stands."""
+        return float(self.linuxcnc.halcmd("getp", "joint.2.pos-fb"))
+
     def __init__(self, directory: Path) -> None:
         self.linuxcnc = RealLinuxcnc(directory, START)
         self.stands = False

@@ -35,7 +35,8 @@ class AgentBench:
         return self.open_at(self.port, **changes)
 
     def open_at(self, port, *, section=None, **changes):
-        mtconnect = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat", **(section or {})}
+        section = {"position_items": {"Z": "zact"}} | (section or {})
+        mtconnect = {"url": f"http://127.0.0.1:{port}", "motor_temperature_item": "heat", **section}
         return MtconnectCnc(cnc_config(mtconnect=mtconnect, **changes), SystemClock())
 
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import pytest
 
+from config.schema.cnc import AxisPositionConfig
 from drivers.contract import Capability, Cnc, DriverError, FatalDriverError, LinkError, NotSentError
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.records import CncSample
@@ -170,6 +171,22 @@ async def what_it_cannot_is_said_and_has_no_value(bench: Bench) -> None:
     await cnc.close()
 
 
+async def axis_positions_come_in_mm_or_with_the_reason_why_not(bench: Bench) -> None:
+    axis = AxisPositionConfig(axis="Z", travel_mm=(0.0, 500.0), rapid_mm_per_min=30_000.0)
+    cnc = await connected(bench, axis_positions={"Z_mm": axis})
+    found = (await cnc.read([])).positions_mm
+    assert set(found) == {"Z_mm"}
+    assert math.isnan(found["Z_mm"]) == (Capability.AXIS_POSITION in cnc.cannot)
+    assert math.isnan(found["Z_mm"]) or found["Z_mm"] == pytest.approx(getattr(bench, "z_mm", 250.0), abs=1e-3)
+    await cnc.close()
+    cnc = await connected(bench, axis_positions={"W_mm": axis.model_copy(update={"axis": "W", "number": 9})})
+    assert math.isnan((await cnc.read([])).positions_mm["W_mm"]) and cnc.cannot[Capability.AXIS_POSITION]
+    await cnc.close()
+    cnc = await connected(bench)
+    assert (await cnc.read([])).positions_mm == {}
+    await cnc.close()
+
+
 async def a_second_look_at_one_instant_differs_only_in_time(bench: Bench) -> None:
     cnc = await connected(bench)
     first, second = await cnc.read([500]), await cnc.read([500])
@@ -282,6 +299,7 @@ CHECKS: tuple[Check, ...] = (
     close_is_for_any_time,
     a_control_that_went_away_is_a_lost_link,
     what_it_cannot_is_said_and_has_no_value,
+    axis_positions_come_in_mm_or_with_the_reason_why_not,
     a_second_look_at_one_instant_differs_only_in_time,
 )
 WIRE_CHECKS: tuple[WireCheck, ...] = (

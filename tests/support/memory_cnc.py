@@ -28,6 +28,8 @@ class MemoryNc:
         self.program, self.sequence_number, self.work_offset = 1000, 0, 54
         self.tool_number = 1
         self.run = CncRun.START
+        self.positions_mm: dict[str, float] = {}
+        """What a poll tells, by the names of the configuration."""
         self.power_on_count = 7
         self.clock_zero_s = 500.0
         self.reachable = True
@@ -96,6 +98,7 @@ class MemoryCnc:
             work_offset=nc.work_offset,
             tool_number=nc.tool_number,
             macros=found,
+            positions_mm=dict(nc.positions_mm),
         )
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from control_rig import SENSOR_IDS, HandClock, machine
 
+from config.schema import Configuration
 from daemon.estimation.task import Delivery, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
@@ -46,9 +47,15 @@ def model(**changes):
 class Task:
     """A thermal task with a real store, fed by hand."""
 
-    def __init__(self, directory: Path, the_model: ThermalModel | None, clock: HandClock | None = None) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        the_model: ThermalModel | None,
+        clock: HandClock | None = None,
+        configuration: Configuration | None = None,
+    ) -> None:
         self.directory = directory
-        self.configuration = machine(directory)
+        self.configuration = configuration or machine(directory)
         self.clock = clock or HandClock()
         self.history = HistoryWriter(
             self.configuration.history.path,
@@ -80,7 +87,7 @@ class Task:
     def restarted(self, the_model: ThermalModel | None) -> "Task":
         """End this daemon; return the next one on the same store."""
         self.history.close()
-        again = Task(self.directory, the_model, self.clock)
+        again = Task(self.directory, the_model, self.clock, self.configuration)
         again.history.start()
         return again
 

@@ -45,7 +45,8 @@ async def test_a_control_says_what_it_gives_and_the_daemon_what_it_would_refuse(
     assert set(found["can"]) == set(Capability) and found["can"]["sequence_number"]
     assert found["can"]["write_macros"] is allowed
     refused = {entry["what"]: entry["why"] for entry in found["refused"]}
-    assert set(refused) == {"motor_temperature"} | (set() if allowed else {"write_macros"})
+    assert refused["axis_position"] == "cnc.axis_positions names no axis to read"
+    assert set(refused) == {"motor_temperature", "axis_position"} | (set() if allowed else {"write_macros"})
     assert allowed or "set cnc.allow_insecure_writes: true" in refused["write_macros"]
     await server.stop()
     status, found = await probed(configured(tmp_path, server.port, allowed=allowed))

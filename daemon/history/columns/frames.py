@@ -169,7 +169,7 @@ def encode_frame(kind: Kind, frame: Frame) -> bytes:
 def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | None = None) -> Frame:
     """Return the columns of a packed frame that are asked for; the others cost nothing.
 
-    A frame that was packed before its kind got its last columns, which are numbers, has none in them.
+    A frame that was packed before its kind got its last columns, numbers or mappings, has none in them.
     """
     reader = ByteReader(data)
     if (form := reader.byte()) != FORMAT:
@@ -180,6 +180,9 @@ def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | 
     for column in kind.columns:
         if not reader and column.type is ColumnType.NUMBER:
             columns[column.name] = np.full(rows, np.nan)
+            continue
+        if not reader and column.type is ColumnType.MAPPING:
+            columns[column.name] = mapping_from_json([None] * rows)
             continue
         part = reader.block()
         if column.name not in wanted:

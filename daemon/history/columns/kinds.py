@@ -42,7 +42,7 @@ CNC = Kind(
         *_numbers("spindle_speed_rpm motor_temperature_degc"),
         *_numbers("clock_ms"),
         *_integers("power_on_count work_offset tool_number"),
-        *_mappings("macros"),
+        *_mappings("macros positions_mm"),
     ),
 )
 

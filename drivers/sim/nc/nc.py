@@ -78,6 +78,7 @@ class NumericalControl:
         self.power_on_count = power_on_count
         self.work_offset = 54
         self.tool_number = tool_number
+        self.positions_mm = dict.fromkeys("XYZ", 0.0)
         self._table = MacroTable()
         self.macros: Macros = self._table
         self.keeps_all = False

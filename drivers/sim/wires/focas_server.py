@@ -57,6 +57,7 @@ class FocasResponder:
             Function.PROGRAM_NUMBER: lambda ask: Answer(0, struct.pack(">ii", nc.program, nc.program)),
             Function.SEQUENCE_NUMBER: lambda ask: Answer(0, struct.pack(">i", nc.sequence_number)),
             Function.SPINDLE_SPEED: lambda ask: Answer(0, encode_value(nc.spindle_speed_rpm)),
+            Function.AXIS_POSITION: lambda ask: Answer(0, b"".join(map(encode_value, nc.positions_mm.values()))),
             Function.DIAGNOSIS_31I: self._motor_temperature,
             Function.DIAGNOSIS: self._motor_temperature,
             Function.READ_MACRO: self._read_macros,

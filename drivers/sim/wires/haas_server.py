@@ -12,7 +12,7 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import HaasConfig
 from drivers.haas.cnc import SIMULATED_SERIAL_NUMBER
 from drivers.haas.codec import DECIMALS, HaasFormatError, LineBuffer, Query, Write, encode_fields, parse_request
-from drivers.haas.requests import OFFSET_P
+from drivers.haas.requests import MACHINE_POSITION, METRIC, MOST_AXES, OFFSET_P, UNIT_CODE
 from drivers.sim.contract import SimulatedNc
 from drivers.sim.wires.system_variables import clock_and_calendar
 
@@ -33,14 +33,17 @@ class HaasResponder:
         """Whether answers name their macro variable; newer controls leave it out."""
         self.refused_macros: set[int] = set()
         """Macro variables that do not take what is written."""
-        self._state: Mapping[int, Callable[[], float]] = {
+        self._state: dict[int, Callable[[], float | None]] = {
             config.program_macro: lambda: nc.program,
             config.sequence_number_macro: lambda: nc.sequence_number,
             config.work_offset_macro: lambda: nc.work_offset,
             config.tool_macro: lambda: nc.tool_number,
             config.spindle_speed_macro: lambda: nc.spindle_speed_rpm,
             OFFSET_P: lambda: 0.0,
+            UNIT_CODE: lambda: METRIC,
         }
+        for place in range(1, MOST_AXES + 1):
+            self._state[MACHINE_POSITION + place] = self._position(place)
         self._words: Mapping[int, Callable[[], tuple[str, ...]]] = {
             Query.SERIAL_NUMBER: lambda: ("SERIAL NUMBER", SIMULATED_SERIAL_NUMBER),
             Query.SOFTWARE: lambda: ("SOFTWARE", "VER 100.00"),
@@ -72,6 +75,9 @@ class HaasResponder:
             "PARTS",
             "0",
         )
+
+    def _position(self, place: int) -> Callable[[], float | None]:
+        return lambda: dict(enumerate(self._nc.positions_mm.values(), start=1)).get(place)
 
     def _macro(self, number: int) -> bytes:
         value = clock_and_calendar(self._nc, number)

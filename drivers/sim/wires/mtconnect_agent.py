@@ -26,6 +26,7 @@ ITEMS: dict[str, tuple[str, str, str, Callable[[SimulatedNc], str]]] = {
     "speed": ("ROTARY_VELOCITY", "ACTUAL", "Sample", lambda nc: f"{nc.spindle_speed_rpm:g}"),
     "heat": ("TEMPERATURE", "ACTUAL", "Sample", lambda nc: f"{nc.motor_temperature_degc:g}"),
     "system": ("SYSTEM", "", "Condition", lambda nc: "Fault" if nc.alarm else "Normal"),
+    "zact": ("POSITION", "ACTUAL", "Sample", lambda nc: f"{nc.positions_mm['Z']:g}"),
 }
 """Data item -> type, subtype, category, and what it shows."""
 BUFFER = 64
@@ -138,6 +139,7 @@ class SimulatedMtconnectAgent:
         items = "".join(
             f'<DataItem id="{item}" type="{kind}" category="{category.upper()}"'
             + (f' subType="{subtype}"' if subtype else "")
+            + (' units="MILLIMETER" coordinateSystem="MACHINE"' if kind == "POSITION" else "")
             + "/>"
             for item, (kind, subtype, category, _) in ITEMS.items()
         )

@@ -197,6 +197,10 @@ class SimulatedCncServer:
         for key, (kind, shown) in (SINUMERIK_STATE if self._config.is_sinumerik else STATE).items():
             if key in nodes:
                 await add(nodes[key], key, kind, _state_reader(nc, shown, kind))
+        if pattern := nodes.get("axis_position"):
+            for place, axis in enumerate(nc.positions_mm, start=1):
+                text = pattern.replace("{axis}", axis).replace("{number}", str(place))
+                await add(text, f"AxisPosition{axis}", DOUBLE, _position_reader(nc, axis))
         echo = {*macros.echo_applied.values(), macros.echo_time, macros.echo_status, macros.echo_guard_version}
         writable: dict[ua.NodeId, int] = {}
         for number in sorted(macros.allowed.union(macros.block, self._readable)):
@@ -279,6 +283,10 @@ class _Trust:
 def _state_reader(nc: SimulatedNc, shown: Shown, kind: ua.VariantType) -> Callable[[], ua.DataValue]:
     convert = {DOUBLE: float, TEXT: str}.get(kind, int)
     return lambda: ua.DataValue(ua.Variant(convert(shown(nc)), kind))
+
+
+def _position_reader(nc: SimulatedNc, axis: str) -> Callable[[], ua.DataValue]:
+    return lambda: ua.DataValue(ua.Variant(float(nc.positions_mm[axis]), DOUBLE))
 
 
 def _macro_reader(nc: SimulatedNc, number: int, vacant: float | None) -> Callable[[], ua.DataValue]:

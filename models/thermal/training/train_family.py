@@ -27,7 +27,7 @@ from models.thermal.training.watch_fit import fit_watch
 MOST_WATCHED = 400
 """A model of more sensors than this does not carry the watch: its file grows with their square.
 
-Nor does one with axis positions, which the running daemon does not read.
+Nor does one with axis positions, which are no temperatures.
 """
 
 
@@ -114,7 +114,7 @@ def train_family(
                 for index, recording in enumerate(used)
                 if (rows & (inputs.recording == index)).any()
             ),
-            sensor_ids=_ids(recordings[0].temperature_names, kept),
+            sensor_ids=_ids(recordings[0], kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),
             pivots_mm=dict(used[0].pivots_mm),
             watch=fit_watch(used, sample_s, rows, fold) if watched else None,
@@ -155,7 +155,7 @@ def model_of(
             trust=trust,
             hyper_parameters=prepared.problem.hyper_parameters,
             training=(),
-            sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names),
+            sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names, prepared.inputs.axis_positions),
             increments_k=increment_range_k(recordings),
             pivots_mm=dict(recordings[0].pivots_mm),
             watch=watch,
@@ -184,9 +184,10 @@ def _advice(prepared: Prepared, trust: Trust) -> tuple[str, ...]:
     return found + sentences(inputs, against, change)
 
 
-def _ids(all_names: Sequence[str], kept: Sequence[str]) -> tuple[int, ...]:
+def _ids(recording: Recording, kept: Sequence[str]) -> tuple[int, ...]:
     """Return the IDs that the kept sensors have among all columns of the recording."""
-    by_name = dict(zip(all_names, sensor_ids_from_names(all_names), strict=True))
+    all_names = recording.temperature_names
+    by_name = dict(zip(all_names, sensor_ids_from_names(all_names, recording.axis_positions), strict=True))
     return tuple(by_name[name] for name in kept)
 
 

@@ -1,0 +1,142 @@
+"""Axis positions as inputs of the thermal model: which are believed, their means, and how far training knows them."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from config.schema import Configuration
+from daemon.estimation.inputs import NoPositions
+from daemon.messages import SpindleSpeed
+from models.align import RollingMean
+from models.records import FloatArray
+from models.thermal.family import ThermalModel
+from models.thermal.model import Domain
+
+SLACK_MM = 1.0
+"""A position may lie outside its travel, or farther than the axis can have come, by so much."""
+AGREEING = 2
+"""So many values in a row that an axis cannot have reached are no slip of one value: the positions have changed."""
+FADES_OVER = 0.1
+"""Beyond the positions of training confidence fades to 0 within this share of their range."""
+
+
+class AxisPositions(NoPositions):
+    """What is known of the positions; owned by the thermal task. A value that is not believed changes nothing."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._axes = configuration.cnc.axis_positions
+        self.names = tuple(self._axes)
+        self._stale_after_s = configuration.cnc.stale_after_s
+        self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        count = len(self.names)
+        self._last_mm, self._last_s = np.full(count, np.nan), np.full(count, -np.inf)
+        self._unreachable = np.zeros(count, dtype=int)
+        self._why = dict.fromkeys(self.names, "the control has given none yet")
+        self._jumped: dict[str, str] = {}
+        self.reference_mm: FloatArray = np.full(count, np.nan)
+        """Where the axes stood in the mean when the reference was set [mm]."""
+
+    def take(self, poll: SpindleSpeed) -> None:
+        """Take one poll of the CNC."""
+        now_s = poll.monotonic_s
+        believed = np.full(len(self.names), np.nan)
+        for place, name in enumerate(self.names):
+            mm = poll.positions_mm.get(name, np.nan)
+            if why := self._not_believed(place, name, now_s, mm, poll.no_position):
+                self._why[name] = why
+                continue
+            believed[place] = self._last_mm[place] = mm
+            self._last_s[place] = now_s
+        self._mean.add(now_s, believed)
+
+    def _not_believed(self, place: int, name: str, now_s: float, mm: float, lacking: str) -> str:
+        """Return why a value does not count, '' when it does."""
+        axis = self._axes[name]
+        if not np.isfinite(mm):
+            return lacking or "the control gives none now"
+        lowest, highest = axis.travel_mm
+        if not lowest - SLACK_MM <= mm <= highest + SLACK_MM:
+            return (
+                f"the control says {mm:.6g} mm, which is outside the travel of {lowest:g} to {highest:g} mm: see that "
+                f"cnc.axis_positions.{name} has the right axis, unit and travel_mm"
+            )
+        reach_mm = SLACK_MM + axis.rapid_mm_per_min / 60.0 * max(now_s - self._last_s[place], 0.0)
+        moved_mm = abs(mm - self._last_mm[place])
+        if np.isnan(moved_mm) or moved_mm <= reach_mm:
+            self._unreachable[place] = 0
+            return ""
+        self._unreachable[place] += 1
+        why = f"it went from {self._last_mm[place]:.6g} to {mm:.6g} mm faster than the axis can"
+        if self._unreachable[place] >= AGREEING:
+            self._jumped[name] = f"{why}: see that the axis was referenced, then position the work again"
+        return why
+
+    def mean_mm(self, now_s: float) -> FloatArray:
+        """Return the mean of each axis over the window [mm]; NaN where none has been believed for too long."""
+        fresh = now_s - self._last_s <= self._stale_after_s
+        return np.where(fresh, self._mean.mean(), np.nan) if fresh.any() else np.full(len(self.names), np.nan)
+
+    def behind(self, degc: FloatArray, now_s: float) -> FloatArray:
+        """Return the temperatures [degC], and behind them the positions in the mean [mm], NaN where not known."""
+        return np.concatenate([degc, self.mean_mm(now_s)])
+
+    def at_reference(self, degc: FloatArray) -> FloatArray:
+        """Return the temperatures at the reference, and behind them the positions at it."""
+        return np.concatenate([degc, self.reference_mm])
+
+    def set_reference(self, now_s: float, then: FloatArray | None = None) -> None:
+        """Count from where the axes stand now, which is where they are; or from positions of then [mm]."""
+        self.reference_mm = self.mean_mm(now_s) if then is None else then
+        if then is None:
+            self._jumped.clear()
+
+    def unknown(self, model: ThermalModel, now_s: float) -> str:
+        """Return which position that a model needs is not known, and why, '' when all are."""
+        places = self._places(model)
+        mean_mm = self.mean_mm(now_s)
+        for name, place in zip(model.axis_positions, places, strict=True):
+            if name in self._jumped or np.isnan(mean_mm[place]):
+                return (
+                    f"model {model.model_id} needs the position of axis {self._axes[name].axis} ({name}), which is "
+                    f"not known: {self._jumped.get(name) or self._why[name]}"
+                )
+        return ""
+
+    def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
+        """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not.
+
+        `imputed`: IDs of what the model has put the other inputs in place of.
+        """
+        if unknown := self.unknown(model, now_s):
+            return 0.0, unknown
+        places = self._places(model)
+        mean_mm, then_mm = self.mean_mm(now_s)[places], self.reference_mm[places]
+        if (lost := np.isnan(then_mm)).any():
+            name = model.axis_positions[int(np.argmax(lost))]
+            return 0.0, f"the position of {name} was not known at the reference: position the work again"
+        ids = model.sensor_ids[len(model.sensor_ids) - len(places) :]
+        if left_out := [name for name, i in zip(model.axis_positions, ids, strict=True) if i in imputed]:
+            return 0.0, f"the position of {left_out[0]} was missing since the reference: position the work again"
+        beyond = _beyond(model, mean_mm, then_mm)
+        if (factor := float(np.clip(1.0 - beyond.max(initial=0.0), 0.0, 1.0))) > 0.0:
+            return factor, ""
+        worst = int(np.argmax(beyond))
+        return 0.0, (
+            f"{model.axis_positions[worst]} is {mean_mm[worst]:.4g} mm in the mean, outside the positions at which "
+            f"model {model.model_id} was trained: train it there too, or go on when the axis is back"
+        )
+
+    def _places(self, model: ThermalModel) -> Sequence[int]:
+        return [self.names.index(name) for name in model.axis_positions]
+
+
+def _beyond(model: ThermalModel, mean_mm: FloatArray, then_mm: FloatArray) -> FloatArray:
+    """Return how far each position lies beyond those of training, in shares of the range over which trust fades."""
+    domain: Domain | None = getattr(model, "domain", None)
+    if domain is None:
+        return np.full(len(mean_mm), np.inf)
+    of_axes = slice(len(domain.lowest) - len(mean_mm), None)
+    lowest, highest = domain.lowest[of_axes], domain.highest[of_axes]
+    seen = mean_mm - then_mm if domain.of_increments else mean_mm
+    width = np.maximum(FADES_OVER * (highest - lowest), SLACK_MM)
+    return np.asarray(np.maximum(np.maximum(lowest - seen, seen - highest), 0.0) / width)

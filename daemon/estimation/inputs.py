@@ -1,0 +1,56 @@
+"""What a thermal model gets behind the temperatures: axis positions where the configuration names some."""
+
+from collections.abc import Collection
+
+from config.schema import Configuration
+from daemon.messages import SpindleSpeed
+from drivers.contract import Capability, Cnc
+from models.records import CncSample, FloatArray
+from models.thermal.family import ThermalModel
+
+
+def poll_of(sample: CncSample, cnc: Cnc | None) -> SpindleSpeed:
+    """Return what the thermal task needs of a poll."""
+    return SpindleSpeed(
+        monotonic_s=sample.time.monotonic_s,
+        rpm=sample.spindle_speed_rpm,
+        positions_mm=sample.positions_mm,
+        no_position="" if cnc is None else cnc.cannot.get(Capability.AXIS_POSITION, ""),
+    )
+
+
+class NoPositions:
+    """No axis position is read."""
+
+    names: tuple[str, ...] = ()
+
+    def take(self, poll: SpindleSpeed) -> None:
+        """Take one poll of the CNC."""
+
+    def behind(self, degc: FloatArray, now_s: float) -> FloatArray:
+        """Return the temperatures [degC], and behind them the positions in the mean [mm], NaN where not known."""
+        return degc
+
+    def at_reference(self, degc: FloatArray) -> FloatArray:
+        """Return the temperatures at the reference, and behind them the positions at it."""
+        return degc
+
+    def set_reference(self, now_s: float, then: FloatArray | None = None) -> None:
+        """Count from now on, or from positions of then [mm]."""
+
+    def unknown(self, model: ThermalModel, now_s: float) -> str:
+        """Return which position that a model needs is not known, and why, '' when all are."""
+        return ""
+
+    def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
+        """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not."""
+        return 1.0, ""
+
+
+def open_positions(configuration: Configuration) -> NoPositions:
+    """Return what is known of the axis positions of this machine."""
+    if not configuration.cnc.axis_positions:
+        return NoPositions()
+    from daemon.estimation.axis_positions import AxisPositions  # noqa: PLC0415 (loaded only where it is configured)
+
+    return AxisPositions(configuration)
