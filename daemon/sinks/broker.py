@@ -67,10 +67,7 @@ class Broker:
     def connect(self, will: Message) -> None:
         """Connect, with what the broker is to publish when this end is lost; raises SinkError."""
         client, config = self._client, self._config
-        if config.user_name is not None:
-            client.username_pw_set(config.user_name, self._password())
-        if config.tls:
-            client.tls_set_context(self._tls())
+        set_credentials(client, config, self._where)
         client.will_set(will.topic, will.payload, will.qos, will.retain)
         try:
             client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=True)
@@ -149,20 +146,24 @@ class Broker:
             yield
             self._changed.notify_all()
 
-    # --- what the section names --------------------------------------------------------------
 
-    def _password(self) -> str | None:
-        path = self._config.password_file
-        if path is None:
-            return None
+def set_credentials(client: paho.Client, config: BrokerConfig, where: str) -> None:
+    """Give a client the user, the password and the certificates that a section names; raises SinkError."""
+    if config.user_name is not None:
+        client.username_pw_set(config.user_name, _password(config, where))
+    if config.tls:
+        path = config.ca_certificate
         try:
-            return path.read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise SinkError(f"{self._where}: {unreadable('password_file', path, error)}") from error
-
-    def _tls(self) -> ssl.SSLContext:
-        path = self._config.ca_certificate
-        try:
-            return ssl.create_default_context(cafile=None if path is None else str(path))
+            client.tls_set_context(ssl.create_default_context(cafile=None if path is None else str(path)))
         except (OSError, ssl.SSLError) as error:
-            raise SinkError(f"{self._where}: {unreadable('ca_certificate', path, error)}") from error
+            raise SinkError(f"{where}: {unreadable('ca_certificate', path, error)}") from error
+
+
+def _password(config: BrokerConfig, where: str) -> str | None:
+    path = config.password_file
+    if path is None:
+        return None
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SinkError(f"{where}: {unreadable('password_file', path, error)}") from error

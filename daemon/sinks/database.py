@@ -3,8 +3,9 @@
 Every table has a key, so that a repeat changes nothing.
 """
 
+import contextlib
 import ssl
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
@@ -85,6 +86,17 @@ class Database:
         """Return what an error of the database means for a person."""
         return SinkError(f"{self._where}: {refusal(error, self._config)}")
 
+    @contextlib.contextmanager
+    def transaction(self) -> Iterator[psycopg.Connection[Any]]:
+        """Begin and commit a transaction, in which rows are put."""
+        staged, months = set(self._staged), set(self._months)
+        try:
+            with self.connection.transaction():
+                yield self.connection
+        except BaseException:
+            self._staged, self._months = staged, months  # what was made is gone with the rest
+            raise
+
     def put(self, stream: Stream, rows: Iterable[Sequence[Any]], days: Iterable[int]) -> int:
         """Store rows of a stream, machine first, within a transaction; return how many were not there before.
 
@@ -100,6 +112,7 @@ class Database:
         if table not in self._staged:
             like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} (LIKE {}) ON COMMIT DELETE ROWS")
             connection.execute(like.format(staging, target))
+            self._staged.add(table)
         with connection.cursor() as cursor:
             with cursor.copy(sql.SQL("COPY {} ({}) FROM STDIN").format(staging, columns)) as copy:
                 for row in rows:
@@ -107,10 +120,6 @@ class Database:
             insert = sql.SQL("INSERT INTO {} ({}) SELECT {} FROM {} ON CONFLICT DO NOTHING")
             cursor.execute(insert.format(target, columns, columns, staging))
             return cursor.rowcount
-
-    def committed(self, streams: Iterable[Stream]) -> None:
-        """Note that what was put is committed: the staging tables stay."""
-        self._staged |= {TABLES.get(stream.name, stream.name) for stream in streams}
 
     def _make_partitions(self, table: str, days: Iterable[int]) -> None:
         dates = {time_of(86_400_000 * day).date() for day in days}

@@ -69,10 +69,10 @@ class PostgresqlSink:
 
     def _store(self, batch: Batch, generation: str) -> int:
         """Store a batch and where the stream then stands; return how many rows were not there before."""
-        connection, stream = self._database.connection, batch.stream
+        stream = batch.stream
         convert = [CONVERSIONS.get(name) for name in stream.columns]
         rows = ((self._machine, *(c(v) if c else v for c, v in zip(convert, row, strict=True))) for row in batch.rows)
-        with connection.transaction():
+        with self._database.transaction() as connection:
             stored = self._database.put(stream, rows, {row[0] // DAY_MS for row in batch.rows})
             connection.execute(
                 "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) "
@@ -84,5 +84,4 @@ class PostgresqlSink:
                     EPOCH + timedelta(seconds=batch.newest_utc_s),
                 ),
             )
-        self._database.committed([stream])
         return stored

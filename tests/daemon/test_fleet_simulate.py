@@ -6,12 +6,12 @@ from pathlib import Path
 import psycopg
 import pytest
 from click.testing import CliRunner
-from fleet_kills import Killer, database_kill, dsn_of
+from fleet_kills import Killer, broker_kill, database_kill, dsn_of, plant_broker
 from postgresql import PASSWORD, Server, postgresql
 
 from daemon.cli import main
 from daemon.simulation.fleet.counting import count_rows
-from daemon.simulation.fleet.run import SINK, plan_of, simulate_fleet, sink_of
+from daemon.simulation.fleet.run import SINK, plan_of, route_of, simulate_fleet
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +21,20 @@ def server():
 
 
 @pytest.mark.slow
-def test_nothing_is_lost_or_doubled_when_database_and_senders_are_killed(server: Server, tmp_path: Path) -> None:
-    dsn = dsn_of(server, PASSWORD)
-    plan = plan_of(tmp_path, machines=2, minutes=4.0, speed=30.0, dsn=dsn)
-    killer = Killer(4, 8.0, seed=1, others={"database": database_kill(server)})
-    result = simulate_fleet(plan, dsn, sink_of(dsn, tmp_path, 0.3), began=killer.begin)
-    killer.join()
-    assert sum(killer.done.values()) == 4 and result.restarts["senders"] >= 2, "all of them died"
+def test_nothing_is_lost_or_doubled_when_everything_on_the_way_is_killed(server: Server, tmp_path: Path) -> None:
+    """Over MQTT: senders, broker, the plant's store and the database, each once."""
+    broker, dsn = plant_broker(tmp_path), dsn_of(server, PASSWORD)
+    broker.start()
+    try:
+        plan = plan_of(tmp_path, machines=2, minutes=4.0, speed=30.0, dsn=dsn)
+        others = {"database": database_kill(server), "broker": broker_kill(broker)}
+        killer = Killer(5, 8.0, seed=1, others=others)
+        route = route_of(dsn, f"mqtt://127.0.0.1:{broker.port}", tmp_path, 0.3, resend_s=5.0)
+        result = simulate_fleet(plan, route, began=killer.begin)
+        killer.join()
+    finally:
+        broker.kill()
+    assert killer.done == {"store": 1, "senders": 2, "database": 1, "broker": 1} and result.restarts["senders"] == 2
     assert result.complete, result.as_json()
     assert len(result.lags_s) == 2 * 3 * 23, "every cycle of every line was seen to arrive"
     again = plan_of(tmp_path / "again", machines=2, minutes=4.0, speed=30.0, dsn=dsn)

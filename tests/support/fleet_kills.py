@@ -6,7 +6,9 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
+from mosquitto import Mosquitto
 from postgresql import Server
 
 from daemon.simulation.fleet.run import Keeper
@@ -57,6 +59,23 @@ def database_kill(server: Server, *settings: str) -> Kill:
     def kill() -> None:
         server.kill()
         server.start(*settings)
+
+    return kill
+
+
+def plant_broker(folder: Path) -> Mosquitto:
+    """Return a broker with the settings that ship, but for its place."""
+    shipped = (Path(__file__).parents[2] / "systemd/plant/mosquitto.conf").read_text("utf-8").splitlines()
+    settings = [line for line in shipped if line and not line.startswith(("#", "listener"))]
+    return Mosquitto(folder, *settings, f"persistence_location {folder}/")
+
+
+def broker_kill(broker: Mosquitto) -> Kill:
+    """Return what kills a broker and starts it again."""
+
+    def kill() -> None:
+        broker.kill()
+        broker.start()
 
     return kill
 

@@ -3,6 +3,7 @@
 import click
 
 from daemon.cli.fleet.simulate import simulate
+from daemon.cli.fleet.store import store
 from daemon.cli.fleet.train import train
 
 
@@ -11,5 +12,5 @@ def fleet() -> None:
     """Many machines together."""
 
 
-for _command in (simulate, train):
+for _command in (simulate, store, train):
     fleet.add_command(_command)

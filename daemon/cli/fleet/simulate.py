@@ -15,6 +15,11 @@ from daemon.cli.common import POSITIVE, directory_option, json_option, option, s
 @option("--minutes", type=POSITIVE, default=10.0, help="Simulated minutes.")
 @option("--speed", type=POSITIVE, default=1.0, help="Simulated seconds per second.")
 @option("--postgres", "dsn", metavar="DSN", required=True, help="Database, such as postgresql://user:password@host/db.")
+@option(
+    "--mqtt",
+    metavar="URL",
+    help="Send over this broker, such as mqtt://user:password@host:1883, and store from there with `fleet store`.",
+)
 @option("--period-s", type=POSITIVE, default=1.0, help="Time from one look of a sink for new rows to the next [s].")
 @directory_option
 @json_option
@@ -23,6 +28,7 @@ def simulate(
     minutes: float,
     speed: float,
     dsn: str,
+    mqtt: str | None,
     period_s: float,
     directory: Path | None,
     json_path: str | None,
@@ -33,14 +39,14 @@ def simulate(
     its own. Its rows end about now, or follow those that the database has of it. Exit status 1 when a row was lost or
     doubled.
     """
-    from daemon.simulation.fleet.run import plan_of, simulate_fleet, sink_of
+    from daemon.simulation.fleet.run import plan_of, route_of, simulate_fleet
 
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() if directory is None else nullcontext(str(directory)) as folder:
-        sink = sink_of(dsn, Path(folder), period_s)
+        route = route_of(dsn, mqtt, Path(folder), period_s)
         plan = plan_of(Path(folder), machines, minutes, speed, dsn)
-        result = simulate_fleet(plan, dsn, sink, say=say)
+        result = simulate_fleet(plan, route, say=say)
     found = result.as_json()
     write_json(json_path, found)
     if json_path is None:

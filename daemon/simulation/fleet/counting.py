@@ -101,6 +101,17 @@ def count_rows(plan: FleetPlan, connection: psycopg.Connection[Any], sink: str) 
     return Rows(**{name: found[name] for name in names})
 
 
+def stored_rows(plan: FleetPlan, connection: psycopg.Connection[Any]) -> int:
+    """Return how many rows of the machines the database has."""
+    counts = " + ".join(
+        f"(SELECT count(*) FROM toolpoint.{table} WHERE machine = ANY(%(names)s) AND time >= to_timestamp(%(start)s))"
+        for _, table, _ in KEYS.values()
+    )
+    given = {"names": list(plan.names), "start": plan.start_utc_s}
+    (found,) = connection.execute(f"SELECT {counts}", given).fetchone() or (0,)
+    return int(found)
+
+
 def _acknowledged(plan: FleetPlan, number: int, cursor: Cursor) -> int:
     """Return how many rows of a store lie before the positions of a cursor."""
     tables = {"temperatures": "temperature_cycles", "cnc": "cnc_samples", "references": "reference_points"}

@@ -1,5 +1,6 @@
 """`toolpoint fleet simulate`: starts the processes of a simulated fleet, restarts those that die, and counts."""
 
+import contextlib
 import math
 import multiprocessing
 import os
@@ -12,31 +13,47 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import psycopg
 from psycopg.conninfo import conninfo_to_dict
 
-from config.schema.sinks import SinkConfig
+from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
+from config.schema.sinks import MqttSinkConfig, PostgresqlConfig, SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.layout import MachineLayout
 from daemon.simulation import SimulationError
-from daemon.simulation.fleet.counting import ArrivalWatch, Rows, count_rows
+from daemon.simulation.fleet.counting import ArrivalWatch, Rows, count_rows, stored_rows
 from daemon.simulation.fleet.machines import FleetPlan, Recorded, fleet_configuration, run_machines
-from daemon.simulation.fleet.senders import run_senders
+from daemon.simulation.fleet.senders import run_senders, run_store
 from daemon.sinks.outbox import STREAMS, Outbox
 
 SINK = "plant"
+TOPIC = "toolpoint-simulated"
+"""Apart from the topics of real machines."""
 SENDERS = 2
 """Processes that send; each has its share of the machines."""
 ALL_TAKEN_WITHIN_S = 300.0
 """What waits before the machines go on, and when they have ended, must be taken within this time."""
+NOTHING_MORE_S = 30.0
+"""After so long without a row none is on its way any more."""
 WATCH_PERIOD_S = 0.2
 STOP_WITHIN_S = 30.0
 SPAWN = multiprocessing.get_context("spawn")
 Body = tuple[Callable[..., None], tuple[Any, ...]]
 """What a process runs, and its arguments."""
 Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route:
+    """How the histories go to a database."""
+
+    dsn: str
+    sink: SinkConfig
+    store: PlantStoreConfig | None = None
+    """What takes them from a broker, where they go over one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,8 +203,8 @@ def plan_of(folder: Path, machines: int, minutes: float, speed: float, dsn: str)
     return plan
 
 
-def sink_of(dsn: str, folder: Path, period_s: float) -> SinkConfig:
-    """Return the section `sinks` that sends to a database; its password goes into a file of the folder."""
+def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
+    """Return the section of a database; its password goes into a file of the folder."""
     try:
         known = conninfo_to_dict(dsn)
     except psycopg.Error as error:
@@ -195,23 +212,58 @@ def sink_of(dsn: str, folder: Path, period_s: float) -> SinkConfig:
     if (mode := known.get("sslmode", "disable")) not in ("disable", "verify-full"):
         raise SimulationError(f"--postgres: sslmode={mode} is not what a sink does: give disable or verify-full")
     there: dict[str, Any] = {"host": known.get("host", "localhost"), "tls": mode == "verify-full"}
-    names = {"dbname": "database", "user": "user_name", "sslrootcert": "ca_certificate"}
+    names = {"dbname": "database", "user": "user_name"}
     there |= {key: known[name] for name, key in names.items() if name in known}
     there |= {"port": int(str(known.get("port", 5432)))}
-    if "ca_certificate" in there:
-        there["ca_certificate"] = Path(there["ca_certificate"])
+    if "sslrootcert" in known:
+        there["ca_certificate"] = Path(str(known["sslrootcert"]))
     if "password" in known:
-        path = folder / "database-password"
-        path.touch(mode=0o600)
-        path.write_text(str(known["password"]), encoding="utf-8")
-        there["password_file"] = path
-    return SinkConfig.model_validate({"name": SINK, "driver": "postgresql", "period_s": period_s, "postgresql": there})
+        there["password_file"] = _secret(folder / "database-password", str(known["password"]))
+    return PostgresqlConfig.model_validate(there)
+
+
+def broker_of(url: str, folder: Path) -> dict[str, Any]:
+    """Return the keys of a broker; its password goes into a file of the folder."""
+    parts = urlsplit(url)
+    try:
+        port = parts.port
+    except ValueError as error:
+        raise SimulationError(f"--mqtt {url}: {error}") from error
+    if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
+        raise SimulationError(f"--mqtt {url}: give mqtt://host:port, or mqtts:// for TLS")
+    there: dict[str, Any] = {"host": parts.hostname, "port": port, "tls": parts.scheme == "mqtts", "topic": TOPIC}
+    if parts.username is not None:
+        there["user_name"] = unquote(parts.username)
+    if parts.password is not None:
+        there["password_file"] = _secret(folder / "mqtt-password", unquote(parts.password))
+    return there
+
+
+def _secret(path: Path, text: str) -> Path:
+    path.touch(mode=0o600)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def route_of(dsn: str, mqtt: str | None, folder: Path, period_s: float, resend_s: float = 10.0) -> Route:
+    """Return how the histories go to a database: by a sink of its own, or through a broker."""
+    database = database_of(dsn, folder)
+    sink: dict[str, Any] = {"name": SINK, "period_s": period_s}
+    if mqtt is None:
+        return Route(dsn=dsn, sink=SinkConfig(driver="postgresql", postgresql=database, **sink))
+    broker = broker_of(mqtt, folder)
+    section = MqttSinkConfig.model_validate(broker | {"discovery": None, "resend_s": resend_s})
+    subscription = SubscriptionConfig.model_validate(broker | {"client_id": f"{TOPIC}-store"})
+    return Route(
+        dsn=dsn,
+        sink=SinkConfig(driver="mqtt", mqtt=section, **sink),
+        store=PlantStoreConfig(mqtt=subscription, postgresql=database),
+    )
 
 
 def simulate_fleet(
     plan: FleetPlan,
-    dsn: str,
-    sink: SinkConfig,
+    route: Route,
     *,
     say: Say = lambda _sentence: None,
     began: Callable[[Keeper], None] = lambda _keeper: None,
@@ -224,11 +276,13 @@ def simulate_fleet(
     there.close()
     _received(here, recording)
     bodies: dict[str, Body] = {
-        f"senders {turn + 1}": (run_senders, (machines[turn::SENDERS], sink))
+        f"senders {turn + 1}": (run_senders, (machines[turn::SENDERS], route.sink))
         for turn in range(min(SENDERS, plan.machines))
     }
+    if route.store is not None:
+        bodies = {"store": (run_store, (route.store,)), **bodies}  # before it subscribes nothing is taken
     lines = tuple(MachineLayout.from_configuration(fleet_configuration()).lines)
-    with ArrivalWatch(dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
+    with ArrivalWatch(route.dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
         _all_taken(plan, keeper)  # every sender is at work, and the tables are there
         here.send(None)
         say(f"{plan.machines} machines record {plan.minutes:g} min at {plan.speed:g} times real time")
@@ -240,7 +294,8 @@ def simulate_fleet(
             recording.join()
         say(f"{recorded.rows} rows recorded; waiting for the senders")
         waiting = _all_taken(plan, keeper)
-    with psycopg.connect(dsn, autocommit=True) as connection:
+        _all_stored(plan, route, recorded.rows)
+    with psycopg.connect(route.dsn, autocommit=True) as connection:
         rows = count_rows(plan, connection, SINK)
     return FleetResult(
         plan=plan,
@@ -274,6 +329,18 @@ def _all_taken(plan: FleetPlan, keeper: Keeper) -> int:
             return waiting
         keeper.check()
         time.sleep(WATCH_PERIOD_S)
+
+
+def _all_stored(plan: FleetPlan, route: Route, rows: int) -> None:
+    """Wait until so many rows are in the database, or for a while none has come: what was taken may be on its way."""
+    if route.store is None:
+        return
+    before, since_s = -1, time.monotonic()
+    while before < rows and time.monotonic() - since_s < NOTHING_MORE_S:
+        time.sleep(WATCH_PERIOD_S)
+        with contextlib.suppress(psycopg.Error), psycopg.connect(route.dsn, connect_timeout=5) as connection:
+            if (now := stored_rows(plan, connection)) != before:
+                before, since_s = now, time.monotonic()
 
 
 def _waiting(store: Path) -> int:

@@ -1,4 +1,4 @@
-"""The senders of a simulated fleet: what `toolpoint sink run` does, for many machines in one process."""
+"""What carries the histories of a simulated fleet: sinks of many machines in one process, and the plant's store."""
 
 import signal
 import threading
@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from config.schema import Configuration
+from config.schema.plant_store import PlantStoreConfig
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.simulation.fleet.machines import fleet_configuration
+from daemon.sinks.plant_store import PlantStore
 from daemon.sinks.running import run_sinks
 from daemon.telemetry.logs import configure_logging
 
@@ -37,3 +39,12 @@ def run_senders(machines: Sequence[Machine], sink: SinkConfig) -> None:
         thread.start()
     for thread in threads:
         thread.join()
+
+
+def run_store(config: PlantStoreConfig) -> None:
+    """Store what comes over a broker until told to stop; body of a process of its own."""
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    configure_logging("error")
+    PlantStore(config, stop).run()

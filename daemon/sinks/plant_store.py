@@ -1,0 +1,265 @@
+"""The plant's store: takes the rows that machines publish over MQTT and puts them into the plant's database.
+
+A message is acknowledged when the transaction that holds its row is committed, and the broker keeps the session: what
+this process had not stored when it was killed comes again, which the keys of the tables make harmless. A message that
+is no row is acknowledged and named in the log, because it would come for ever.
+"""
+
+import contextlib
+import json
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import paho.mqtt.client as paho
+import psycopg
+import structlog
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
+from daemon.sinks.broker import set_credentials
+from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal
+from daemon.sinks.contract import SinkError
+from daemon.sinks.database import Database, time_of
+from daemon.sinks.mqtt import topic_level
+from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
+from daemon.sinks.row_messages import JSON_COLUMNS
+from models.json_values import printable
+
+log = structlog.get_logger(__name__)
+SESSION_S = 30 * 86_400
+"""The broker keeps the session of a store that is away for so long."""
+UNSTORED = 1000
+"""Messages that the broker sends before the first of them is acknowledged, where its own limit is not lower."""
+PING_PERIOD_S = 20
+LOOK_PERIOD_S = 0.5
+RETRY_FIRST_S, RETRY_LONGEST_S = 1.0, 30.0
+LONGEST_NAME = 200
+ARRAYS = {"temperatures": ("sensor_ids", "degc", "quality", "reason"), "references": ("sensor_ids", "degc")}
+TIMES = ("utc_ms", "cycle_utc_ms")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredRow:
+    """A row as the database takes it."""
+
+    stream: Stream
+    machine: str
+    utc_ms: int
+    values: tuple[Any, ...]
+
+
+def row_of(topic: str, payload: bytes, base: str) -> StoredRow:
+    """Return the row of a message; raises ValueError with what is wrong with it."""
+    try:
+        content = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"no JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError("no JSON object")
+    name, machine, utc_ms = content.get("stream"), content.get("machine"), content.get("utc_ms")
+    if not isinstance(machine, str) or not 0 < len(machine) <= LONGEST_NAME:
+        raise ValueError("`machine` is no name")
+    if (stream := STREAMS.get(str(name))) is None or topic != f"{base}/{topic_level(machine)}/history/{name}":
+        raise ValueError("`machine` and `stream` are not those of its topic")
+    if type(utc_ms) is not int:
+        raise ValueError("`utc_ms` is no whole number")
+    if missing := [column for column in stream.columns if column not in content]:
+        raise ValueError(f"`{missing[0]}` is missing")
+    values = tuple(_value(stream, column, content[column]) for column in stream.columns)
+    return StoredRow(stream=stream, machine=machine, utc_ms=utc_ms, values=values)
+
+
+def _value(stream: Stream, column: str, value: Any) -> Any:
+    if column in TIMES:
+        try:
+            return time_of(value)
+        except (TypeError, OverflowError) as error:
+            raise ValueError(f"`{column}` is no time") from error
+    if column in JSON_COLUMNS:
+        return None if value is None else json.dumps(value)
+    if isinstance(value, list) != (column in ARRAYS.get(stream.name, ())) or isinstance(value, dict):
+        raise ValueError(f"`{column}` is not what that field holds")
+    return value
+
+
+class Subscription:
+    """One connection to the broker, whose session outlives it; a new one is made after every SinkError."""
+
+    def __init__(self, config: SubscriptionConfig) -> None:
+        self._config = config
+        self._where = f"broker {config.host}:{config.server_port}"
+        self._changed = threading.Condition()
+        self._arrived: deque[paho.MQTTMessage] = deque()
+        self._subscribed, self._lost = False, ""
+        self._client = paho.Client(
+            CallbackAPIVersion.VERSION2,
+            config.client_id,
+            protocol=paho.MQTTv5,
+            reconnect_on_failure=False,
+            manual_ack=True,
+        )
+        self._client.connect_timeout = config.timeout_s
+        self._client.on_connect = self._on_connect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_message = self._on_message
+
+    def open(self) -> None:
+        """Connect and subscribe; raises SinkError."""
+        config, client = self._config, self._client
+        set_credentials(client, config, self._where)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval, properties.ReceiveMaximum = SESSION_S, UNSTORED
+        try:
+            client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=False, properties=properties)
+        except (OSError, ValueError) as error:
+            raise SinkError(f"{self._where}: {refusal(error, config)}") from error
+        client.loop_start()
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._subscribed or self._lost, config.timeout_s):
+                raise SinkError(f"{self._where}: {no_acknowledgement(config)}")
+        self._check()
+
+    def take(self, within_s: float) -> list[paho.MQTTMessage]:
+        """Return what has arrived, in its order; raises SinkError when the connection was lost."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._arrived or self._lost, within_s)
+            taken = list(self._arrived)
+            self._arrived.clear()
+        self._check()
+        return taken
+
+    def acknowledge(self, messages: Sequence[paho.MQTTMessage]) -> None:
+        """Let the broker forget messages."""
+        for message in messages:
+            self._client.ack(message.mid, message.qos)
+
+    def close(self) -> None:
+        """Let go; the broker keeps the session."""
+        with contextlib.suppress(OSError, ValueError):
+            self._client.disconnect()
+        self._client.loop_stop()
+
+    def _check(self) -> None:
+        if self._lost:
+            raise SinkError(f"{self._where}: {self._lost}")
+
+    # --- in the library's thread -----------------------------------------------------------
+
+    def _on_connect(self, client: paho.Client, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        if code.is_failure:
+            self._tell_lost(reason(code.value, str(code)))
+        else:
+            client.subscribe(f"{self._config.topic}/+/history/+", qos=1)
+
+    def _on_subscribe(self, _client: Any, _data: Any, _mid: int, codes: list[ReasonCode], _properties: Any) -> None:
+        refused = next((code for code in codes if code.is_failure), None)
+        if refused is not None:
+            self._tell_lost(f"`user_name` may not read {self._config.topic}/+/history/+: {refused}")
+        with self._changed:
+            self._subscribed = refused is None
+            self._changed.notify_all()
+
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        self._tell_lost(lost(code.value, str(code)) if self._subscribed else closed_at_once(self._config))
+
+    def _on_message(self, _client: Any, _data: Any, message: paho.MQTTMessage) -> None:
+        with self._changed:
+            self._arrived.append(message)
+            self._changed.notify_all()
+
+    def _tell_lost(self, why: str) -> None:
+        with self._changed:
+            self._lost = self._lost or why
+            self._changed.notify_all()
+
+
+class PlantStore:
+    """Takes from a broker and stores until it is told to stop, however often that fails."""
+
+    def __init__(self, config: PlantStoreConfig, stop: threading.Event) -> None:
+        self._config, self._stop = config, stop
+        self._retry_s = RETRY_FIRST_S
+
+    def run(self) -> None:
+        """Work until stopped."""
+        said = ""
+        while not self._stop.is_set():
+            try:
+                self._session()
+            except SinkError as error:
+                if str(error) != said:
+                    log.warning("store.failed", problem=str(error))
+                said = str(error)
+                self._stop.wait(self._retry_s)
+                self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
+
+    def _session(self) -> None:
+        there = self._config.postgresql
+        where = f"database {there.host}:{there.port}/{there.database}"
+        database, subscription = Database(there, where, "toolpoint store"), Subscription(self._config.mqtt)
+        try:
+            database.open()
+            subscription.open()
+            log.info("store.works", broker=self._config.mqtt.host, database=there.host)
+            while not self._stop.is_set():
+                if messages := subscription.take(LOOK_PERIOD_S):
+                    self._store(database, messages)
+                    subscription.acknowledge(messages)
+                    self._retry_s = RETRY_FIRST_S
+        finally:
+            subscription.close()
+            database.close()
+
+    def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
+        """Commit the rows of messages; one that the database does not take is named and left out."""
+        rows = [row for message in messages if (row := self._row(message)) is not None]
+        try:
+            try:
+                _put(database, rows)
+            except (psycopg.DataError, psycopg.IntegrityError):
+                for row in rows:
+                    self._put_alone(database, row)
+        except (psycopg.Error, OSError) as error:
+            raise database.refused(error) from error
+
+    def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
+        try:
+            return row_of(message.topic, bytes(message.payload), self._config.mqtt.topic)
+        except ValueError as error:
+            log.warning("store.refused", topic=printable(message.topic), problem=printable(str(error)))
+            return None
+
+    def _put_alone(self, database: Database, row: StoredRow) -> None:
+        try:
+            _put(database, [row])
+        except (psycopg.DataError, psycopg.IntegrityError) as error:
+            problem = " ".join(str(error).split())
+            log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=problem)
+
+
+def _put(database: Database, rows: Sequence[StoredRow]) -> None:
+    of_stream: dict[str, list[StoredRow]] = {}
+    newest: dict[tuple[str, str], int] = {}
+    for row in rows:
+        of_stream.setdefault(row.stream.name, []).append(row)
+        key = row.machine, row.stream.name
+        newest[key] = max(row.utc_ms, newest.get(key, row.utc_ms))
+    with database.transaction() as connection:
+        for name, some in of_stream.items():
+            days = {row.utc_ms // DAY_MS for row in some}
+            database.put(STREAMS[name], ((row.machine, *row.values) for row in some), days)
+        with connection.cursor() as cursor:
+            # The positions are those of a sink that sends to the database itself, where a machine has one.
+            cursor.executemany(
+                "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) "
+                "VALUES (%s, %s, '', 0, 0, %s) ON CONFLICT (machine, stream) DO UPDATE SET "
+                "newest = greatest(deliveries.newest, excluded.newest), delivered = now()",
+                [(machine, stream, time_of(ms)) for (machine, stream), ms in sorted(newest.items())],
+            )

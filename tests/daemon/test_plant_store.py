@@ -1,0 +1,106 @@
+"""What the plant's store takes from a broker: rows of the topics they come by, and nothing that is none."""
+
+import json
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from fleet_kills import plant_broker
+from paho.mqtt.publish import single
+from postgresql import PASSWORD, Server, postgresql
+
+from config.schema.plant_store import PlantStoreConfig
+from daemon.cli import main
+from daemon.sinks.outbox import STREAMS
+from daemon.sinks.plant_store import PlantStore, row_of
+
+EVENT = {
+    **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
+    **{"kind": "note", "text": "warm", "person": None},
+}
+TOPIC = "toolpoint/mill%2F7/history/events"
+PATIENCE_S = 60.0
+
+
+def test_a_row_is_taken_by_its_topic() -> None:
+    row = row_of(TOPIC, json.dumps(EVENT).encode(), "toolpoint")
+    assert (row.stream, row.machine, row.utc_ms) == (STREAMS["events"], "mill/7", 1_760_000_400_000)
+    assert row.values[0].isoformat() == "2025-10-09T09:00:00+00:00" and row.values[1:] == (5, "note", "warm", None)
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload", "said"),
+    [
+        (TOPIC, b"\xff", "no JSON"),
+        (TOPIC, b"[" * 100_000, "no JSON"),
+        (TOPIC, b"[]", "no JSON object"),
+        (TOPIC, EVENT | {"machine": 7}, "`machine` is no name"),
+        ("toolpoint/mill 8/history/events", EVENT, "not those of its topic"),
+        ("toolpoint/mill%2F7/history/cnc", EVENT, "not those of its topic"),
+        (TOPIC, EVENT | {"stream": "secrets"}, "not those of its topic"),
+        (TOPIC, EVENT | {"utc_ms": True}, "`utc_ms` is no whole number"),
+        (TOPIC, EVENT | {"utc_ms": 10**30}, "`utc_ms` is no time"),
+        (TOPIC, {name: value for name, value in EVENT.items() if name != "kind"}, "`kind` is missing"),
+        (TOPIC, EVENT | {"text": ["a"]}, "`text` is not what that field holds"),
+        (TOPIC, EVENT | {"text": {"a": 1}}, "`text` is not what that field holds"),
+    ],
+)
+def test_what_is_no_row_is_refused_with_the_field(topic: str, payload: object, said: str) -> None:
+    content = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+    with pytest.raises(ValueError, match=said):
+        row_of(topic, content, "toolpoint")
+
+
+@pytest.fixture(scope="module")
+def server():
+    with postgresql() as server:
+        yield server
+
+
+def section(server: Server, port: int, folder: Path, **changes: object) -> PlantStoreConfig:
+    (folder / "password").write_text(PASSWORD)
+    there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
+    broker = {"host": "127.0.0.1", "port": port, "tls": False} | changes
+    return PlantStoreConfig.model_validate({"mqtt": broker, "postgresql": there})
+
+
+def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
+    broker, stop = plant_broker(tmp_path), threading.Event()
+    broker.start()
+    store = threading.Thread(target=PlantStore(section(server, broker.port, tmp_path), stop).run)
+
+    def publish(**changes: object) -> None:
+        payload = json.dumps(EVENT | changes)
+        single(TOPIC, payload, qos=1, hostname="127.0.0.1", port=broker.port)
+
+    def stored() -> list[str]:
+        found = server.ask("SELECT to_regclass('toolpoint.events')")[0][0]
+        return [] if found is None else [text for (text,) in server.ask("SELECT text FROM toolpoint.events ORDER BY 1")]
+
+    try:
+        store.start()
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not server.ask("SELECT to_regclass('toolpoint.deliveries')")[0][0] and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        texts = ("one", "with a \0 in it", "two", "two")
+        while stored() != ["one", "two"] and time.monotonic() < deadline_s:
+            for text in texts:  # again where the store had not subscribed yet
+                publish(text=text)
+            publish(text="no kind", kind=None)
+            time.sleep(0.2)
+        assert stored() == ["one", "two"]
+        newest = server.ask("SELECT machine, stream, extract(epoch FROM newest)::int FROM toolpoint.deliveries")
+        assert newest == [("mill/7", "events", 1_760_000_400)]
+    finally:
+        stop.set()
+        store.join()
+        broker.kill()
+
+
+def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text("postgresql: {host: db}\n")
+    done = CliRunner().invoke(main, ["fleet", "store", "--config", str(path)])
+    assert done.exit_code == 2 and "mqtt" in done.output and "plant.yaml" in done.output
