@@ -6,8 +6,8 @@ import stat
 
 import pytest
 from pydantic import ValidationError
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
 from config.machines import shipped_file
 from config.records.commissioning import (
     AxisReadings,
@@ -23,7 +23,7 @@ from daemon.commissioning.report import record_digest
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.nc.safe_point import GUARD_VERSION
 
-MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+MACROS = shipped_machine().cnc.macros
 READINGS = {"source": "read by the person", "before_um": 0.2, "at_offset_um": 5.1, "after_um": 0.0}
 
 

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from guard_bench import AXES, MAP, GuardBench
 from pydantic import ValidationError
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.guard import PROGRAM_LABELS, VACANT_R, GuardConfig
@@ -25,7 +24,7 @@ GUARD = GuardConfig(increment_mm=0.0001)
 
 @pytest.fixture(scope="module")
 def shipped() -> Configuration:
-    return load_configuration(shipped_file("cfrpmt.yaml"))
+    return shipped_machine()
 
 
 def test_the_text_holds_only_what_a_control_takes(shipped: Configuration) -> None:
@@ -164,7 +163,7 @@ def test_programs_that_the_map_has_no_macros_for_are_left_out() -> None:
 @pytest.mark.parametrize("dialect", ["fanuc", "sinumerik"])
 def test_what_the_sheet_says_of_the_tests_is_what_happens(dialect: str) -> None:
     """Rows that set macros alone are carried out; the others need a hand on the control."""
-    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    configuration = shipped_machine()
     guard = configuration.cnc.guard.model_copy(update={"dialect": dialect})
     configuration = configuration.model_copy(update={"cnc": configuration.cnc.model_copy(update={"guard": guard})})
     rows = next(section for section in guard_sheet(configuration) if section.title.startswith("Try")).rows

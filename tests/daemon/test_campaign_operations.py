@@ -2,9 +2,8 @@
 
 import pytest
 from campaign_claims import claims
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.operations_check import (
     ANSWERED_WITHIN_S,
@@ -18,7 +17,7 @@ from daemon.simulation.faults.operations_check import (
 from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.nc.nc import NumericalControl
 
-MACROS = load_configuration(shipped_file("cfrpmt.yaml")).cnc.macros
+MACROS = shipped_machine().cnc.macros
 CALM_FROM_S = 1000.0
 
 

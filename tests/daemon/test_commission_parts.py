@@ -12,6 +12,7 @@ import yaml
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shipped_machine import shipped_machine
 from terminal import Terminal
 
 from config.loader import load_configuration
@@ -36,7 +37,7 @@ from daemon.commissioning.session import hand_over, with_secrets
 from drivers.guard.programs import guard_program
 from drivers.guard.text import GuardStatus
 
-CONFIGURATION = load_configuration(shipped_file("cfrpmt.yaml"))
+CONFIGURATION = shipped_machine()
 
 
 def taken(before: float, at_offset: float, after: float, noise: float | None = None, **others: float):

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from daemon.app import Daemon
 from daemon.telemetry.latency import line_timings
 from drivers.clock import ScaledClock
@@ -14,7 +13,7 @@ from models.records import Instant, TemperatureCycle, Trace
 
 @pytest.fixture
 def daemon(tmp_path):
-    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    configuration = shipped_machine()
     history = configuration.history.model_copy(update={"path": tmp_path / "history.sqlite"})
     clock = ScaledClock(epoch_real_s=0.0, epoch_utc_s=0.0, speed=60.0)
     return Daemon(configuration.model_copy(update={"history": history}), clock), configuration

@@ -5,9 +5,8 @@ import itertools
 
 import numpy as np
 import pytest
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from daemon.history.series import WriteRecord
 from daemon.simulation.latency.experiment import DWELL_S, Experiment, one_sensor_model, setting_of
 from daemon.simulation.latency.result import STATISTICS, Account, moves_of, result
@@ -24,7 +23,7 @@ def setting(mode="temperature", **changes):
 
 @functools.cache
 def configuration():
-    return load_configuration(shipped_file("cfrpmt.yaml"))
+    return shipped_machine()
 
 
 def write(value, macro, at_s, *, cause="temperature", product_s=PRODUCT_S, outcome=WriteOutcome.VERIFIED):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import structlog
 from prometheus_client import generate_latest
+from shipped_machine import shipped_machine
 
 from daemon.telemetry.latency import KEPT_DELAYS, PUBLISHED_DELAY_S, DelaySeries, LineTiming, line_timings
 from daemon.telemetry.metrics import LOG_PERIOD_S, Telemetry
@@ -110,10 +111,8 @@ def test_the_speed_of_a_simulation_does_not_change_the_total(speed):
 
 
 def test_line_time_is_that_of_the_bytes_of_a_pass(tmp_path):
-    from config.loader import load_configuration
-    from config.machines import shipped_file
 
-    timing = line_timings(load_configuration(shipped_file("cfrpmt.yaml")))
+    timing = line_timings(shipped_machine())
     frames = 7 * 10 / 9600
     assert timing["spindle"].cycle_period_s == 10.0
     for found in timing.values():

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 import yaml
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from drivers.clock import ScaledClock
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
@@ -43,7 +42,7 @@ def test_a_move_that_changes_nothing_is_never_seen():
 
 
 def packed(told):
-    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    configuration = shipped_machine()
     machine = CfrpMachine(
         Day.draw(1, start="cold"),
         standing_program(),

@@ -1,16 +1,15 @@
 """What is applied moves the tool point as the machine is wired, and the displacement sensors see it."""
 
 import pytest
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from drivers.guard.check import block_check
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import standing_program
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
 
-MACHINE = load_configuration(shipped_file("cfrpmt.yaml"))
+MACHINE = shipped_machine()
 MACROS = MACHINE.cnc.macros
 
 

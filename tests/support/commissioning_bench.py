@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 from loop_clock import LoopClock
+from shipped_machine import shipped_machine
 
-from config.loader import load_configuration
-from config.machines import shipped_file
 from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
@@ -109,7 +108,7 @@ class Bench:
         self.driver = driver
         """A driver's name, or `sinumerik`: the OPC UA driver at a SINUMERIK."""
         self.clock = LoopClock(SPEED)
-        self._described = load_configuration(shipped_file("cfrpmt.yaml"))
+        self._described = shipped_machine()
         dialect = "sinumerik" if driver == "sinumerik" else "fanuc"
         if slope is not None:
             content = json.loads(self._described.model_dump_json())
@@ -121,7 +120,7 @@ class Bench:
             content["compensation"]["axes"]["z"]["slew_um_per_min"] = 100.0
             self._described = Configuration.model_validate_json(json.dumps(content))
         self._content = self._described.model_dump_json()
-        plain = load_configuration(shipped_file("cfrpmt.yaml")).compensation.axes
+        plain = shipped_machine().compensation.axes
         self.guard = simulated_guard(plain).model_copy(
             update={"dialect": dialect, "memory": self._described.cnc.guard.memory}
         )
