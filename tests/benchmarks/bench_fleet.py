@@ -55,9 +55,10 @@ def days(machine: int, *, held_out: bool = False) -> list[Recording]:
 
 def learned() -> MachineType:
     places = places_of_type([PARTS] * 2)
-    samples = [machine_sample(str(one), days(one), PARTS, places, CHANNELS, 60.0) for one in list(FLEET)[::2]]
+    read = {one: days(one) for one in FLEET}
+    samples = [machine_sample(str(one), read[one], PARTS, places, CHANNELS, 60.0) for one in list(FLEET)[::2]]
     space = space_of(samples)
-    summaries = [machine_summary(str(one), days(one), PARTS, places, CHANNELS, space, tested=True) for one in FLEET]
+    summaries = [machine_summary(str(one), read[one], PARTS, places, CHANNELS, space, tested=True) for one in FLEET]
     return machine_type("mill", "2026-01-01", places, CHANNELS, space, summaries, left_out_machines(summaries))
 
 
@@ -71,6 +72,7 @@ def products(of_type: MachineType, recordings: list[Recording]) -> list[Products
 
 def quality(half: str) -> None:
     of_type = learned()
+    on_line(of_type, HALVES[half][0])
     print(f"fleet of {len(FLEET)} machines; {half} half: sisters {HALVES[half][0]} to {HALVES[half][-1]}", flush=True)
     figures: dict[tuple[str, int], list[float]] = {}
     for machine in HALVES[half]:
@@ -84,7 +86,6 @@ def quality(half: str) -> None:
                 figures.setdefault(("alone", count), []).append(1.0 - relative(unseen, own_ridge(own).weights))
     for (name, count), shares in figures.items():
         print(f"{name:15} {count:2} recordings: {np.mean(shares):6.1%} of the RMSE gone, worst {min(shares):6.1%}")
-    on_line(of_type, HALVES[half][0])
 
 
 def on_line(of_type: MachineType, machine: int) -> None:

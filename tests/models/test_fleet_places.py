@@ -15,8 +15,9 @@ def test_a_type_has_the_parts_and_as_many_sensors_on_each_as_most_machines_have(
     assert places_of_type([[NOSE, BED, BED], [NOSE, BED, BED], [BED, NOSE, RAM]]) == (NOSE, BED, BED)
 
 
-def test_machines_without_a_common_part_are_of_no_type() -> None:
-    others = [[Part(component=name, part="-", label="")] for name in ("A", "B", "C")]
+@pytest.mark.parametrize("names", [("A", "B"), ("A", "B", "C")])
+def test_machines_without_a_common_part_are_of_no_type(names: tuple[str, ...]) -> None:
+    others = [[Part(component=name, part="-", label="")] for name in names]
     with pytest.raises(DatasetError, match="share no part with a sensor"):
         places_of_type(others)
 

@@ -43,7 +43,7 @@ def train_with_prior(
     recordings = temperatures_alone(selected_recordings(paths, recording_map, selection, progress))
     names = recordings[0].temperature_names
     parts = dict(zip(names, parts_of(names, configuration, paths[0]), strict=True))
-    read = matching(of_type.parts, list(parts.values()), configuration.stem).sum(axis=0)
+    read = matching(of_type.parts, list(parts.values()), str(configuration)).sum(axis=0)
     kept = [name for at, name in enumerate(names) if read[at] > 0.0]
     channels = tuple(name for name in recordings[0].displacement_names if name in of_type.channels)
     if not channels:
@@ -56,7 +56,7 @@ def train_with_prior(
         chosen = [recording.with_channels(channels) for recording in chosen]
     return train_family(
         chosen,
-        prior_recipe(of_type, parts, configuration.stem),
+        prior_recipe(of_type, parts, str(configuration)),
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),

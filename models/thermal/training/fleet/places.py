@@ -14,7 +14,7 @@ from models.recordings.dataset import DatasetError
 from models.records import FloatArray
 
 COMMON_SHARE = 0.5
-"""A type has the parts that at least this share of its machines have a sensor on."""
+"""A type has the parts that more than this share of its machines have a sensor on."""
 LEAST_MATCHED = 0.5
 """A machine must have sensors on the parts of this share of the type's sensors."""
 MOST_NAMED = 6
@@ -47,7 +47,7 @@ def places_of_type(machines: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
     found: list[Part] = []
     for part in order:
         have = [count[part] for count in counts if count[part]]
-        if len(have) >= COMMON_SHARE * len(machines):
+        if len(have) > COMMON_SHARE * len(machines):
             found += [part] * Counter(have).most_common(1)[0][0]
     if not found:
         raise DatasetError(
