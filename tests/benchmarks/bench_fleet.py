@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-from sisters import sister_recordings, write_configuration, write_sister
+from sisters import sister_recordings, write_sister
 
+from config.machines import shipped_file
 from config.recordings.machine_map import MachineFiles
 from daemon.simulation.simulated_model import CHANNELS, published_sensors
 from daemon.workbench.thermal.fleet import fleet_executor, train_fleet
@@ -112,7 +113,7 @@ def cost(sizes: list[int]) -> None:
     """Train fleets of copies of two machines of 40 h each; print what each machine costs."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        configuration = write_configuration(folder / "toolpoint.yaml", SENSORS)
+        configuration = shipped_file("cfrpmt.yaml")
         for machine in (1, 2):
             write_sister(folder, machine, 4, SENSORS, hours=HOURS)
         machines = []
