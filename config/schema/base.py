@@ -34,6 +34,7 @@ RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
 READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 TOPIC_PATTERN = r"^[^+#\x00]+$"
+TOPIC_LEVEL_PATTERN = r"^[^/+#\x00-\x1f\x7f]+$"
 HOST_PATTERN = r"^[^\x00-\x20\x7f/@]+$"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\x00-\x20\x7f/]+(/[^\x00-\x1f\x7f]*)?$"
 AGENT_PATTERN = r"^http://[^\x00-\x20\x7f/?#@]+(/[^\x00-\x20\x7f?#]*)?$"
@@ -48,6 +49,7 @@ FORMS = {
     NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
     READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
     TOPIC_PATTERN: "a topic without the wildcards + and #",
+    TOPIC_LEVEL_PATTERN: "one level of a topic, without / + #",
     AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
     HOST_PATTERN: "a name or an address, without blanks and control characters",
     WEBHOOK_PATTERN: "an address such as https://chat.plant.example/hooks/42, without blanks, and no @ in its host",

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from config.schema.base import (
     FOLDER_OR_BUCKET_PATTERN,
     MAIL_ADDRESS_PATTERN,
+    TOPIC_LEVEL_PATTERN,
     TOPIC_PATTERN,
     WEBHOOK_PATTERN,
     Host,
@@ -109,6 +110,21 @@ class MqttSinkConfig(BrokerConfig):
     )
     history: list[StreamName] = Field(
         list(get_args(StreamName)), description="kinds of record that are sent row by row; []: only what is now"
+    )
+
+
+TopicLevel = Annotated[str, Field(pattern=TOPIC_LEVEL_PATTERN, max_length=80)]
+
+
+class SparkplugConfig(BrokerConfig):
+    """An edge node of Sparkplug B 3.0, called like the machine, with the machine as its device."""
+
+    group: TopicLevel = Field("Toolpoint", description="group ID of the edge node")
+    device: TopicLevel = Field("Machine", description="device ID of the machine")
+    primary_host: TopicLevel | None = Field(
+        None,
+        description="ID of the host without which nothing is sent; none: hosts need not be there",
+        examples=["scada"],
     )
 
 
@@ -213,7 +229,7 @@ class SinkConfig(SectionOfDriver):
     """One system to which the history or alarms go, sent by `toolpoint sink run`."""
 
     name: Name = Field(description="name of the sink in logs, status and its cursor", examples=["plant"])
-    driver: Literal["postgresql", "parquet", "mqtt", "webhook", "mail"] = Field(
+    driver: Literal["postgresql", "parquet", "mqtt", "sparkplug", "webhook", "mail"] = Field(
         description="what it is; the section of that name says where", examples=["postgresql"]
     )
     period_s: Seconds = Field(2.0, description="time from one look for new rows to the next")
@@ -227,6 +243,9 @@ class SinkConfig(SectionOfDriver):
     )
     mqtt: MqttSinkConfig | None = Field(
         None, description="JSON at an MQTT broker", examples=[{"host": "192.168.10.40"}]
+    )
+    sparkplug: SparkplugConfig | None = Field(
+        None, description="an edge node of Sparkplug B", examples=[{"host": "192.168.10.40"}]
     )
 
     webhook: WebhookConfig | None = Field(
@@ -253,7 +272,7 @@ class SinkConfig(SectionOfDriver):
     @property
     def exposed(self) -> str:
         """What a connection without TLS cannot keep out."""
-        connection = self.postgresql or self.mqtt
+        connection = self.postgresql or self.mqtt or self.sparkplug
         clear = connection is not None and not connection.tls
         clear |= self.mail is not None and self.mail.encryption == "none"
         clear |= self.webhook is not None and (self.webhook.url or "").startswith("http:")
@@ -273,6 +292,8 @@ class SinkConfig(SectionOfDriver):
             return self.parquet.folder
         if self.mqtt is not None:
             return f"{self.mqtt.host}:{self.mqtt.server_port}/{self.mqtt.topic}"
+        if self.sparkplug is not None:
+            return f"{self.sparkplug.host}:{self.sparkplug.server_port}/spBv1.0/{self.sparkplug.group}"
         if self.webhook is not None:  # without its path, which may be a secret
             address = re.match(r"https?://[^/?]+", self.webhook.url or "")
             return address.group() if address else str(self.webhook.url_file)

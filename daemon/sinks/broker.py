@@ -5,7 +5,7 @@ import itertools
 import logging
 import ssl
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +13,14 @@ import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from config.schema.sinks import BrokerConfig
 from daemon.sinks.broker_refusals import (
     closed_at_once,
     lost,
     may_not_publish,
+    may_not_subscribe,
     no_acknowledgement,
     reason,
     refusal,
@@ -29,6 +31,8 @@ from daemon.sinks.contract import SinkError
 PING_PERIOD_S = 20
 AT_ONCE = 500
 """Messages that wait for their acknowledgement together."""
+IF_NEW = 1
+"""Retained messages come when a subscription is made, not when it is renewed."""
 NOBODY, NOT_AUTHORISED, WITH_WILL = 16, 135, 4
 """Reason codes: taken and passed on to nobody; not allowed; a farewell after which the will is published too."""
 
@@ -56,6 +60,7 @@ class Broker:
         self._acknowledged, self._nobody = 0, 0
         self._refused: tuple[int, int, str] | None = None
         """Number of the message, code and words of the last refusal."""
+        self._granted: ReasonCode | None = None
         self._client = paho.Client(
             CallbackAPIVersion.VERSION2, client_id, protocol=paho.MQTTv5, reconnect_on_failure=False
         )
@@ -63,6 +68,7 @@ class Broker:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
+        self._client.on_subscribe = self._on_subscribe
 
     def connect(self, will: Message) -> None:
         """Connect, with what the broker is to publish when this end is lost; raises SinkError."""
@@ -111,11 +117,55 @@ class Broker:
         self.check()
         return self._nobody == 0
 
+    def listen(self, hear: Callable[[str, bytes, bool], None]) -> None:
+        """Hand over topic, content and whether it was retained of what comes, in the library's thread."""
+
+        def take(_client: Any, _data: Any, each: paho.MQTTMessage) -> None:
+            hear(each.topic, bytes(each.payload), each.retain)
+            with self._told():
+                pass
+
+        self._client.on_message = take
+
+    def subscribe(self, topic: str) -> None:
+        """Subscribe, and wait for the acknowledgement: the broker has then what was sent before, too."""
+        with self._changed:
+            self._granted = None
+        self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=IF_NEW))
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._granted is not None or self._lost, self._config.timeout_s):
+                raise SinkError(f"{self._where}: {no_acknowledgement(self._config)}")
+            granted = self._granted
+        self.check()
+        if granted is not None and granted.is_failure:
+            raise SinkError(f"{self._where}: {may_not_subscribe(topic, str(granted))}")
+
+    def wait_for(self, heard: Callable[[], bool], otherwise: str) -> None:
+        """Wait for something that comes; raises SinkError with this text when it does not."""
+        with self._changed:
+            came = self._changed.wait_for(lambda: heard() or bool(self._lost), self._config.timeout_s)
+        self.check()
+        if not came:
+            raise SinkError(f"{self._where}: {otherwise}")
+
+    def send(self, message: Message) -> None:
+        """Publish what has no acknowledgement of its own."""
+        self._client.publish(message.topic, message.payload, message.qos, message.retain)
+
+    def leave(self, why: str) -> None:
+        """End the session from the library's thread, so that the will is published; `check` says why."""
+        with self._told():
+            self._lost = self._lost or why
+        self._say_farewell()
+
     def close(self) -> None:
         """Say farewell so that the will is published, and let go."""
+        self._say_farewell()
+        self._client.loop_stop()
+
+    def _say_farewell(self) -> None:
         with contextlib.suppress(OSError, ValueError):
             self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
-        self._client.loop_stop()
 
     # --- in the library's thread -----------------------------------------------------------
 
@@ -139,6 +189,10 @@ class Broker:
             self._nobody += code.value == NOBODY
             if code.is_failure:
                 self._refused = number, code.value, str(code)
+
+    def _on_subscribe(self, _client: Any, _data: Any, _number: int, codes: list[ReasonCode], _properties: Any) -> None:
+        with self._told():
+            self._granted = codes[0]
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:

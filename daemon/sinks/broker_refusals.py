@@ -57,6 +57,26 @@ def may_not_publish(topic: str, name: str) -> str:
     return f"{name}: `user_name` may not publish to {topic}: let it (the broker's access list), or give other topics"
 
 
+def may_not_subscribe(topic: str, name: str) -> str:
+    """Return that the broker's list of rights has no room for this."""
+    return f"{name}: `user_name` may not subscribe to {topic}: let it (the broker's access list), or give other topics"
+
+
+def birth_unheard(topic: str) -> str:
+    """Return that what was published did not come back: the specification has no acknowledgement for it."""
+    return f"{topic} did not come back: let `user_name` publish and subscribe there (the broker's access list)"
+
+
+def primary_host_offline(topic: str) -> str:
+    """Return that data wait for the host that is to have them."""
+    return f"`primary_host` is not online by its topic {topic}, so the history waits: start that host, or check its ID"
+
+
+def primary_host_went(topic: str) -> str:
+    """Return why the session was ended."""
+    return f"`primary_host` went offline by its topic {topic}: the history waits for it"
+
+
 def nobody_subscribes(topics: list[str]) -> str:
     """Return that rows would reach nobody."""
     return (

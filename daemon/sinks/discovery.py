@@ -73,7 +73,6 @@ def discovery(
         content = {
             "name": entity.name,
             "unique_id": f"toolpoint_{node}_{entity.object_id}",
-            "object_id": f"{node}_{entity.object_id}",
             "state_topic": f"{base}/state",
             "value_template": entity.template,
             "availability_topic": f"{base}/status",

@@ -47,6 +47,15 @@ def make_sink(config: SinkConfig, machine: str) -> Sink:
         from daemon.sinks.mqtt import MqttSink  # noqa: PLC0415
 
         return MqttSink(config, machine)
+    if config.driver == "sparkplug":
+        try:
+            from daemon.sinks.sparkplug import SparkplugSink  # noqa: PLC0415
+        except ImportError as error:
+            raise SinkError(
+                f"sink {config.name}: needs protobuf, which is missing: install toolpoint[sparkplug]"
+            ) from error
+
+        return SparkplugSink(config, machine)
     from daemon.sinks.postgresql import PostgresqlSink  # noqa: PLC0415
 
     return PostgresqlSink(config, machine)

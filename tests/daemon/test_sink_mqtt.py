@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import yaml
 from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
-from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber
+from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber, wait_until
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
@@ -157,15 +156,13 @@ def test_rows_wait_until_somebody_subscribes(port: int, tmp_path: Path) -> None:
     sending = threading.Thread(target=runner.run)
     sending.start()
     try:
-        while not (problem := runner.cursor.problem):
-            time.sleep(0.01)
-        problems.append(problem)
+        wait_until(lambda: runner.cursor.problem)
+        problems.append(runner.cursor.problem)
         assert runner.cursor.sent_rows == 0
         with subscriber(port, "toolpoint/waiting/history/cnc", "toolpoint/waiting/status") as listener:
             listener.until(lambda messages: len(rows(messages, "cnc")) >= 6)
             assert listener.last("toolpoint/waiting/status") == "online", "the connection stands"
-            while runner.cursor.sent_rows < 6:
-                time.sleep(0.01)
+            wait_until(lambda: runner.cursor.sent_rows >= 6)
     finally:
         stop.set()
         sending.join()
@@ -407,8 +404,7 @@ def test_two_senders_of_one_name_are_told(port: int, tmp_path: Path) -> None:
     second.open(Cursor())
     try:
         with Outbox(store) as outbox, pytest.raises(SinkError, match="`machine` and the sink's `name` together"):
-            while not first._broker._lost:
-                time.sleep(0.01)
+            wait_until(lambda: first._broker._lost)
             first.transfer(outbox, Progress(cursor=Cursor(), save=lambda _cursor: None))
     finally:
         first.close()

@@ -21,6 +21,14 @@ PROGRAM = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbi
 CLIENT = shutil.which("mosquitto_sub")
 
 
+def wait_until(condition: Callable[[], object]) -> None:
+    """Wait for something that has no event of its own."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not come about"
+        time.sleep(0.01)
+
+
 class Mosquitto:
     """A broker on 127.0.0.1 with these lines of configuration."""
 

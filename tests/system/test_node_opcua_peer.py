@@ -5,14 +5,9 @@ a cache (environment variable TOOLPOINT_NODE_CACHE, default ~/.cache/toolpoint-t
 """
 
 import asyncio
-import fcntl
-import hashlib
 import json
-import os
 import re
-import shutil
 import socket
-import subprocess
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +15,7 @@ from typing import Any
 import pytest
 from control_rig import SENSOR_IDS
 from monitor_bench import PASSWORD as ACCOUNT_PASSWORD
+from node_packages import NEEDS_NODE, installed
 from opcua_bench import NOW, TAGS, tag_server, tell
 from scripted_machine import (
     CLIENT_URI,
@@ -41,34 +37,14 @@ from models.records import CncMode, CncRun
 
 PEER = Path(__file__).resolve().parent / "node_peer"
 START_TIMEOUT_S = 120.0
-INSTALL_TIMEOUT_S = 600.0
 
-pytestmark = [
-    pytest.mark.wires,
-    pytest.mark.skipif(
-        shutil.which("node") is None or shutil.which("npm") is None, reason="node and npm are not on this computer"
-    ),
-]
+pytestmark = [pytest.mark.wires, NEEDS_NODE]
 
 
 @pytest.fixture(scope="module")
 def node_environment() -> dict[str, str]:
     """Install the peer once, and return the environment in which node finds it."""
-    package = (PEER / "package.json").read_bytes()
-    default = Path.home() / ".cache" / "toolpoint-tests"
-    cache = Path(os.environ.get("TOOLPOINT_NODE_CACHE", default)) / hashlib.sha256(package).hexdigest()[:16]
-    cache.mkdir(parents=True, exist_ok=True)
-    with (cache / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (cache / "installed").exists():
-            (cache / "package.json").write_bytes(package)
-            command = ["npm", "install", "--no-package-lock", "--ignore-scripts", "--no-audit", "--no-fund"]
-            done = subprocess.run(
-                command, cwd=cache, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
-            )
-            assert done.returncode == 0, f"npm install failed:\n{done.stdout}\n{done.stderr}"
-            (cache / "installed").touch()
-    return os.environ | {"NODE_PATH": str(cache / "node_modules"), "HOME": str(cache), "XDG_CONFIG_HOME": str(cache)}
+    return installed(PEER)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,225 @@
+"""The Sparkplug B 3.0 sink: a machine's computer is an edge node, the machine its device.
+
+    spBv1.0/GROUP/NBIRTH/MACHINE, NDEATH, NCMD
+    spBv1.0/GROUP/DBIRTH/MACHINE/DEVICE, DDATA, DDEATH
+
+The specification has data without acknowledgement (quality of service 0). So after every batch the subscription to the
+commands is renewed: its acknowledgement comes after all that was sent before. That the node may publish at all shows in
+its birth, which comes back to it. A batch counts as taken when the
+connection has lasted a while longer. Rows older than what was told at birth are historical.
+"""
+
+import itertools
+import json
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from importlib.metadata import version
+
+import structlog
+
+from config.schema.sinks import SinkConfig
+from daemon.history.cursors import Cursor, Position
+from daemon.sinks.ahead import Ahead
+from daemon.sinks.broker import AT_ONCE, Broker, Message
+from daemon.sinks.broker_refusals import birth_unheard, primary_host_offline, primary_host_went
+from daemon.sinks.contract import Progress, SinkWaitsError
+from daemon.sinks.current import Freshness
+from daemon.sinks.mqtt import topic_level
+from daemon.sinks.outbox import STREAMS, Batch, Outbox
+from daemon.sinks.sparkplug_metrics import row_metrics
+from daemon.sinks.sparkplug_payload import DataType, Metric, asks_for_rebirth, encode
+
+log = structlog.get_logger(__name__)
+NAMESPACE = "spBv1.0"
+REBIRTH = "Node Control/Rebirth"
+NUMBERS = 256
+"""Messages of a session are numbered 0 to 255 over and over, and so are sessions."""
+TOLD_AT_BIRTH = 20
+"""So many of the newest rows of each stream make the values of a birth: every line is among them."""
+_sessions: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
+
+
+class PrimaryHost:
+    """What the topic STATE of a host says; an older message than the last one counts for nothing."""
+
+    def __init__(self, name: str) -> None:
+        self.topic = f"{NAMESPACE}/STATE/{name}"
+        self.online = False
+        self._newest_ms = -1
+
+    def hear(self, content: bytes) -> None:
+        """Take a message."""
+        try:
+            said = json.loads(content)
+            online, newest_ms = said["online"], said["timestamp"]
+        except (ValueError, RecursionError, TypeError, KeyError):
+            return
+        if isinstance(online, bool) and isinstance(newest_ms, int) and newest_ms >= self._newest_ms:
+            self.online, self._newest_ms = online, newest_ms
+
+
+class SparkplugSink:
+    """One session of one edge node."""
+
+    def __init__(self, config: SinkConfig, machine: str) -> None:
+        assert config.sparkplug is not None
+        section = config.sparkplug
+        self._where = f"sink {config.name}: broker {section.host}:{section.server_port}"
+        self._broker = Broker(section, self._where, f"toolpoint-{config.name}-{machine}")
+        self._topic = f"{NAMESPACE}/{section.group}/{{}}/{topic_level(machine)}"
+        self._device = section.device
+        self._host = None if section.primary_host is None else PrimaryHost(section.primary_host)
+        self._bd_seq = next(_sessions[self._topic]) % NUMBERS
+        self._lock = threading.RLock()
+        """Held while messages are numbered and handed over: a rebirth is answered by the library's thread."""
+        self._seq = itertools.count()
+        self._born = self._alive = self._heard = False
+        """Whether the node and its device were born, and the node's birth came back from the broker."""
+        self._told: dict[str, Metric] = {}
+        """The newest metrics, of which births are made."""
+        self._born_ms: dict[str, int] = {}
+        self._ahead = Ahead(section.resend_s)
+        self._freshness = Freshness()
+
+    def open(self, cursor: Cursor) -> Mapping[str, Position]:
+        """Connect, with the node's death as will, and subscribe; the cursor says how far the broker has come."""
+        self._broker.listen(self._hear)
+        self._broker.connect(Message(topic=self._topic.format("NDEATH"), payload=self._death()))
+        self._broker.subscribe(self._commands)
+        self._broker.subscribe(f"{self._topic.format('DCMD')}/{self._device}")
+        self._broker.subscribe(self._topic.format("NBIRTH"))
+        if self._host is not None:
+            self._broker.subscribe(self._host.topic)
+        return cursor.positions
+
+    def close(self) -> None:
+        """Close the connection; the broker publishes the node's death."""
+        self._broker.close()
+
+    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+        """Send a batch of each stream; True while one of them had one."""
+        self._broker.check()
+        self._ahead.settle(progress)
+        if self._host is not None and not self._host.online:
+            raise SinkWaitsError(f"{self._where}: {primary_host_offline(self._host.topic)}")
+        if not self._born:
+            self._learn(outbox)
+            self._bear()
+            self._broker.wait_for(lambda: self._heard, birth_unheard(self._topic.format("NBIRTH")))
+        more = False
+        for stream in STREAMS.values():
+            batch = outbox.batch(stream, self._ahead.position(progress, stream.name))
+            if batch is not None:
+                self._send(batch)
+                self._ahead.took(batch)
+                more = True
+        if not self._freshness.fresh(outbox) and not more:
+            self._die()
+        self._ahead.settle(progress)
+        return more
+
+    # --- births and deaths -------------------------------------------------------------------
+
+    @property
+    def _commands(self) -> str:
+        return self._topic.format("NCMD")
+
+    def _learn(self, outbox: Outbox) -> None:
+        """Read what is newest of every stream."""
+        for stream in STREAMS.values():
+            end = outbox.end(stream)
+            newest = outbox.batch(stream, replace(end, row=max(0, end.row - TOLD_AT_BIRTH)))
+            if newest is None:
+                continue
+            self._born_ms[stream.name] = max(row[0] for row in newest.rows)
+            for row in newest.rows[-TOLD_AT_BIRTH:]:
+                self._told |= {each.name: each for each in row_metrics(stream, row)}
+
+    def _bear(self) -> None:
+        """Publish the births of the node and of its device; a host may ask for them again at any time."""
+        with self._lock:
+            self._seq = itertools.count()
+            now_ms = _now_ms()
+            made = [
+                Metric(name="bdSeq", datatype=DataType.INT64, value=self._bd_seq, utc_ms=now_ms),
+                Metric(name=REBIRTH, datatype=DataType.BOOLEAN, value=False, utc_ms=now_ms),
+                Metric(name="Properties/Software", datatype=DataType.STRING, value="Toolpoint", utc_ms=now_ms),
+                Metric(name="Properties/Version", datatype=DataType.STRING, value=version("toolpoint"), utc_ms=now_ms),
+            ]
+            self._publish(self._topic.format("NBIRTH"), made)
+            self._born = True
+            self._bear_device()
+
+    def _bear_device(self) -> None:
+        with self._lock:
+            self._publish(self._of_device("DBIRTH"), self._told.values())
+            self._alive = True
+
+    def _die(self) -> None:
+        """Say that nothing is recorded any more."""
+        with self._lock:
+            if self._alive:
+                self._alive = False
+                self._publish(self._of_device("DDEATH"), ())
+
+    def _death(self) -> bytes:
+        now_ms = _now_ms()
+        number = Metric(name="bdSeq", datatype=DataType.INT64, value=self._bd_seq, utc_ms=now_ms)
+        return encode([number], utc_ms=now_ms, seq=None)
+
+    # --- data --------------------------------------------------------------------------------
+
+    def _send(self, batch: Batch) -> None:
+        """Publish the rows of a batch, each as one message, and wait until the broker has them."""
+        waiting = iter(batch.rows)
+        while rows := list(itertools.islice(waiting, AT_ONCE)):
+            for row in rows:
+                self._send_row(batch, row)
+            self._broker.subscribe(self._commands)
+            self._broker.check()
+
+    def _send_row(self, batch: Batch, row: tuple[object, ...]) -> None:
+        metrics = row_metrics(batch.stream, row)
+        if not metrics:
+            return
+        with self._lock:
+            for at, each in enumerate(metrics):
+                told, born_ms = self._told.get(each.name), self._born_ms.get(batch.stream.name, -1)
+                if each.utc_ms <= born_ms or (told is not None and each.utc_ms <= told.utc_ms):
+                    metrics[at] = replace(each, historical=True)
+                if told is None:
+                    self._alive = False
+                if told is None or each.utc_ms > told.utc_ms:
+                    self._told[each.name] = each
+            if not self._alive:
+                self._bear_device()
+            self._publish(self._of_device("DDATA"), metrics)
+
+    def _publish(self, topic: str, metrics: Iterable[Metric]) -> None:
+        payload = encode(metrics, utc_ms=_now_ms(), seq=next(self._seq) % NUMBERS)
+        self._broker.send(Message(topic=topic, payload=payload, qos=0))
+
+    def _of_device(self, kind: str) -> str:
+        return f"{self._topic.format(kind)}/{self._device}"
+
+    # --- what comes from hosts, in the library's thread --------------------------------------
+
+    def _hear(self, topic: str, content: bytes, retained: bool) -> None:
+        if topic == self._commands and not retained and asks_for_rebirth(content, REBIRTH):
+            with self._lock:
+                if self._born:
+                    log.info("sparkplug.rebirth", topic=topic)
+                    self._bear()
+        elif topic == self._topic.format("NBIRTH"):
+            self._heard = True
+        elif self._host is not None and topic == self._host.topic:
+            self._host.hear(content)
+            if self._born and not self._host.online:
+                self._broker.leave(primary_host_went(topic))
+
+
+def _now_ms() -> int:
+    return round(time.time() * 1e3)

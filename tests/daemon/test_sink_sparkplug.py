@@ -1,0 +1,227 @@
+"""Sparkplug B: payloads by the numbers of the specification, rows as metrics, and what a host may say."""
+
+import struct
+import threading
+from pathlib import Path
+
+import pytest
+from filled_store import fill
+from hypothesis import given
+from hypothesis import strategies as st
+from mosquitto import mosquitto
+
+from config.schema.base import KeyProblems
+from config.schema.sinks import SinkConfig
+from daemon.sinks.outbox import STREAMS, Outbox
+from daemon.sinks.running import SinkRunner, make_sink
+from daemon.sinks.sparkplug import PrimaryHost, SparkplugSink
+from daemon.sinks.sparkplug_metrics import row_metrics
+from daemon.sinks.sparkplug_payload import PAYLOAD, DataType, Metric, asks_for_rebirth, encode
+
+REBIRTH = "Node Control/Rebirth"
+
+
+def section(port: int | None, **changes: object) -> SinkConfig:
+    known = {"host": "127.0.0.1", "port": port, "tls": False, "timeout_s": 30.0, "resend_s": 0.0, "group": "Plant"}
+    return SinkConfig.model_validate({"name": "scada", "driver": "sparkplug", "sparkplug": known | changes})
+
+
+# --- payloads ------------------------------------------------------------------------------
+
+
+def wire(content: bytes) -> list[tuple[int, int | bytes]]:
+    """Return number and content of every field of a message, read without any description of it."""
+    found: list[tuple[int, int | bytes]] = []
+    at = 0
+
+    def varint() -> int:
+        nonlocal at
+        value, shift = 0, 0
+        while True:
+            byte = content[at]
+            at += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    while at < len(content):
+        tag = varint()
+        number, kind = tag >> 3, tag & 7
+        if kind == 0:
+            found.append((number, varint()))
+            continue
+        size = {1: 8, 5: 4}.get(kind) or varint()
+        found.append((number, content[at : at + size]))
+        at += size
+    return found
+
+
+VALUES = {
+    DataType.INT64: st.integers(-(2**63), 2**63 - 1),
+    DataType.INT32: st.integers(-(2**31), 2**31 - 1),
+    DataType.DOUBLE: st.floats(allow_nan=False),
+    DataType.BOOLEAN: st.booleans(),
+    DataType.STRING: st.text(),
+}
+METRICS = st.sampled_from(list(VALUES)).flatmap(
+    lambda kind: st.builds(
+        Metric,
+        name=st.text(min_size=1),
+        datatype=st.just(kind),
+        value=st.none() | VALUES[kind],
+        utc_ms=st.integers(0, 2**63),
+        historical=st.booleans(),
+        properties=st.dictionaries(st.text(max_size=5), st.text(max_size=5) | st.integers(0, 2**31 - 1), max_size=2),
+    )
+)
+
+
+def on_the_wire(kind: DataType, value: object) -> tuple[int, int | bytes]:
+    """Return number and content of the field in which the specification puts a value."""
+    if kind in (DataType.INT32, DataType.INT64):
+        return (10, int(value) % 2**32) if kind is DataType.INT32 else (11, int(value) % 2**64)
+    if kind is DataType.DOUBLE:
+        return 13, struct.pack("<d", value)
+    return (14, int(value)) if kind is DataType.BOOLEAN else (15, str(value).encode())
+
+
+@given(st.lists(METRICS, max_size=4), st.integers(0, 2**63), st.none() | st.integers(0, 255))
+def test_payloads_have_the_numbers_of_the_specification(metrics: list[Metric], utc_ms: int, seq: int | None) -> None:
+    content = encode(metrics, utc_ms=utc_ms, seq=seq)
+    fields = wire(content)
+    assert [value for number, value in fields if number == 1] == [utc_ms]
+    assert [value for number, value in fields if number == 3] == ([] if seq is None else [seq])
+    inner = [dict(wire(value)) for number, value in fields if number == 2 and isinstance(value, bytes)]
+    assert len(inner) == len(metrics) and {number for number, _ in fields} <= {1, 2, 3}
+    for found, metric in zip(inner, metrics, strict=True):
+        assert found[1] == metric.name.encode() and found[3] == metric.utc_ms and found[4] == metric.datatype
+        assert found.get(5, 0) == metric.historical and found.get(7, 0) == (metric.value is None)
+        assert 2 not in found, "no aliases"
+        values = {number: value for number, value in found.items() if number >= 10}
+        assert values == ({} if metric.value is None else dict([on_the_wire(metric.datatype, metric.value)]))
+        properties = wire(found.get(9, b""))
+        assert [value for number, value in properties if number == 1] == [key.encode() for key in metric.properties]
+        for (_, content), given_value in zip(
+            [each for each in properties if each[0] == 2], metric.properties.values(), strict=True
+        ):
+            text = isinstance(given_value, str)
+            assert dict(wire(content)) == ({1: 12, 8: given_value.encode()} if text else {1: 3, 3: given_value})
+
+
+@given(st.binary(max_size=200))
+def test_a_command_that_is_none_asks_for_nothing(content: bytes) -> None:
+    try:
+        known = any(each.name == REBIRTH and each.boolean_value for each in PAYLOAD.FromString(content).metrics)
+    except Exception:
+        known = False
+    assert asks_for_rebirth(content, REBIRTH) is known
+
+
+def test_a_command_to_be_born_again_is_known() -> None:
+    def asked(name: str, value: bool) -> bool:
+        metric = Metric(name=name, datatype=DataType.BOOLEAN, value=value, utc_ms=1)
+        return asks_for_rebirth(encode([metric], utc_ms=1, seq=None), REBIRTH)
+
+    assert asked(REBIRTH, True) and not asked(REBIRTH, False) and not asked("Node Control/Reboot", True)
+
+
+# --- rows ----------------------------------------------------------------------------------
+
+
+def test_every_stream_makes_metrics_with_units_and_times(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=1.5)
+    found: dict[str, list[Metric]] = {}
+    with Outbox(store) as outbox:
+        for stream in STREAMS.values():
+            batch = outbox.batch(stream, outbox.end(stream).__class__())
+            for row in batch.rows if batch is not None else ():
+                metrics = row_metrics(stream, row)
+                assert {each.utc_ms for each in metrics} == {row[0]}
+                assert len({each.name for each in metrics}) == len(metrics)
+                found[stream.name] = found.get(stream.name, []) + metrics
+    names = {stream: {(each.name, each.properties.get("engUnit")) for each in found[stream]} for stream in found}
+    assert names["temperatures"] == {(f"Sensor/{number}", "degC") for number in (11, 12, 13, 21, 22)}
+    assert {("Thermal error/dx", "um"), ("Temperature/A", "degC"), ("Estimate/Confidence", None)} < names["estimates"]
+    assert {("Compensation/Y", "um"), ("Output/State", None), ("Applied/Z", "um")} < names["writes"]
+    assert {("CNC/Spindle speed", "rpm"), ("CNC/Alarm", None)} < names["cnc"]
+    assert ("Displacement/dx", "um") in names["displacements"] and ("Reference/ID", None) in names["references"]
+    assert {each.value for each in found["events"] if each.name == "Event/Person"} == {"Ada"}
+    (outcome,) = {each.value for each in found["writes"] if each.name == "Output/Outcome of the write"}
+    assert outcome == "verified"
+    values = {(each.name, type(each.value)) for each in found["cnc"]}
+    assert ("CNC/Alarm", bool) in values and ("CNC/Program", int) in values
+    missing = [each for each in found["estimates"] if each.name == "Thermal error/dy"]
+    assert missing and all(each.value is None for each in missing)
+
+
+def test_a_rejected_temperature_is_told_as_bad() -> None:
+    stream = STREAMS["temperatures"]
+    row = dict.fromkeys(stream.columns, 0) | {
+        "sensor_ids": [1, 2, 3],
+        "degc": [20.5, 99.0, None],
+        "quality": [0, 1, 2],
+    }
+    good, held, none = row_metrics(stream, tuple(row[name] for name in stream.columns))
+    assert "Quality" not in good.properties and held.properties["Quality"] == 0 and none.properties["Quality"] == 500
+    assert none.value is None
+
+
+# --- hosts, configuration ------------------------------------------------------------------
+
+
+def test_an_older_word_of_the_primary_host_counts_for_nothing() -> None:
+    host = PrimaryHost("scada")
+    assert host.topic == "spBv1.0/STATE/scada" and not host.online
+    for content, online in (
+        (b'{"online": true, "timestamp": 5}', True),
+        (b'{"online": false, "timestamp": 4}', True),
+        (b"ONLINE", True),
+        (b"", True),
+        (b"[1]", True),
+        (b'{"online": 0, "timestamp": 9}', True),
+        (b'{"online": false, "timestamp": "9"}', True),
+        (b"\xff\xff", True),
+        (b'{"online": false, "timestamp": 5}', False),
+        (b'{"online": true}', False),
+    ):
+        host.hear(content)
+        assert host.online is online, content
+
+
+def test_sessions_are_numbered_0_to_255_over_and_over() -> None:
+    numbers = [SparkplugSink(section(1), "numbered")._bd_seq for _ in range(258)]
+    assert numbers == [*range(256), 0, 1]
+    assert SparkplugSink(section(1), "another")._bd_seq == 0
+
+
+def test_names_that_are_no_level_of_a_topic_are_refused() -> None:
+    for key in ("group", "device", "primary_host"):
+        for value in ("", "a/b", "a+", "#"):
+            with pytest.raises((ValueError, KeyProblems)):
+                section(1, **{key: value})
+
+
+def test_the_section_says_which_library_is_loaded() -> None:
+    config = section(None)
+    assert isinstance(make_sink(config, "mill"), SparkplugSink)
+    assert config.place == "127.0.0.1:1883/spBv1.0/Plant" and "NOT encrypted" in config.exposed
+
+
+def test_a_right_that_is_missing_is_named(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.2)
+    (tmp_path / "acl").write_text("topic readwrite spBv1.0/Plant/#\n")
+    (tmp_path / "acl").chmod(0o600)
+
+    def problem(group: str) -> str:
+        stop = threading.Event()
+        config = section(port, group=group, timeout_s=5.0)
+        runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.set())
+        runner.run()
+        return runner.cursor.problem
+
+    with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
+        assert problem("Plant") == ""
+        assert "spBv1.0/Else/NBIRTH/mill did not come back: let `user_name` publish" in problem("Else")
