@@ -20,7 +20,7 @@ FIRST_WEEKS = 8
 KEPT = 0.8
 """Without another bound, a model must keep so much of the error that it took away in these weeks."""
 LEAST_WEEKS = 16
-"""Fewer weeks show no trend."""
+"""Fewer weeks show no trend, and ask for nothing."""
 WINDOWS = (26, 52)
 """The trend is sought in the last so many weeks."""
 DEVIATIONS = 3.0

@@ -1,12 +1,13 @@
 """`toolpoint model`: release thermal models and bearing models, list them, go back to an earlier one."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from daemon.cli.common import (
     NOT_A_FOLDER,
+    POSITIVE,
     config_option,
     json_option,
     option,
@@ -15,6 +16,7 @@ from daemon.cli.common import (
     say,
     write_json,
 )
+from daemon.cli.operate.history_view import duration
 
 if TYPE_CHECKING:
     from config.records.release_record import ReleaseRecord
@@ -181,3 +183,48 @@ def propose(config_path: Path, json_path: str | None) -> None:
     if made["refused"]:
         say(f"its training refuses it: {made['refused']}")
     write_json(json_path, made)
+
+
+@model.command()
+@config_option
+@option("--last", "last_s", callback=duration, default="400d", help="How far back to look.")
+@option("--bound", type=POSITIVE, help="Share of the error that may be left. Without: what loses a fifth of its worth.")
+@json_option
+def drift(config_path: Path, last_s: float, bound: float | None, json_path: str | None) -> None:
+    """Say from probe values how the error that each model leaves grows, and whether to train anew (then status 1)."""
+    import time
+
+    from daemon.history import HistoryReader
+    from daemon.model_release.model_errors import drift_document, measured_errors
+    from daemon.model_release.past_recordings import commissioned_um_per_unit
+    from models.json_values import plain
+
+    configuration, now_s = read_configuration(config_path), time.time()
+    units = commissioned_um_per_unit(configuration)
+    with HistoryReader(configuration.history.path) as reader:
+        errors = measured_errors(configuration, reader, units, from_utc_s=now_s - last_s, to_utc_s=now_s)
+    least_um = configuration.compensation.output.harm_above_um
+    found = drift_document(errors, bound=bound, least_error_um=least_um)
+    write_json(json_path, {"models": plain(found)})
+    for each in found if json_path is None else ():
+        click.echo(_drift_in_words(each))
+    if not found:
+        say("no probe value of this time was accepted under a reference and a model, so there is nothing to judge by")
+    in_force = {each["axis"]: each["retrain"] for each in found}
+    if any(in_force.values()):
+        raise SystemExit(REFUSED)
+
+
+def _drift_in_words(found: dict[str, Any]) -> str:
+    """Return one axis and model in a line."""
+    head, told = f"axis {found['axis']}, model {found['model_id']}: {found['probes']} probe values", found["drift"]
+    if told is None:
+        return f"{head}; {len(found['weeks'])} weeks are too few"
+    low, high = (100.0 * each for each in told["share_interval"])
+    until = told["until_bound_d"]
+    ahead = "does not come nearer" if until is None else f"is reached in {until:.0f} d" if until else "is passed"
+    asks = "; train it anew" if found["retrain"] else ""
+    return (
+        f"{head}; leaves {100 * told['share']:.0f} % ({low:.0f} to {high:.0f} %) of the error, at first "
+        f"{100 * told['first_share']:.0f} %; the bound of {100 * told['bound']:.0f} % {ahead}{asks}"
+    )

@@ -1,0 +1,125 @@
+"""Probe values of the history, as what they say of the model in force, and the command that judges them."""
+
+import json
+import time
+from pathlib import Path
+
+import history_records as make
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from control_rig import machine
+
+from config.loader import load_configuration
+from config.sample import sample_configuration
+from config.schema import Configuration
+from daemon.cli import main
+from daemon.history import HistoryReader, HistoryWriter
+from daemon.history.layout import MachineLayout
+from daemon.model_release.model_errors import MeasuredError, drift_document, measured_errors
+from models.records import ProbeSample
+
+DAY_S = 86_400.0
+UM_PER_UNIT = {"z": 1000.0}
+BASELINE_UM = 3.0
+
+
+def fill(
+    configuration: Configuration, start_s: float, days: int, share_left, *, model_id: str = "m1", on: bool = True
+) -> None:
+    """A reference and two probe values a day; the machine errs by 10 to 20 um, the model takes its part away."""
+    layout = MachineLayout.from_configuration(configuration)
+    clock = make.StillClock(start_s)
+    writer = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
+    writer.start()
+    echo = configuration.cnc.macros.echo_applied["z"]
+    for day in range(days):
+        set_s = start_s + DAY_S * day
+        clock.utc_s = set_s
+        writer.cnc_sample(make.cnc_sample(set_s - 1.0, macros={echo: BASELINE_UM / 1000.0}))
+        reference = make.reference(set_s, len(layout.sensor_ids))
+        writer.reference(reference.__class__(**{**_fields(reference), "reference_id": f"{model_id} {day}"}))
+        for number in range(2):
+            probe_s = set_s + 3600.0 * (number + 1)
+            error_um = 10.0 + (7 * day + 3 * number) % 11
+            estimated_um = (1.0 - share_left(day)) * error_um
+            writer.estimate(make.estimate(probe_s - 5.0, np.zeros(3), model_id=model_id))
+            writer.probe(
+                ProbeSample(
+                    time=make.instant(probe_s),
+                    axis="z",
+                    deviation_um=error_um - on * estimated_um,
+                    applied_um=on * (BASELINE_UM - estimated_um),
+                    thermal_error_um=estimated_um,
+                    reference_id=f"{model_id} {day}",
+                    accepted=True,
+                    reason="",
+                )
+            )
+    refused = make.instant(start_s + 7200.0)
+    writer.probe(
+        ProbeSample(
+            time=refused,
+            axis="z",
+            deviation_um=900.0,
+            applied_um=0.0,
+            thermal_error_um=0.0,
+            reference_id=f"{model_id} 0",
+            accepted=False,
+            reason="larger than believed",
+        )
+    )
+    writer.close()
+
+
+def _fields(record: object) -> dict[str, object]:
+    return {name: getattr(record, name) for name in record.__slots__}
+
+
+def errors_of(configuration: Configuration, um_per_unit=UM_PER_UNIT) -> list[MeasuredError]:
+    with HistoryReader(configuration.history.path) as reader:
+        return measured_errors(configuration, reader, um_per_unit, from_utc_s=0.0, to_utc_s=4e9)
+
+
+def test_each_accepted_probe_value_says_what_the_model_left(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    fill(configuration, make.EPOCH_S, 3, lambda day: 0.2)
+    found = errors_of(configuration)
+    assert len(found) == 6 and {each.model_id for each in found} == {"m1"}
+    for day, each in enumerate(found[::2]):
+        error_um = 10.0 + (7 * day) % 11
+        assert each.without_um == pytest.approx(error_um) and each.left_um == pytest.approx(0.2 * error_um)
+        assert each.with_um == pytest.approx(each.left_um)
+    assert errors_of(configuration, {"y": 1.0}) == [], "without the echo of z its baseline is not known"
+
+
+def test_each_model_is_judged_by_itself(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    fill(configuration, make.EPOCH_S, 180, lambda day: 0.1 + 0.4 * day / 180.0)
+    fill(configuration, make.EPOCH_S + 180 * DAY_S, 130, lambda day: 0.1, model_id="m2")
+    old, new = drift_document(errors_of(configuration), bound=None, least_error_um=5.0)
+    assert (old["model_id"], new["model_id"]) == ("m1", "m2")
+    assert old["retrain"] and old["drift"]["share"] > 0.4 and len(old["weeks"]) == 26
+    assert not new["retrain"] and new["drift"]["share"] == pytest.approx(0.1, abs=1e-6)
+    (_, strict) = drift_document(errors_of(configuration), bound=0.05, least_error_um=5.0)
+    assert strict["retrain"]
+
+
+def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp_path: Path) -> None:
+    path = tmp_path / "t.yaml"
+    content = yaml.safe_load(sample_configuration())
+    content["history"]["path"] = str(tmp_path / "h.sqlite")
+    path.write_text(yaml.safe_dump(content))
+    configuration = load_configuration(path)
+    start_s = time.time() - 190 * DAY_S
+    fill(configuration, start_s, 180, lambda day: 0.1 + 0.4 * day / 180.0, on=False)  # never commissioned
+    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path)])
+    assert done.exit_code == 1, done.output
+    assert "axis z, model m1: 360 probe values; leaves" in done.output and "train it anew" in done.output
+    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--bound", "0.9", "--json", "-"])
+    assert done.exit_code == 0, done.output
+    (found,) = json.loads(done.stdout)["models"]
+    assert found["axis"] == "z" and found["drift"]["bound"] == 0.9 and not found["retrain"]
+    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "2d"])
+    assert done.exit_code == 0 and "nothing to judge by" in done.output
