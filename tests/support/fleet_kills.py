@@ -1,5 +1,6 @@
 """Kills what carries the history of a simulated fleet, at random moments, and brings it up again."""
 
+import contextlib
 import os
 import random
 import signal
@@ -36,6 +37,17 @@ class Killer:
         """Wait for the last kill."""
         self._thread.join()
 
+    def _kill_kept(self, name: str) -> None:
+        """Kill a kept process; where the one before has died a moment ago, the next one."""
+        assert self._keeper is not None
+        while True:
+            pid = self._keeper.pid(name)
+            with contextlib.suppress(ProcessLookupError):
+                if pid is not None:
+                    os.kill(pid, signal.SIGKILL)
+                    return
+            threading.Event().wait(0.05)
+
     def _run(self) -> None:
         assert self._keeper is not None
         share_s = self._within_s / self._kills
@@ -48,8 +60,8 @@ class Killer:
             self.done[name.partition(" ")[0]] += 1
             if name in self._others:
                 self._others[name]()
-            elif (pid := self._keeper.pid(name)) is not None:
-                os.kill(pid, signal.SIGKILL)
+            else:
+                self._kill_kept(name)
             threading.Event().wait(share_s - before_s)
 
 
