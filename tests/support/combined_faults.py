@@ -89,12 +89,12 @@ class Truth:
 class Attack(TwinLoop):
     """A shop in which several things go wrong at the same time.
 
-    `wider`: faults also meet restarts, and a guard that takes an expired offset out.
+    `wider`: faults also meet restarts, and a guard that takes an expired offset out. `first`: see `TwinLoop`.
     """
 
-    def __init__(self, directory: Path, seed: int, profile: str, *, wider: bool = False) -> None:
+    def __init__(self, directory: Path, seed: int, profile: str, *, wider: bool = False, first: int = 0) -> None:
         rng = np.random.default_rng(seed)
-        super().__init__(directory, MODELS["first"], some_places(rng), profile, seed=seed)
+        super().__init__(directory, MODELS["first"], some_places(rng), profile, seed=seed, first=first)
         self.loop.clock = self.loop.nc.clock = SteppedClock()
         compensation = self.loop.configuration.compensation
         counted = compensation.reference.model_copy(update={"positioning_counter": COUNTER})
@@ -131,7 +131,7 @@ class Attack(TwinLoop):
     # --- what is heard ----------------------------------------------------------------------
 
     async def _speak(self, line: str, _part: slice) -> None:
-        degc = self.places.degc(self.loop.clock.monotonic_s - 1000.0)
+        degc = self.true_degc()
         if line == "spindle":
             self.truth.recent.append(degc)
         source = {"spindle": "column", "column": "spindle"}[line] if self.swapped else line
@@ -161,10 +161,11 @@ class Attack(TwinLoop):
 
     async def history(self, length: int) -> None:
         """Warm up and follow; let things go wrong for `length` moments; then set everything right and judge."""
-        self.moment = 0
+        self.moment = self.first
         await self._start()
         try:
-            for self.moment in range(PRELUDE + length + 2 * CALM):
+            for moment in range(self.first, PRELUDE + length + 2 * CALM):
+                self.moment = moment
                 if self.moment == 70:
                     self.position()
                 if self.moment == 60:
@@ -190,7 +191,7 @@ class Attack(TwinLoop):
         if self.down_left:
             self.down_left -= 1
             loop.clock.monotonic_s += MOMENT_S
-            self.truth.recent.append(self.places.degc(loop.clock.monotonic_s - 1000.0))
+            self.truth.recent.append(self.true_degc())
             if not self.down_left:
                 self._listen()
                 await self._start()

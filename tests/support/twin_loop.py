@@ -59,7 +59,10 @@ class TwinLoop:
     """Moments before which 20 s pass in which nobody does anything."""
     restarting: bool = False
     """In every pause the daemon dies, and starts again."""
+    first: int = 0
+    """Moment in which the daemon starts, before it is switched on in moment 60; the machine warms since moment 0."""
     loop: WholeLoop = field(init=False)
+    begun_s: float = field(init=False)
     applied_um: list[FloatArray] = field(init=False, default_factory=list)
     states: list[OutputState] = field(init=False, default_factory=list)
     silent: dict[int, int] = field(init=False, default_factory=dict)
@@ -70,6 +73,7 @@ class TwinLoop:
         self.directory.mkdir()
         self.rng = np.random.default_rng(self.seed)
         self.loop = WholeLoop(self.directory, self.model)
+        self.begun_s = self.loop.clock.monotonic_s
         temperatures = self.loop.configuration.temperatures
         lines = [line.model_copy(update={"profile": self.profile}) for line in temperatures.lines]
         self.loop.configuration = self.loop.configuration.model_copy(
@@ -84,7 +88,7 @@ class TwinLoop:
 
     async def _speak(self, line: str, _part: slice) -> None:
         loop, count = self.loop, len(CHAIN[line])
-        degc = self.places.degc(loop.clock.monotonic_s - 1000.0) + self.offset_k
+        degc = self.true_degc() + self.offset_k
         frames = []
         for place in reversed(range(count)):
             sensor = CHAIN[line][place]
@@ -99,6 +103,10 @@ class TwinLoop:
         for cycle in (*cycles, *assembler.poll(later)):
             await loop.thermal._take(cycle)
 
+    def true_degc(self) -> FloatArray:
+        """Return the temperature of each sensor's place [degC]."""
+        return self.places.degc(self.loop.clock.monotonic_s - self.begun_s + self.first * MOMENT_S)
+
     def frame(self, wire_id: int, code: int) -> bytes:
         """Return a node's frame."""
         if self.profile == "bare":
@@ -109,10 +117,11 @@ class TwinLoop:
     async def run(self, moments: int) -> None:
         """Warm up, position the work, and go on for so many moments."""
         loop = self.loop
-        self.moment = 0
+        self.moment = self.first
         await self._start()
         try:
-            for self.moment in range(BEFORE + moments):
+            for moment in range(self.first, BEFORE + moments):
+                self.moment = moment
                 await self._program()
                 if self.moment - BEFORE in self.pauses:
                     await self._pause()
