@@ -122,7 +122,9 @@ def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, 
         if applied is None or abs(applied) > bound + 1e-6:
             failures.append(f"axis {axis}: {applied} um applied, bound {bound} um")
         if state["estimate_from"] is not None and not (state["wanted"] and axis in status["written_axes"]):
-            failures.append(f"axis {axis} was switched on, but is {'never written' if state['wanted'] else 'off now'}")
+            ended = "never written" if state["wanted"] else "off now"
+            why = status["output"]["reason"]
+            failures.append(f"axis {axis} was switched on, but is {ended}: {status['output']['state']}: {why}")
     for axis, error in numbers["error_um"].items():
         if error["verdict"] == "failed":
             failures.append(
