@@ -140,7 +140,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--half", choices=HALVES)
     parser.add_argument("--cost", action="store_true")
-    parser.add_argument("--sizes", default="4,8,16", help="machines of the fleets whose cost is measured")
+    parser.add_argument("--sizes", default="8,32,96", help="machines of the fleets whose cost is measured")
     wanted = parser.parse_args()
     if wanted.half:
         quality(wanted.half)
