@@ -1,9 +1,10 @@
 """What a sink costs: sending a day of a full machine, the room that it takes there, and the sender that only waits.
 
-python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20] [--noise-k 0.04]
+python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20] [--noise-k 0.04] [--only mqtt]
 
 A machine of 302 sensors on three lines every 10 s, a poll of the CNC every second, an estimate, a write and
-displacements every 10 s. PostgreSQL is a server of its own on this computer.
+displacements every 10 s. PostgreSQL is a server of its own on this computer, and so is mosquitto, whose own client
+subscribes to everything.
 """
 
 import argparse
@@ -13,8 +14,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
@@ -22,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 import history_records as make
 import numpy as np
 from history_records import EPOCH_S, FULL, StillClock
+from mosquitto import mosquitto
 from postgresql import PASSWORD, Server, postgresql
 
 from config.schema.service import HistoryConfig
@@ -90,6 +92,11 @@ def into_postgresql(server: Server, store: Path, folder: Path, hours: float, wai
         "ON n.oid = c.relnamespace WHERE n.nspname = 'toolpoint' AND c.relkind = 'r'"
     )[0]
     print(f"  {size / 2**20:.1f} MiB in the database with its indexes, {size * 8766 / hours / 2**30:.1f} GiB per year")
+    print_waiting(config, store, waiting_s)
+
+
+def print_waiting(config: SinkConfig, store: Path, waiting_s: float) -> None:
+    """Print what a sender costs that has nothing to send."""
     used_s, began_s = processor_s(), time.monotonic()
 
     def waiting(stop: threading.Event) -> Callable[[float], object]:
@@ -104,6 +111,39 @@ def into_postgresql(server: Server, store: Path, folder: Path, hours: float, wai
     took_s = time.monotonic() - began_s
     print(f"with nothing to send: {(processor_s() - used_s) / took_s:.2%} of a core over {took_s:.0f} s")
     print(f"  most memory of this process, with NumPy and the bench: {resource.getrusage(0).ru_maxrss / 1024:.0f} MiB")
+
+
+def to_broker(driver: str, store: Path, folder: Path, hours: float, waiting_s: float) -> None:
+    (folder / driver).mkdir()
+    with (
+        mosquitto(folder / driver, "allow_anonymous true", "max_queued_messages 0") as port,
+        counting(port, "#", folder / driver / "heard") as heard,
+    ):
+        there = {"host": "127.0.0.1", "port": port, "tls": False, "resend_s": 0.0, "timeout_s": 60.0}
+        config = SinkConfig.model_validate({"name": driver, "driver": driver, driver: there})
+        began_s, used_s = time.monotonic(), processor_s()
+        cursor = send(config, store, lambda stop: lambda _duration_s: stop.set())
+        took_s, used_s = time.monotonic() - began_s, processor_s() - used_s
+        print(f"{driver}: sent {cursor.sent_rows} rows of {hours:g} h in {took_s:.1f} s, {used_s:.1f} s used")
+        print(f"  {heard() / 2**20:.1f} MiB arrived with their topics")
+        print_waiting(config, store, waiting_s)
+
+
+@contextmanager
+def counting(port: int, topic: str, path: Path) -> Iterator[Callable[[], int]]:
+    """Let mosquitto's own client write to a file what comes; yields what tells its bytes once no more come."""
+    command = ["mosquitto_sub", "-h", "127.0.0.1", "-p", str(port), "-V", "mqttv5", "-q", "1", "-t", topic, "-v"]
+    with path.open("wb") as file, subprocess.Popen(command, stdout=file) as process:
+        time.sleep(2.0)
+
+        def size() -> int:
+            before = -1
+            while before != (before := path.stat().st_size):
+                time.sleep(2.0)
+            return before
+
+        yield size
+        process.kill()
 
 
 def into_files(store: Path, folder: Path, hours: float) -> None:
@@ -142,15 +182,22 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--waiting-s", type=float, default=20.0)
     parser.add_argument("--noise-k", type=float, default=0.04, help="of a reading, before it is rounded to 1/16 K")
+    parser.add_argument("--only", choices=("postgresql", "parquet", "mqtt", "sparkplug"))
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name, postgresql() as server:
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         store = folder / "history.sqlite"
         fill(store, given.hours, given.noise_k)
         print(f"store: {store.stat().st_size / 2**20:.1f} MiB for {given.hours:g} h")
-        into_postgresql(server, store, folder, given.hours, given.waiting_s)
-        into_files(store, folder, given.hours)
-        subprocess.run([sys.executable, "-c", IN_THE_DAEMON, str(store)], check=True)
+        if given.only in (None, "postgresql"):
+            with postgresql() as server:
+                into_postgresql(server, store, folder, given.hours, given.waiting_s)
+            subprocess.run([sys.executable, "-c", IN_THE_DAEMON, str(store)], check=True)
+        if given.only in (None, "parquet"):
+            into_files(store, folder, given.hours)
+        for driver in ("mqtt", "sparkplug"):
+            if given.only in (None, driver):
+                to_broker(driver, store, folder, given.hours, given.waiting_s)
 
 
 if __name__ == "__main__":
