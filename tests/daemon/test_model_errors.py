@@ -18,6 +18,7 @@ from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
 from daemon.model_release.model_errors import MeasuredError, drift_document, measured_errors
+from daemon.sinks.alarms.observing import worn_models
 from models.records import ProbeSample
 
 DAY_S = 86_400.0
@@ -123,3 +124,12 @@ def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp
     assert found["axis"] == "z" and found["drift"]["bound"] == 0.9 and not found["retrain"]
     done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "2d"])
     assert done.exit_code == 0 and "nothing to judge by" in done.output
+
+
+def test_an_alarm_names_the_axis_whose_model_wears_out_and_ends_with_another_model(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    fill(configuration, make.EPOCH_S, 180, lambda day: 0.1 + 0.4 * day / 180.0, on=False)
+    (found,) = worn_models(configuration, make.EPOCH_S + 180 * DAY_S)
+    assert (found.kind, found.subject) == ("model", "wears out, axis z") and "plan to train it anew" in found.text
+    fill(configuration, make.EPOCH_S + 180 * DAY_S, 2, lambda day: 0.1, model_id="m2", on=False)
+    assert list(worn_models(configuration, make.EPOCH_S + 183 * DAY_S)) == []

@@ -12,6 +12,9 @@ from pydantic import BaseModel
 
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig
+from daemon.history.reader import HistoryReader
+from daemon.model_release.model_errors import drift_document, measured_errors
+from daemon.model_release.past_recordings import commissioned_um_per_unit
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
 from daemon.sinks.alarms.ledger import Condition, Key
 from models.records import OutputState
@@ -23,6 +26,8 @@ SHOWN_SENSORS = 20
 FREED_PERCENT = 2.0
 """A disk must have so much more before it counts as free again [%]."""
 DAY_S = 86_400.0
+WEARING_DAYS = 400.0
+"""Probe values of so many days say whether a model wears out."""
 PEM = b"-----BEGIN CERTIFICATE-----"
 HARM = "left by the estimate where"
 """Part of the reason for which a model that does harm is not followed."""
@@ -131,6 +136,21 @@ def of_computer(
             ends = f"{datetime.fromtimestamp(ends_utc_s, UTC):%Y-%m-%d}"
             text = f"{path} ends on {ends}" if left_d > 0.0 else f"{path} ended on {ends}"
             yield Condition(kind="certificate", subject=key, text=f"{text}: renew it", since_utc_s=now_utc_s)
+
+
+def worn_models(configuration: Configuration, now_utc_s: float) -> Iterator[Condition]:
+    """Yield axes whose model in force should be trained anew, as `toolpoint model drift` says; raises HistoryError."""
+    units = commissioned_um_per_unit(configuration)
+    with HistoryReader(configuration.history.path) as reader:
+        past_s = now_utc_s - WEARING_DAYS * DAY_S
+        errors = measured_errors(configuration, reader, units, from_utc_s=past_s, to_utc_s=now_utc_s)
+    least_um = configuration.compensation.output.harm_above_um
+    judged = drift_document(errors, bound=None, least_error_um=least_um)
+    for axis, found in {each["axis"]: each for each in judged}.items():
+        if found["retrain"]:
+            share, first = (100.0 * found["drift"][key] for key in ("share", "first_share"))
+            text = f"it leaves {share:.0f} % of the error, at first {first:.0f} %: plan to train it anew"
+            yield Condition(kind="model", subject=f"wears out, axis {axis}", text=text, since_utc_s=now_utc_s)
 
 
 def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]:

@@ -18,12 +18,14 @@ from pydantic import TypeAdapter
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig, SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.history.database import HistoryError
 from daemon.sinks.alarms.ledger import Condition, Ledger, Limits
 from daemon.sinks.alarms.message import Message, Messenger
-from daemon.sinks.alarms.observing import OF_STATUS, Lasting, asked, of_computer, of_status
+from daemon.sinks.alarms.observing import OF_STATUS, Lasting, asked, of_computer, of_status, worn_models
 from daemon.sinks.alarms.output_track import ALARMING, OutputTrack, Stay
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
+from models.errors import RefusedInputError
 from models.records import OutputState
 
 log = structlog.get_logger(__name__)
@@ -31,6 +33,8 @@ LOOK_S = 10.0
 """How often the daemon is asked."""
 COMPUTER_S = 600.0
 """How often disk and certificates are looked at."""
+MODELS_S = 86_400.0
+"""How often it is looked whether a model wears out."""
 EARLIER_ROWS = 5000
 """So many latest events say where the output is when an alarm sink begins."""
 EVENTS = STREAMS["events"]
@@ -48,6 +52,9 @@ class Watched:
     since_utc_s: tuple[tuple[str, str, float], ...] = ()
     """Kind and subject of what has been wrong since a time."""
     ledger: Ledger = field(default_factory=Ledger)
+    worn: tuple[Condition, ...] = ()
+    """Models that wear out, as of `worn_utc_s`."""
+    worn_utc_s: float | None = None
 
 
 FILE = TypeAdapter(Watched)
@@ -144,7 +151,9 @@ class AlarmSink:
 
     def _look(self) -> None:
         """Ask the daemon, look at the computer, and note what is wrong."""
-        now_utc_s, known = self._now_utc_s(), self._known
+        now_utc_s = self._now_utc_s()
+        self._judge_models(now_utc_s)
+        known = self._known
         lasting = Lasting({(kind, subject): since for kind, subject, since in known.since_utc_s}, now_utc_s)
         status = asked(self._configuration.service.socket)
         judged = {"fault", "daemon", "disk", "certificate"}
@@ -162,7 +171,7 @@ class AlarmSink:
             ledger = self._over(ledger, stay, machine_utc_s)
         if track.now is not None and (of_output := self._of_output(track.now, machine_utc_s)) is not None:
             found.append(of_output)
-        found += self._of_computer(ledger, now_utc_s)
+        found += [*self._of_computer(ledger, now_utc_s), *known.worn]
         ledger = ledger.seen([each for each in found if self._told(each.kind)], judged, now_utc_s)
         since = tuple((*key, since) for key, since in lasting.since_utc_s.items())
         self._known = replace(known, track=track, ledger=ledger, since_utc_s=since)
@@ -173,6 +182,18 @@ class AlarmSink:
             self._computer = tuple(of_computer(self._configuration, self._alarms, active, now_utc_s))
             self._computer_s = time.monotonic()
         return self._computer
+
+    def _judge_models(self, now_utc_s: float) -> None:
+        """See once a day whether a model wears out; kept over restarts, as a year of probe values takes its time."""
+        before_utc_s = self._known.worn_utc_s
+        if before_utc_s is not None and 0.0 <= now_utc_s - before_utc_s < MODELS_S:
+            return
+        worn: tuple[Condition, ...] = self._known.worn
+        try:
+            worn = tuple(worn_models(self._configuration, now_utc_s))
+        except (HistoryError, RefusedInputError, OSError) as error:
+            log.warning("alarms.models_unread", sink=self._name, problem=str(error))
+        self._known = replace(self._known, worn=worn, worn_utc_s=now_utc_s)
 
     def _tell(self) -> int:
         """Send what is due; return the number of its alarms."""
