@@ -24,10 +24,9 @@ from models.thermal.watch import SensorFault, Watcher, WatchState
 
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
-DOMAIN_WIDENING = 1.0
-"""The range seen in training is widened on both sides by this share of its width."""
 DOMAIN_MARGIN_K = 0.5
-"""And by at least this [K]: eight steps of a TMP102, so that a quiet sensor's noise is no departure."""
+"""A temperature may leave its range of training on both sides by the range's width, by the median width of all, because
+that one hardly moved may be luck, and by this [K]: eight steps of a TMP102, so that noise is no departure."""
 
 
 class LinearEstimator:
@@ -46,7 +45,8 @@ class LinearEstimator:
         self.left_out = LeftOut(model, beside)
         self._watcher = None if model.watch is None else Watcher(model.watch)
         domain = model.domain
-        widening = np.maximum(DOMAIN_WIDENING * (domain.highest - domain.lowest), DOMAIN_MARGIN_K)
+        usual_k = 0.0 if domain.of_increments else float(np.median(domain.highest - domain.lowest))
+        widening = np.maximum(domain.highest - domain.lowest, max(usual_k, DOMAIN_MARGIN_K))
         self._lowest, self._highest = domain.lowest - widening, domain.highest + widening
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         self._past = KnownHistory(model, self._bridge_min)
@@ -138,7 +138,7 @@ class LinearEstimator:
         speed_known = bool(np.isfinite(speed_rpm))
         speed = float(speed_rpm) if speed_known else state.speed_rpm
         lagged, speed_lagged = self._lags(state, elapsed_min, filled, speed)
-        own = known & state.missing & np.isfinite(state.known_min) & bridged
+        own = known & (state.missing | returned) & np.isfinite(state.known_min) & bridged
         if own.any():
             lagged = _bridged(self.model.layout, state, time_min, filled, own, lagged)
         returned &= ~own

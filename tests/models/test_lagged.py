@@ -18,12 +18,14 @@ from models.thermal.family import model_from_json
 from models.thermal.features import Design, lag_step, lag_table
 from models.thermal.linear import LinearModel
 from models.thermal.start import LEAST_UNKNOWN
-from models.thermal.training.families import Fit
+from models.thermal.training.families import Fit, ridge_fit
 from models.thermal.training.inputs import build_inputs
+from models.thermal.training.lags import part_of
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.ridge import RidgeProblem
-from models.thermal.training.train_family import train_family
+from models.thermal.training.train_family import model_of, train_family
+from models.thermal.training.trust import judge
 
 CREATED = "2026-01-01T00:00:00+00:00"
 SENSORS = 5
@@ -225,6 +227,55 @@ def test_who_begins_no_differently_than_training_began_is_at_rest(model: LinearM
     far = 4.0 * offsets_k[1]
     assert made.start.unknown_at_start(runs[1].temperatures_degc[0] + far) > 2.0 * LEAST_UNKNOWN
     assert model.start is not None and model.start.begun_k == 0.0, "of one run nothing tells how others begin"
+
+
+def test_lags_of_speed_alone_begin_like_others(recording: Recording) -> None:
+    """They once counted as never known: such a model was at no confidence for hours."""
+    prepared = prepare([recording], 60.0, RECIPES["lags"])
+    inputs = part_of(prepared.inputs, (), prepared.inputs.layout.speed_lags_min)
+    problem = RidgeProblem(inputs, prepared.rows, prepared.fold, Design(departures=False, correlation_min=None))
+    fit = ridge_fit(problem.solve(frozenset(), [1e-2]))
+    trust = judge(prepared.inputs, prepared.rows, prepared.fold, prepared.problem)
+    of_speed = replace(prepared, inputs=inputs)
+    made = model_of("lags", [recording], of_speed, fit, trust, None)
+    assert isinstance(made, LinearModel) and made.start is not None and not made.layout.lags_min
+    estimator = LinearEstimator(made)
+    assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0], 0.0)) > 0.99
+    assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0])) < 0.99, "speed is not known"
+
+
+def test_a_silence_of_everything_is_the_same_with_rows_and_without(recording: Recording, model: LinearModel) -> None:
+    """A recording has no rows where the daemon hears nothing; both must go on after it."""
+    estimator = LinearEstimator(model)
+    degc, silent = recording.temperatures_degc, np.full(SENSORS, np.nan)
+    before = estimator.begin(0.0, degc[0], 0.0)
+    for minute in range(1, 100):
+        before = estimator.advance(before, float(minute), degc[minute], 0.0)
+    with_rows = before
+    for minute in range(100, 130):
+        with_rows = estimator.advance(with_rows, float(minute), silent, float("nan"), bridged=True)
+    after = [estimator.advance(each, 130.0, degc[130], 0.0, bridged=True) for each in (before, with_rows)]
+    found = [estimator.estimate(each, before) for each in after]
+    assert found[0] is not None and found[1] is not None and found[0].imputed == found[1].imputed == ()
+    np.testing.assert_allclose(found[0].thermal_error_um, found[1].thermal_error_um, atol=1e-9)
+    assert after[0].unknown.max() > before.unknown.max(), "what it took in of the gap is not known"
+    cut = estimator.estimate(estimator.advance(before, 130.0, degc[130], 0.0), before)
+    assert cut is None, "without the word that their past explains them nobody counts"
+
+
+def test_a_temperature_that_hardly_moved_in_training_may_leave_its_range_as_far_as_others(model: LinearModel) -> None:
+    domain = model.domain
+    width_k = domain.highest - domain.lowest
+    quiet = replace(domain, highest=domain.highest.copy(), lowest=domain.lowest.copy())
+    quiet.highest[0] = quiet.lowest[0] + 0.1
+    estimator = LinearEstimator(replace(model, domain=quiet))
+    usual_k = float(np.median(np.append(width_k[1:], 0.1)))
+    degc = 0.5 * (domain.highest + domain.lowest)
+    for over_k, inside in ((0.9 * usual_k, True), (1.1 * usual_k, False)):
+        degc[0] = quiet.highest[0] + over_k
+        state = estimator.begin(0.0, degc, 0.0)
+        found = estimator.estimate(state, state)
+        assert found is not None and (not found.outside) is inside
 
 
 def test_while_the_past_is_not_known_the_band_is_wider_and_confidence_low(

@@ -55,9 +55,10 @@ class Fitted:
 
 
 def make_linear_model(fitted: Fitted) -> LinearModel:
-    """Return the model of a fit: with its ridges, and what bends, or telescoped where it has no lags and no watch."""
+    """Return the model of a fit: with its ridges, and what bends, or telescoped where nothing but ridges is in it."""
     inputs, fit, trust = fitted.inputs, fitted.fit, fitted.trust
-    if not (fit.solutions and (inputs.layout.lags_min or fitted.watch is not None)):
+    lagged = bool(inputs.layout.lags_min or inputs.layout.speed_lags_min)
+    if not (fit.solutions and (lagged or fit.mixture is not None or fitted.watch is not None)):
         return _telescoped(fitted)
     features, rows = inputs.features, fitted.rows
     first, *others = fitted.proof_rows
@@ -91,7 +92,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         created=fitted.created,
         axis_positions=inputs.axis_positions,
         pivots_mm=fitted.pivots_mm,
-        start=fit_start(inputs, rows, fit.coefficients) if inputs.layout.lags_min else None,
+        start=fit_start(inputs, rows, fit.coefficients) if lagged else None,
         test_vectors=tuple(
             TestVector(
                 features=features[row].copy(),
