@@ -43,7 +43,6 @@ class Capability(StrEnum):
     WORK_OFFSET = auto()
     TOOL_NUMBER = auto()
     AXIS_POSITION = auto()
-    """Of the axes in `cnc.axis_positions`; one that is missing is the whole that is missing."""
 
 
 class DriverError(Exception):

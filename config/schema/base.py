@@ -29,6 +29,7 @@ class KeyProblems(ValueError):
 
 
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+AXIS_PATTERN = r"^[A-Z][0-9]?$"
 CHANNEL_PATTERN = r"^\S([^\x00-\x1f\x7f]*\S)?$"
 RANGE_PATTERN = r"^\d+-\d+$"
 NUMBER_OR_RANGE_PATTERN = r"^\d+(-\d+)?$"
@@ -44,6 +45,7 @@ MAIL_ADDRESS_PATTERN = r"^[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]+@[A-Za-z0-9.-]+$"
 
 FORMS = {
     NAME_PATTERN: "letters, digits and underscores, a letter first",
+    AXIS_PATTERN: "the letter of an axis, such as Z, or a letter and a digit",
     CHANNEL_PATTERN: "text on one line, without a blank at either end",
     RANGE_PATTERN: "a range such as 7-12",
     NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",

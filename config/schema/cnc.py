@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from config.schema.base import (
+    AXIS_PATTERN,
     NUMBER_OR_RANGE_PATTERN,
     KeyPath,
     KeyProblems,
@@ -207,9 +208,9 @@ AXIS_NUMBERS = {letter: number for number, letter in enumerate("XYZABC", start=1
 class AxisPositionConfig(Section):
     """One axis position that is read from the control: of the machine's coordinates, kept in mm."""
 
-    axis: str = Field(pattern="^[A-Z][0-9]?$", description="letter of the axis on the control", examples=["Z"])
+    axis: str = Field(pattern=AXIS_PATTERN, description="letter of the axis on the control", examples=["Z"])
     number: int | None = Field(
-        None, ge=1, le=32, description="number of the axis on the control, from 1; none: X 1, Y 2, Z 3, A 4, B 5, C 6"
+        None, ge=1, le=32, description="its number there; none: X 1, Y 2, Z 3, A 4, B 5, C 6", examples=[3]
     )
     unit: Literal["mm", "inch"] = Field(
         "mm", description="unit of the control's machine coordinates, where the control itself does not say it"

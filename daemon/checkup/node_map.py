@@ -101,7 +101,7 @@ def _of_namespace(namespace: str, variables: Sequence[Variable]) -> Proposal:
         values["macro"] = None
         if rest_of_patterns:
             others["macro"] = tuple(rest_of_patterns)
-    missing = tuple(key for key in FANUC_NODES if key not in nodes)
+    missing = tuple(key for key in (*USUAL_NAMES, "macro") if key not in nodes)
     fanuc = all(FANUC_NODES[key] == node for key, node in nodes.items())
     return Proposal(
         preset="fanuc" if fanuc else "generic",

@@ -80,12 +80,12 @@ class ModelInUse:
     def set_reference(
         self,
         reference: Reference,
-        degc: FloatArray,
         now_s: float,
         excluded: Mapping[int, str] | None = None,
         kept: Mapping[str, Any] | None = None,
+        inputs: FloatArray | None = None,
     ) -> None:
-        """Count from this reference from now on; `degc`: its temperatures with the axis positions behind them.
+        """Count from this reference from now on; `inputs`: its temperatures with the axis positions behind them.
 
         A new one admits every sensor. One that is taken up again comes with the sensors that were `excluded`
         since (ID: sign) and with what a model has `kept`, this one or another; it may be read up in the
@@ -98,7 +98,7 @@ class ModelInUse:
             OnlineReference(
                 time_min=then_s / 60.0,
                 now_min=now_s / 60.0,
-                degc=degc[self._inputs],
+                degc=(reference.degc if inputs is None else inputs)[self._inputs],
                 history=self._samples(then_s) if late and not stateless else None,
                 excluded=excluded,
                 kept=kept,

@@ -202,9 +202,8 @@ class ThermalTask:
         self._online, self._next = (online, None) if at_once else (self._online, online)
 
     async def _count_from_reference(self, online: ModelInUse, reference: Reference, now_s: float) -> None:
-        degc = self._positions.at_reference(reference.degc)
-        known = (self._since.excluded, self._since.of_model)
-        await asyncio.to_thread(online.set_reference, reference, degc, now_s, *known)
+        known = (self._since.excluded, self._since.of_model, self._positions.at_reference(reference.degc))
+        await asyncio.to_thread(online.set_reference, reference, now_s, *known)
 
     def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
         if model is None:
@@ -325,8 +324,7 @@ class ThermalTask:
         self._since.begin(reference)
         self._positions.set_reference(now.monotonic_s)
         if self._online is not None:
-            degc = self._positions.at_reference(reference.degc)
-            self._online.set_reference(reference, degc, now.monotonic_s)
+            self._online.set_reference(reference, now.monotonic_s, inputs=self._positions.at_reference(degc))
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

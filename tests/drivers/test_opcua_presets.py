@@ -205,7 +205,7 @@ async def test_what_a_generic_server_does_not_have_is_said_and_has_no_value() ->
     server = SimulatedCncServer(ScriptedNc(), cnc_config(**generic), port=0)
     await server.start()
     cnc = await connected(server, **generic)
-    expected = set(Capability) - {Capability.READ_MACROS, Capability.WRITE_MACROS}
+    expected = set(Capability) - {Capability.READ_MACROS, Capability.WRITE_MACROS, Capability.AXIS_POSITION}
     assert set(cnc.cannot) == expected
     assert cnc.cannot["clock"] == "cnc.opcua.nodes.clock names no variable of the server"
     sample = await cnc.read([500])

@@ -53,7 +53,7 @@ def test_variables_of_another_server_are_known_by_their_usual_names() -> None:
         "macro": "s=Vars.Common[{number}]",
     }
     assert proposal.others == {"spindle_speed": ("i=14",), "macro": ("s=Other.Macro{number}",)}
-    assert set(proposal.missing) == set(FANUC_NODES) - set(proposal.nodes)
+    assert set(proposal.missing) == set(FANUC_NODES) - set(proposal.nodes) - {"axis_position"}, "which nobody must have"
     section = proposal.section("opc.tcp://here:4840")
     assert section["nodes"]["clock"] == "none", "said, and the output stays refused"
     assert OpcUaConfig.model_validate(section).namespace == "urn:a"
@@ -137,6 +137,6 @@ async def test_the_proposal_of_a_generic_server_is_a_configuration_that_reads_it
     found = json.loads((await browsed(server.endpoint, "--json", "-")).stdout)
     section = found["proposal"]
     assert (section["preset"], section["nodes"]["macro"]) == ("generic", "s=Variable.{number}")
-    assert set(found["missing"]) == set(FANUC_NODES) - {"mode", "run", "alarm", "macro"}
+    assert set(found["missing"]) == set(FANUC_NODES) - {"mode", "run", "alarm", "macro", "axis_position"}
     assert OpcUaConfig.model_validate(section).nodes.clock == "none"  # type: ignore[union-attr]
     await server.stop()
