@@ -105,6 +105,8 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             columns = resolve_columns(recording_map, header)
         except ColumnError as error:
             raise place.refuse(f"{error}{_encoding_hint(header)}") from error
+        if hint := _encoding_hint(header):
+            raise place.refuse(f"the names of the columns are garbled{hint}")
         if recording_map.unit_row:
             next(lines, "")
         form = _Form(header=header, delimiter=delimiter, columns=columns, recording_map=recording_map)
