@@ -38,9 +38,9 @@ class Killer:
         self._thread.join()
 
     def _kill_kept(self, name: str) -> None:
-        """Kill a kept process; where the one before has died a moment ago, the next one."""
+        """Kill a kept process; where the one before has died a moment ago, the next one, if one comes."""
         assert self._keeper is not None
-        while True:
+        for _ in range(100):
             pid = self._keeper.pid(name)
             with contextlib.suppress(ProcessLookupError):
                 if pid is not None:
