@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 
-from config.schema import Configuration
 from daemon.messages import SpindleSpeed
 from drivers.contract import Capability, Cnc
 from models.records import CncSample, FloatArray
@@ -45,12 +44,3 @@ class NoPositions:
     def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
         """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not."""
         return 1.0, ""
-
-
-def open_positions(configuration: Configuration) -> NoPositions:
-    """Return what is known of the axis positions of this machine."""
-    if not configuration.cnc.axis_positions:
-        return NoPositions()
-    from daemon.estimation.axis_positions import AxisPositions  # noqa: PLC0415 (loaded only where it is configured)
-
-    return AxisPositions(configuration)

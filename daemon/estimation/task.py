@@ -14,7 +14,7 @@ import structlog
 
 from config.schema import Configuration
 from daemon.estimation.cleansing import NAMED, Cleansing
-from daemon.estimation.inputs import open_positions
+from daemon.estimation.inputs import NoPositions
 from daemon.estimation.model_in_use import History, ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
@@ -63,6 +63,15 @@ Delivery = (
 """What it gives."""
 TURNS_OF_OUTPUT = 4
 """The loop turns so often until the control task has the answer to its look ahead and has sent its first write."""
+
+
+def _open_positions(configuration: Configuration) -> NoPositions:
+    """Return what is known of the axis positions of this machine."""
+    if not configuration.cnc.axis_positions:
+        return NoPositions()
+    from daemon.estimation.axis_positions import AxisPositions  # noqa: PLC0415 (loaded only where it is configured)
+
+    return AxisPositions(configuration)
 
 
 class ThermalInbox(asyncio.Queue[Message]):
@@ -118,7 +127,7 @@ class ThermalTask:
         self.line_faults: dict[str, tuple[str, ...]] = {}
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
-        self._positions = open_positions(configuration)
+        self._positions = _open_positions(configuration)
         self._past = HistoryBackfill(history.path, self._sensor_ids, clock, self._positions.names)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
