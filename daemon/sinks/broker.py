@@ -12,6 +12,7 @@ from typing import Any
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
@@ -29,6 +30,8 @@ from daemon.sinks.broker_refusals import (
 from daemon.sinks.contract import SinkError
 
 PING_PERIOD_S = 20
+LARGEST_MESSAGE = 1 << 16
+"""The broker is told to leave out what is larger [bytes]: nothing but commands and births comes here."""
 AT_ONCE = 500
 """Messages that wait for their acknowledgement together."""
 IF_NEW = 1
@@ -75,8 +78,10 @@ class Broker:
         client, config = self._client, self._config
         set_credentials(client, config, self._where)
         client.will_set(will.topic, will.payload, will.qos, will.retain)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = LARGEST_MESSAGE
         try:
-            client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=True)
+            client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=True, properties=properties)
         except (OSError, ValueError) as error:
             raise SinkError(f"{self._where}: {refusal(error, config)}") from error
         client.loop_start()

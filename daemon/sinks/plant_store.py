@@ -7,6 +7,7 @@ is no row is acknowledged and named in the log, because it would come for ever.
 
 import contextlib
 import json
+import math
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from psycopg import errors
 
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.sinks.broker import set_credentials
@@ -40,8 +42,23 @@ PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
 RETRY_FIRST_S, RETRY_LONGEST_S = 1.0, 30.0
 LONGEST_NAME = 200
+LARGEST_MESSAGE = 1 << 18
+"""The broker is told to leave out what is larger [bytes]; a row of a thousand sensors has some 30 kB."""
+LONGEST_PROBLEM = 500
 ARRAYS = {"temperatures": ("sensor_ids", "degc", "quality", "reason"), "references": ("sensor_ids", "degc")}
 TIMES = ("utc_ms", "cycle_utc_ms")
+TEXTS = frozenset(
+    (
+        *("line", "model_id", "reference_id", "cause", "person", "state", "reason", "outcome", "detail"),
+        *("mode", "run", "kind", "text", "source", "axis"),
+    )
+)
+ADDED_LATER = ("positions_mm",)
+"""Columns that rows from machines with an earlier version do not have."""
+FAULTS_OF_A_ROW = (
+    *(psycopg.DataError, psycopg.IntegrityError),
+    *(errors.ProgramLimitExceeded, errors.StatementTooComplex),  # a key that is too long, JSON that is too deep
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +74,7 @@ class StoredRow:
 def row_of(topic: str, payload: bytes, base: str) -> StoredRow:
     """Return the row of a message; raises ValueError with what is wrong with it."""
     try:
-        content = json.loads(payload)
+        content = json.loads(payload, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"no JSON: {error}") from error
     if not isinstance(content, dict):
@@ -69,10 +86,14 @@ def row_of(topic: str, payload: bytes, base: str) -> StoredRow:
         raise ValueError("`machine` and `stream` are not those of its topic")
     if type(utc_ms) is not int:
         raise ValueError("`utc_ms` is no whole number")
-    if missing := [column for column in stream.columns if column not in content]:
+    if missing := [column for column in stream.columns if column not in content and column not in ADDED_LATER]:
         raise ValueError(f"`{missing[0]}` is missing")
-    values = tuple(_value(stream, column, content[column]) for column in stream.columns)
+    values = tuple(_value(stream, column, content.get(column)) for column in stream.columns)
     return StoredRow(stream=stream, machine=machine, utc_ms=utc_ms, values=values)
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"{name} is no number")
 
 
 def _value(stream: Stream, column: str, value: Any) -> Any:
@@ -83,9 +104,29 @@ def _value(stream: Stream, column: str, value: Any) -> Any:
             raise ValueError(f"`{column}` is no time") from error
     if column in JSON_COLUMNS:
         return None if value is None else json.dumps(value)
-    if isinstance(value, list) != (column in ARRAYS.get(stream.name, ())) or isinstance(value, dict):
+    if column in ARRAYS.get(stream.name, ()):
+        fits = isinstance(value, list) and all(_is_number(each) for each in value)
+    elif column in TEXTS:
+        fits = value is None or (isinstance(value, str) and _has_characters_only(value))
+    else:
+        fits = isinstance(value, bool) or _is_number(value)
+    if not fits:
         raise ValueError(f"`{column}` is not what that field holds")
     return value
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a finite number or None."""
+    return value is None or type(value) is int or (type(value) is float and math.isfinite(value))
+
+
+def _has_characters_only(text: str) -> bool:
+    """Whether a text can be written in UTF-8: JSON may hold halves of characters."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 class Subscription:
@@ -116,6 +157,7 @@ class Subscription:
         set_credentials(client, config, self._where)
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval, properties.ReceiveMaximum = SESSION_S, UNSTORED
+        properties.MaximumPacketSize = LARGEST_MESSAGE
         try:
             client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=False, properties=properties)
         except (OSError, ValueError) as error:
@@ -170,6 +212,8 @@ class Subscription:
         self._tell_lost(lost(code.value, str(code)) if self._subscribed else closed_at_once(self._config))
 
     def _on_message(self, _client: Any, _data: Any, message: paho.MQTTMessage) -> None:
+        if message.qos == 0:
+            return  # no row of a sink, and the broker would send them without end while the database is slow
         with self._changed:
             self._arrived.append(message)
             self._changed.notify_all()
@@ -186,17 +230,17 @@ class PlantStore:
     def __init__(self, config: PlantStoreConfig, stop: threading.Event) -> None:
         self._config, self._stop = config, stop
         self._retry_s = RETRY_FIRST_S
+        self._said = ""
 
     def run(self) -> None:
         """Work until stopped."""
-        said = ""
         while not self._stop.is_set():
             try:
                 self._session()
             except SinkError as error:
-                if str(error) != said:
+                if str(error) != self._said:
                     log.warning("store.failed", problem=str(error))
-                said = str(error)
+                self._said = str(error)
                 self._stop.wait(self._retry_s)
                 self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
 
@@ -212,7 +256,7 @@ class PlantStore:
                 if messages := subscription.take(LOOK_PERIOD_S):
                     self._store(database, messages)
                     subscription.acknowledge(messages)
-                    self._retry_s = RETRY_FIRST_S
+                    self._retry_s, self._said = RETRY_FIRST_S, ""
         finally:
             subscription.close()
             database.close()
@@ -223,7 +267,7 @@ class PlantStore:
         try:
             try:
                 _put(database, rows)
-            except (psycopg.DataError, psycopg.IntegrityError):
+            except FAULTS_OF_A_ROW:
                 for row in rows:
                     self._put_alone(database, row)
         except (psycopg.Error, OSError) as error:
@@ -232,16 +276,20 @@ class PlantStore:
     def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
         try:
             return row_of(message.topic, bytes(message.payload), self._config.mqtt.topic)
-        except ValueError as error:
-            log.warning("store.refused", topic=printable(message.topic), problem=printable(str(error)))
+        except (ValueError, RecursionError) as error:
+            log.warning("store.refused", topic=printable(message.topic)[:LONGEST_PROBLEM], problem=_said(error))
             return None
 
     def _put_alone(self, database: Database, row: StoredRow) -> None:
         try:
             _put(database, [row])
-        except (psycopg.DataError, psycopg.IntegrityError) as error:
-            problem = " ".join(str(error).split())
-            log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=problem)
+        except FAULTS_OF_A_ROW as error:
+            log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=_said(error))
+
+
+def _said(error: Exception) -> str:
+    """Return an error on one line of bounded length: it may repeat what came from the broker."""
+    return printable(" ".join(str(error).split()))[:LONGEST_PROBLEM]
 
 
 def _put(database: Database, rows: Sequence[StoredRow]) -> None:

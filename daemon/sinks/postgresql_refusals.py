@@ -19,6 +19,8 @@ HINTS = {
     "timeout expired": "check `host`, `port` and the network",
     "many clients": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "connection slots": "the server lets no more connections in: raise its max_connections: each machine needs one",
+    "database system": "the server is starting, stopping or recovering; it is tried again",
+    "read-only transaction": "the server takes no writes: check that `host` is the primary one, not a standby",
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",
 }

@@ -23,6 +23,7 @@ JSON_COLUMNS = frozenset(
     (
         *("faults", "thermal_error_um", "band_um", "label_degc", "label_reference_degc", "imputed", "requested_um"),
         *("compensation_um", "enable", "limits_hit", "macros", "read_back", "applied_um", "um", "reasons"),
+        "positions_mm",
     )
 )
 """Columns that are JSON already."""

@@ -1,6 +1,8 @@
 """What the plant's store takes from a broker: rows of the topics they come by, and nothing that is none."""
 
+import hashlib
 import json
+import re
 import threading
 import time
 from pathlib import Path
@@ -13,15 +15,22 @@ from postgresql import PASSWORD, Server, postgresql
 
 from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import main
+from daemon.sinks.database import scripts
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.plant_store import PlantStore, row_of
+from daemon.sinks.plant_store import LARGEST_MESSAGE, TEXTS, PlantStore, row_of
+from daemon.sinks.row_messages import JSON_COLUMNS
 
 EVENT = {
     **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
     **{"kind": "note", "text": "warm", "person": None},
 }
+REFERENCE = {
+    **{"key": "k", "machine": "mill/7", "stream": "references", "utc_ms": 1_760_000_400_000, "reference_id": "r"},
+    **{"source": "s", "sensor_ids": [1], "degc": [20.0], "program": 1, "work_offset": 54, "power_on_count": 3},
+}
 TOPIC = "toolpoint/mill%2F7/history/events"
 PATIENCE_S = 60.0
+LONG = "".join(hashlib.sha256(bytes([n])).hexdigest() for n in range(150))
 
 
 def test_a_row_is_taken_by_its_topic() -> None:
@@ -45,12 +54,39 @@ def test_a_row_is_taken_by_its_topic() -> None:
         (TOPIC, {name: value for name, value in EVENT.items() if name != "kind"}, "`kind` is missing"),
         (TOPIC, EVENT | {"text": ["a"]}, "`text` is not what that field holds"),
         (TOPIC, EVENT | {"text": {"a": 1}}, "`text` is not what that field holds"),
+        (TOPIC, EVENT | {"text": 5}, "`text` is not what that field holds"),
+        (TOPIC, EVENT | {"text": "\ud800"}, "`text` is not what that field holds"),
+        (TOPIC, EVENT | {"monotonic_ms": "NaN"}, "`monotonic_ms` is not what that field holds"),
+        (TOPIC, EVENT | {"monotonic_ms": float("nan")}, "NaN is no number"),
+        (TOPIC, json.dumps(EVENT).replace(": 5,", ": 1e999,").encode(), "`monotonic_ms` is not what that field holds"),
+        (TOPIC.replace("events", "references"), REFERENCE | {"degc": [{}]}, "`degc` is not what that field holds"),
+        (TOPIC.replace("events", "references"), REFERENCE | {"degc": [[1.0]]}, "`degc` is not what that field holds"),
+        (TOPIC.replace("events", "references"), REFERENCE | {"degc": 5}, "`degc` is not what that field holds"),
     ],
 )
 def test_what_is_no_row_is_refused_with_the_field(topic: str, payload: object, said: str) -> None:
     content = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
     with pytest.raises(ValueError, match=said):
         row_of(topic, content, "toolpoint")
+
+
+def test_what_is_text_is_text_in_the_database_and_what_is_json_is_json_in_a_message() -> None:
+    script = "".join(text for _, text in scripts())
+    texts = set(re.findall(r"(\w+) text\b", script)) - {"machine", "stream", "generation"}
+    assert texts == TEXTS
+    assert set(re.findall(r"(\w+) jsonb\b", script)) == JSON_COLUMNS
+
+
+def test_a_row_of_a_machine_with_an_earlier_version_is_taken() -> None:
+    stream = STREAMS["cnc"]
+    texts, mappings = {"mode": "memory", "run": "started"}, {"macros": {"500": 1.5}}
+    row = dict.fromkeys(stream.columns, 1) | {"alarm": False, "utc_ms": EVENT["utc_ms"]} | texts | mappings
+    content = {"machine": "mill/7", "stream": "cnc"} | {k: v for k, v in row.items() if k != "positions_mm"}
+    taken = row_of("toolpoint/mill%2F7/history/cnc", json.dumps(content).encode(), "toolpoint")
+    assert taken.values[stream.columns.index("positions_mm")] is None
+    content["positions_mm"] = {"X": 1.5}
+    taken = row_of("toolpoint/mill%2F7/history/cnc", json.dumps(content).encode(), "toolpoint")
+    assert taken.values[stream.columns.index("positions_mm")] == '{"X": 1.5}'
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +125,9 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
             for text in texts:  # again where the store had not subscribed yet
                 publish(text=text)
             publish(text="no kind", kind=None)
+            publish(text="a key that is too long for an index", kind=LONG)
+            publish(text="half of a character \ud800")
+            publish(text="a" * LARGEST_MESSAGE)
             time.sleep(0.2)
         assert stored() == ["one", "two"]
         newest = server.ask("SELECT machine, stream, extract(epoch FROM newest)::int FROM toolpoint.deliveries")

@@ -299,6 +299,18 @@ def test_a_server_that_is_full_of_connections_names_the_setting(server: Server) 
     assert "raise its max_connections" in refusal(refused.value, PostgresqlConfig(host="db"))
 
 
+@pytest.mark.parametrize(
+    ("said", "advised"),
+    [
+        ("FATAL: the database system is starting up", "starting, stopping"),
+        ("cannot execute INSERT in a read-only transaction", "`host` is the primary"),
+        ('FATAL: database "plant" does not exist', "check `database`"),
+    ],
+)
+def test_a_server_that_starts_is_not_taken_for_one_without_the_database(said: str, advised: str) -> None:
+    assert advised in refusal(psycopg.OperationalError(said), PostgresqlConfig(host="db"))
+
+
 def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.1)
