@@ -17,7 +17,7 @@ from models.thermal.estimation import Estimation
 from models.thermal.features import BRIDGE_MIN, Layout, lag_step, speed_inputs
 from models.thermal.known_history import KnownHistory
 from models.thermal.left_out import LeftOut
-from models.thermal.model import LinearParameters
+from models.thermal.model import Domain, LinearParameters
 from models.thermal.model_state import ModelState
 from models.thermal.solution import band_factor, far_confidence, fast_confidence
 from models.thermal.watch import SensorFault, Watcher, WatchState
@@ -44,10 +44,7 @@ class LinearEstimator:
         beside = np.array([names.index(each) for each in components], dtype=np.intp) if components else None
         self.left_out = LeftOut(model, beside)
         self._watcher = None if model.watch is None else Watcher(model.watch)
-        domain = model.domain
-        usual_k = 0.0 if domain.of_increments else float(np.median(domain.highest - domain.lowest))
-        widening = np.maximum(domain.highest - domain.lowest, max(usual_k, DOMAIN_MARGIN_K))
-        self._lowest, self._highest = domain.lowest - widening, domain.highest + widening
+        self._lowest, self._highest = widened(model.domain, model.layout.sensors - len(model.axis_positions))
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         self._past = KnownHistory(model, self._bridge_min)
         self.history_min = SETTLED_LAGS * max((*model.layout.lags_min, *model.layout.speed_lags_min), default=0.0)
@@ -267,6 +264,14 @@ class LinearEstimator:
         if self._watcher is None or state.watch is None:
             return state
         return replace(state, watch=self._watcher.reinitialised(state.watch, sensors))
+
+
+def widened(domain: Domain, temperatures: int) -> tuple[FloatArray, FloatArray]:
+    """Return from where to where inputs may go [degC, mm]; the first ones are so many temperatures."""
+    width = domain.highest - domain.lowest
+    usual_k = 0.0 if domain.of_increments else float(np.median(width[: temperatures or None]))
+    more = np.maximum(width, max(usual_k, DOMAIN_MARGIN_K))
+    return domain.lowest - more, domain.highest + more
 
 
 def excluded_sensors(state: ModelState, reference: ModelState) -> tuple[int, ...]:

@@ -17,13 +17,15 @@ class KnownHistory:
 
     def __init__(self, model: LinearParameters, bridge_min: float) -> None:
         layout = model.layout
+        self._temperatures = layout.sensors - len(model.axis_positions)
+        self._rest_is_known = not model.axis_positions  # where axes have dwelt shows in no temperature
         self._start, self._band_um, self._bridge_min = model.start, model.band_um, bridge_min
         self.constants_min = np.array([*layout.lags_min, *layout.speed_lags_min])
         self.of_speed: BoolArray = np.arange(len(self.constants_min)) >= len(layout.lags_min)
 
     def at_first(self, degc: FloatArray, speed_rpm: float) -> FloatArray:
         """Return the share of each lag that is unknown at a first sample, shape (n_lags,)."""
-        share = 1.0 if self._start is None else self._start.unknown_at_start(degc)
+        share = self._start.unknown_at_start(degc) if self._start is not None and self._rest_is_known else 1.0
         return np.where(self.of_speed & ~np.isfinite(speed_rpm), 1.0, share)
 
     def after(
@@ -36,7 +38,7 @@ class KnownHistory:
 
         `state`: before it. `time_min`, `degc`: of the sample. `speed_known`: whether it holds spindle speed.
         """
-        renewed = np.where(self.of_speed, speed_known, np.isfinite(degc).any())
+        renewed = np.where(self.of_speed, speed_known, self._latest(np.where(np.isfinite(degc), 1.0, -np.inf)) > 0.0)
         unknown = np.where(renewed, self._unknown(state, time_min), state.unknown)
         share = self._at_rest(state, time_min, degc)
         rests = (share < unknown) & (~self.of_speed | speed_known) if share < 1.0 else np.zeros_like(self.of_speed)
@@ -45,7 +47,7 @@ class KnownHistory:
     def _at_rest(self, state: ModelState, time_min: float, degc: FloatArray) -> float:
         """Return what is unknown of lags that begin anew after a silence of all sensors; 1 where that is no choice."""
         latest_min = float(np.max(state.known_min))
-        if self._start is None or time_min - latest_min <= self._bridge_min:
+        if self._start is None or not self._rest_is_known or time_min - latest_min <= self._bridge_min:
             return 1.0
         if np.isfinite(latest_min) and not np.isfinite(degc[state.known_min >= latest_min]).all():
             return 1.0
@@ -86,9 +88,14 @@ class KnownHistory:
             return float(np.clip(1.0 - max(share.max() for share in unknown), 0.0, 1.0))
         return self._start.known(np.sum([self._start.variance_um2(share) for share in unknown], axis=0))
 
+    def _latest(self, known_min: FloatArray) -> float:
+        """Return until when the past is known [min]: a temperature tells of all others, a position of itself alone."""
+        count = self._temperatures
+        return float(min(known_min[:count].max(initial=-np.inf), known_min[count:].min(initial=np.inf)))
+
     def _unknown(self, state: ModelState, time_min: float) -> FloatArray:
         """Return the share of each lag that is unknown at a time, shape (n_lags,)."""
-        since_min = time_min - float(np.max(state.known_min))
+        since_min = time_min - self._latest(state.known_min)
         of_degc = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)
         if not self.of_speed.any():
             return of_degc

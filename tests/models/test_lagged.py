@@ -13,7 +13,7 @@ from sklearn.linear_model import Ridge
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted
+from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted, widened
 from models.thermal.family import model_from_json
 from models.thermal.features import Design, lag_step, lag_table
 from models.thermal.linear import LinearModel
@@ -261,6 +261,66 @@ def test_a_silence_of_everything_is_the_same_with_rows_and_without(recording: Re
     assert after[0].unknown.max() > before.unknown.max(), "what it took in of the gap is not known"
     cut = estimator.estimate(estimator.advance(before, 130.0, degc[130], 0.0), before)
     assert cut is None, "without the word that their past explains them nobody counts"
+
+
+@pytest.fixture(scope="module")
+def with_an_axis(recording: Recording) -> LinearModel:
+    """A model that has the position of an axis behind the temperatures, hundreds of mm to and fro."""
+    z_mm = 250.0 + 240.0 * np.sin(np.arange(recording.rows) / 7.0)
+    moving = replace(
+        recording,
+        temperature_names=(*recording.temperature_names, "Z_mm"),
+        temperatures_degc=np.column_stack([recording.temperatures_degc, z_mm]),
+        axis_positions=("Z_mm",),
+    )
+    made = train_family([moving], "lags", sample_s=60.0, created=CREATED).model
+    assert isinstance(made, LinearModel) and made.start is not None
+    return made
+
+
+def test_a_silence_of_all_sensors_is_one_though_the_axes_are_read_meanwhile(
+    recording: Recording, model: LinearModel, with_an_axis: LinearModel
+) -> None:
+    """The positions of 30 minutes without temperatures once let their lags count as known."""
+    grown = []
+    for made, z_mm in ((model, ()), (with_an_axis, (250.0,))):
+        estimator, degc = LinearEstimator(made), recording.temperatures_degc
+        state = before = estimator.rebuild((float(minute), np.append(degc[minute], z_mm), 0.0) for minute in range(100))
+        assert state is not None and before is not None
+        for minute in range(100, 131):
+            row = np.append(degc[130] if minute == 130 else np.full(SENSORS, np.nan), z_mm)
+            state = estimator.advance(state, float(minute), row, 0.0, bridged=True)
+        of_temperatures = (state.unknown - before.unknown)[~estimator._past.of_speed]
+        grown.append(float(of_temperatures[0]))
+    assert grown[0] > 0.05 and grown[1] == pytest.approx(grown[0], rel=0.2)
+
+
+def test_where_an_axis_has_dwelt_is_unknown_at_first_and_after_a_gap_of_its_position(
+    recording: Recording, with_an_axis: LinearModel
+) -> None:
+    """Temperatures that are known, or at rest, tell nothing of it: half an hour elsewhere once passed unseen."""
+    estimator, rest = LinearEstimator(with_an_axis), np.append(recording.temperatures_degc[0], 250.0)
+    assert estimator.begin(0.0, rest, 0.0).unknown.min() == 1.0
+    state = before = estimator.rebuild((float(minute), rest, 0.0) for minute in range(1000))
+    assert state is not None and before is not None and before.unknown.max() < 0.1
+    for minute in range(1000, 1031):
+        row = np.append(rest[:SENSORS], 250.0 if minute == 1030 else np.nan)
+        state = estimator.advance(state, float(minute), row, 0.0, bridged=True)
+    gone = -np.expm1(-31.0 / estimator._past.constants_min)
+    assert (state.unknown >= 0.9 * gone)[~estimator._past.of_speed].all()
+
+
+def test_the_travel_of_axes_does_not_widen_what_temperatures_may_be(model: LinearModel) -> None:
+    """The median width of all inputs was taken in mm too: with most of them positions a sensor could melt unseen."""
+    count, axes = SENSORS, SENSORS + 2
+    domain = replace(
+        model.domain,
+        lowest=np.append(model.domain.lowest, np.zeros(axes)),
+        highest=np.append(model.domain.highest, np.full(axes, 500.0)),
+    )
+    of_temperatures, of_all = widened(model.domain, count), widened(domain, count)
+    np.testing.assert_allclose(np.array(of_all)[:, :count], of_temperatures)
+    np.testing.assert_allclose(np.array(of_all)[:, count:], [[-500.0] * axes, [1000.0] * axes])
 
 
 def test_a_temperature_that_hardly_moved_in_training_may_leave_its_range_as_far_as_others(model: LinearModel) -> None:
