@@ -71,11 +71,14 @@ simulated-model: $(VENV)/.installed
 thermal-zoo: $(VENV)/.installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/zoo/zoo.py $(ZOO)
 
-# Everything that an installation without a network needs, as one tar in dist/.
+# Everything that an installation without a network needs, as one tar in dist/. With what sinks need beyond it:
+# `make bundle EXTRAS=sparkplug,parquet`; with what `fleet train --dask` needs: `dask` too.
+EXTRAS ?= sparkplug
 bundle: $(VENV)/.installed-dev
 	rm -rf dist/bundle
 	mkdir -p dist/bundle/wheels
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/wheels .
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/wheels '.[$(EXTRAS)]'
+	echo '$(EXTRAS)' > dist/bundle/extras
 	$(BIN)/python -P .ci/bill_of_materials.py dist/bundle/wheels package-lock.json dist/bundle/sbom.cdx.json
 	cp -r systemd constraints.txt README.md LICENSE CHANGELOG.md docs dist/bundle/
 	mv dist/bundle/systemd/install.sh dist/bundle/

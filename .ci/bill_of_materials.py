@@ -10,6 +10,7 @@ import hashlib
 import json
 import sys
 import zipfile
+from collections.abc import Collection
 from dataclasses import dataclass
 from email.message import Message
 from email.parser import BytesHeaderParser
@@ -69,6 +70,11 @@ class Wheel:
         wanted = (one for one in requirements if one.marker is None or one.marker.evaluate({"extra": ""}))
         return [canonicalize_name(one.name) for one in wanted]
 
+    def extras(self, there: Collection[str]) -> list[str]:
+        """Return the names of what an extra of it needs and the bundle brings along."""
+        names = {canonicalize_name(Requirement(text).name) for text in self.metadata.get_all("Requires-Dist", [])}
+        return sorted(name for name in names - set(self.needs()) if name in there)
+
     def _licence(self) -> str:
         named = str(self.metadata["License-Expression"] or self.metadata["License"] or "")  # a Header where not ASCII
         if 0 < len(named) <= LONGEST_LICENCE and "\n" not in named:
@@ -123,6 +129,7 @@ def bill_of_materials(folder: Path, lock: Path) -> str:
         needed = wheel.needs()
         if missing := sorted(set(needed) - set(wheels)):
             raise BillError(f"{folder}: {name} needs {', '.join(missing)}, of which there is no wheel")
+        needed += wheel.extras(wheels) if name == PRODUCT else []
         pages = of_the_pages(lock) if name == PRODUCT else []
         for one in pages:
             bom.components.add(one)

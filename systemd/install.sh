@@ -68,19 +68,20 @@ if [ "$program_only" = no ]; then
     esac
 fi
 
+extras=$(cat "$here/extras" 2> /dev/null || :)
 mkdir -p "$prefix"
 # The environment is built in its own place, because programs in it name that place.
 trap 'rm -rf "$prefix/$version"' EXIT
 "$python" -m venv "$prefix/$version"
 "$prefix/$version/bin/python" -m pip install --quiet --disable-pip-version-check --no-index \
-    --find-links "$here/wheels" --constraint "$here/constraints.txt" "toolpoint==$version"
+    --find-links "$here/wheels" --constraint "$here/constraints.txt" "toolpoint${extras:+[$extras]}==$version"
 "$prefix/$version/bin/toolpoint" --version
 trap - EXIT
 
 if [ "$program_only" = no ]; then
     units="$root/etc/systemd/system"
     mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
-    for unit in toolpoint.service toolpoint-sink.service toolpoint-release.service toolpoint-release.path; do
+    for unit in toolpoint.service toolpoint-sink.service toolpoint-store.service toolpoint-release.service toolpoint-release.path; do
         sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/$unit"
     done
     cp "$here/systemd/toolpoint.sysusers" "$root/usr/lib/sysusers.d/toolpoint.conf"

@@ -13,33 +13,35 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 INSTALLER = ROOT / "systemd/install.sh"
-PROGRAM = "def main():\n    print('toolpoint, version {version}')\n"
+PROGRAM = "def main():\n    print('{name}, version {version}')\n"
 
 
-def wheel(folder: Path, version: str) -> None:
+def wheel(folder: Path, version: str, name: str = "toolpoint", more: str = "") -> None:
     """Write a wheel that calls itself Toolpoint; the real bundle is built and installed by .ci/run."""
-    info = f"toolpoint-{version}.dist-info"
+    info = f"{name}-{version}.dist-info"
     files = {
-        "toolpoint_stand_in.py": PROGRAM.format(version=version),
-        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: toolpoint\nVersion: {version}\n",
+        f"{name}_stand_in.py": PROGRAM.format(name=name, version=version),
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{more}",
         f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-        f"{info}/entry_points.txt": "[console_scripts]\ntoolpoint = toolpoint_stand_in:main\n",
+        f"{info}/entry_points.txt": f"[console_scripts]\n{name} = {name}_stand_in:main\n",
     }
     record = "".join(
-        f"{name},sha256={base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b'=').decode()},"
+        f"{path},sha256={base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b'=').decode()},"
         f"{len(text.encode())}\n"
-        for name, text in files.items()
+        for path, text in files.items()
     )
-    with zipfile.ZipFile(folder / f"toolpoint-{version}-py3-none-any.whl", "w") as archive:
-        for name, text in (files | {f"{info}/RECORD": f"{record}{info}/RECORD,,\n"}).items():
-            archive.writestr(name, text)
+    with zipfile.ZipFile(folder / f"{name}-{version}-py3-none-any.whl", "w") as archive:
+        for path, text in (files | {f"{info}/RECORD": f"{record}{info}/RECORD,,\n"}).items():
+            archive.writestr(path, text)
 
 
 def bundle(folder: Path, version: str) -> Path:
     """Make what `make bundle` makes, with a small program."""
     made = folder / f"bundle-{version}"
     (made / "wheels").mkdir(parents=True)
-    wheel(made / "wheels", version)
+    wheel(made / "wheels", version, more='Provides-Extra: more\nRequires-Dist: added; extra == "more"\n')
+    wheel(made / "wheels", "1.0", name="added")
+    (made / "extras").write_text("more\n", encoding="utf-8")
     shutil.copytree(ROOT / "systemd", made / "systemd")
     shutil.copy(INSTALLER, made / "install.sh")
     shutil.copy(ROOT / "constraints.txt", made / "constraints.txt")
@@ -77,11 +79,13 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     made = bundle(tmp_path, "0.0.2")
     done = install(made, prefix, "--root", str(root))
     assert done.returncode == 0, done.stderr
+    assert (prefix / "0.0.2/bin/added").exists(), "of the extra that the bundle brings along"
     assert current(prefix) == "0.0.2" and "systemctl restart toolpoint" in done.stdout
     placed = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
     assert placed == {
         "etc/systemd/system/toolpoint.service",
         "etc/systemd/system/toolpoint-sink.service",
+        "etc/systemd/system/toolpoint-store.service",
         "etc/systemd/system/toolpoint-release.service",
         "etc/systemd/system/toolpoint-release.path",
         "usr/lib/sysusers.d/toolpoint.conf",
@@ -89,7 +93,7 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
         "etc/udev/rules.d/60-toolpoint.rules",
     }
 
-    for unit in ("toolpoint.service", "toolpoint-sink.service", "toolpoint-release.service"):
+    for unit in ("toolpoint.service", "toolpoint-sink.service", "toolpoint-store.service", "toolpoint-release.service"):
         text = (root / "etc/systemd/system" / unit).read_text("utf-8")
         assert f"ExecStart={prefix}/current/bin/toolpoint" in text and "/opt/toolpoint" not in text
 

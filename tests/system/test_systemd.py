@@ -13,6 +13,7 @@ SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNIT = SYSTEMD / "toolpoint.service"
 RELEASE = SYSTEMD / "toolpoint-release.service"
 SINK = SYSTEMD / "toolpoint-sink.service"
+STORE = SYSTEMD / "toolpoint-store.service"
 MOST_EXPOSURE = 1.6
 
 
@@ -29,7 +30,7 @@ def settings(name: str, unit: Path = UNIT) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "name", ["toolpoint.service", "toolpoint-sink.service", "toolpoint-release.service", "toolpoint-release.path"]
+    "name", sorted(each.name for each in SYSTEMD.iterdir() if each.suffix in (".service", ".path"))
 )
 def test_unit_is_understood(tmp_path: Path, name: str) -> None:
     program = Path(sys.executable).with_name("toolpoint")
@@ -47,7 +48,7 @@ def test_unit_is_understood(tmp_path: Path, name: str) -> None:
     assert (verified.returncode, own) == (0, [])
 
 
-@pytest.mark.parametrize("unit", [UNIT, RELEASE, SINK], ids=lambda unit: unit.stem)
+@pytest.mark.parametrize("unit", [UNIT, RELEASE, SINK, STORE], ids=lambda unit: unit.stem)
 def test_unit_is_hardened(unit: Path) -> None:
     judged = subprocess.run(
         [tool("systemd-analyze"), "security", "--offline=true", "--no-pager", str(unit)],
@@ -90,6 +91,14 @@ def test_secrets_reach_the_daemon_as_credentials() -> None:
     guide = (SYSTEMD.parent / "docs/how-to/install.md").read_text("utf-8")
     for name in loaded:
         assert f"/run/credentials/toolpoint.service/{name}" in guide
+
+
+@pytest.mark.parametrize("unit", [SINK, STORE], ids=lambda unit: unit.stem)
+def test_every_secret_that_the_guides_name_has_its_line_in_the_unit(unit: Path) -> None:
+    guides = [path.read_text("utf-8") for path in sorted((SYSTEMD.parent / "docs/how-to").glob("*.md"))]
+    named = {name for text in guides for name in re.findall(rf"/run/credentials/{unit.name}/([\w.-]+)", text)}
+    loaded = set(re.findall(r"^#LoadCredential=([\w.-]+):/etc/toolpoint/secrets/\1$", unit.read_text("utf-8"), re.M))
+    assert named and named <= loaded
 
 
 def test_unit_is_fed_by_the_watchdog_and_not_restarted_over_a_bad_configuration() -> None:
