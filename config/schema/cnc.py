@@ -202,16 +202,15 @@ class TemperatureMacroConfig(Section):
     )
 
 
-AXIS_NUMBERS = {letter: number for number, letter in enumerate("XYZABC", start=1)}
+AXIS_NUMBERS = {"X": 1, "Y": 2, "Z": 3}
+ROTARY = "ABC"
 
 
 class AxisPositionConfig(Section):
     """One axis position that is read from the control: of the machine's coordinates, kept in mm."""
 
     axis: str = Field(pattern=AXIS_PATTERN, description="letter of the axis on the control", examples=["Z"])
-    number: int | None = Field(
-        None, ge=1, le=32, description="its number there; none: X 1, Y 2, Z 3, A 4, B 5, C 6", examples=[3]
-    )
+    number: int | None = Field(None, ge=1, le=32, description="its number there; none: X 1, Y 2, Z 3", examples=[3])
     unit: Literal["mm", "inch"] = Field(
         "mm", description="unit of the control's machine coordinates, where the control itself does not say it"
     )
@@ -228,6 +227,10 @@ class AxisPositionConfig(Section):
     @model_validator(mode="after")
     def _sensible(self) -> "AxisPositionConfig":
         lowest, highest = self.travel_mm
+        if self.axis[0] in ROTARY:
+            raise KeyProblems(
+                [(("axis",), f"{self.axis} turns: its degrees roll over and are no mm; name a linear axis")]
+            )
         if not -math.inf < lowest < highest < math.inf:
             raise KeyProblems([(("travel_mm",), "the lowest position comes first, then the highest [mm]")])
         if self.number is None and self.axis not in AXIS_NUMBERS:

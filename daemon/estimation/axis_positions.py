@@ -1,6 +1,6 @@
 """Axis positions as inputs of the thermal model: which are believed, their means, and how far training knows them."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -27,14 +27,15 @@ class AxisPositions(NoPositions):
         self._axes = configuration.cnc.axis_positions
         self.names = tuple(self._axes)
         self._stale_after_s = configuration.cnc.stale_after_s
-        self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        self._window_s = configuration.compensation.reference.mean_s
+        self._mean = RollingMean(self._window_s)
         count = len(self.names)
         self._last_mm, self._last_s = np.full(count, np.nan), np.full(count, -np.inf)
         self._unreachable = np.zeros(count, dtype=int)
         self._why = dict.fromkeys(self.names, "the control has given none yet")
         self._jumped: dict[str, str] = {}
         self.reference_mm: FloatArray = np.full(count, np.nan)
-        """Where the axes stood in the mean when the reference was set [mm]."""
+        """Where the axes stood when the reference was set [mm]."""
 
     def take(self, poll: SpindleSpeed) -> None:
         """Take one poll of the CNC."""
@@ -47,6 +48,7 @@ class AxisPositions(NoPositions):
                 continue
             believed[place] = self._last_mm[place] = mm
             self._last_s[place] = now_s
+            self._why[name] = "none has been read for longer than cnc.stale_after_s"
         self._mean.add(now_s, believed)
 
     def _not_believed(self, place: int, name: str, now_s: float, mm: float, lacking: str) -> str:
@@ -71,6 +73,21 @@ class AxisPositions(NoPositions):
             self._jumped[name] = f"{why}: see that the axis was referenced, then position the work again"
         return why
 
+    def believed(self, name: str, time_s: FloatArray, mm: FloatArray) -> FloatArray:
+        """Return recorded positions of an axis without those outside its travel and those that it cannot have been at.
+
+        The latter are those that lie farther from the one before, and from the next, than the axis gets.
+        """
+        axis = self._axes[name]
+        lowest, highest = axis.travel_mm
+        inside = np.flatnonzero((mm >= lowest - SLACK_MM) & (mm <= highest + SLACK_MM))
+        reach_mm = SLACK_MM + axis.rapid_mm_per_min / 60.0 * np.diff(time_s[inside])
+        jumps = np.abs(np.diff(mm[inside])) > reach_mm
+        slips = np.append(False, jumps) & np.append(jumps, False)
+        found = np.full(len(mm), np.nan)
+        found[inside[~slips]] = mm[inside[~slips]]
+        return found
+
     def mean_mm(self, now_s: float) -> FloatArray:
         """Return the mean of each axis over the window [mm]; NaN where none has been believed for too long."""
         fresh = now_s - self._last_s <= self._stale_after_s
@@ -84,11 +101,29 @@ class AxisPositions(NoPositions):
         """Return the temperatures at the reference, and behind them the positions at it."""
         return np.concatenate([degc, self.reference_mm])
 
-    def set_reference(self, now_s: float, then: FloatArray | None = None) -> None:
-        """Count from where the axes stand now, which is where they are; or from positions of then [mm]."""
-        self.reference_mm = self.mean_mm(now_s) if then is None else then
-        if then is None:
-            self._jumped.clear()
+    def set_reference(self, now_s: float) -> dict[str, float]:
+        """Count from where the axes stand now, and return that for a restart [mm].
+
+        The means begin anew there: with where the axes came from in them, an axis that stands still would seem to move.
+        An axis that has just jumped is nowhere until its next value is believed.
+        """
+        jumping = self._unreachable >= AGREEING
+        self._last_s[jumping], self._last_mm[jumping], self._unreachable[jumping] = -np.inf, np.nan, 0
+        self._jumped.clear()
+        self.reference_mm = np.where(now_s - self._last_s <= self._stale_after_s, self._last_mm, np.nan)
+        self._mean = RollingMean(self._window_s)
+        self._mean.add(now_s, self.reference_mm)
+        known = zip(self.names, self.reference_mm.tolist(), strict=True)
+        return {self._identity(name): mm for name, mm in known if np.isfinite(mm)}
+
+    def take_up(self, kept: Mapping[str, float]) -> None:
+        """Count from where the axes stood at a reference of before; one that was read elsewhere is unknown."""
+        self.reference_mm = np.array([kept.get(self._identity(name), np.nan) for name in self.names])
+
+    def _identity(self, name: str) -> str:
+        """Return a name, and what is read from the control under it: an entry may be changed before a restart."""
+        axis = self._axes[name]
+        return " ".join((name, axis.axis, str(axis.place), axis.unit))
 
     def unknown(self, model: ThermalModel, now_s: float) -> str:
         """Return which position that a model needs is not known, and why, '' when all are."""

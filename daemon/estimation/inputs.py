@@ -1,6 +1,6 @@
 """What a thermal model gets behind the temperatures: axis positions where the configuration names some."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from daemon.messages import SpindleSpeed
 from drivers.contract import Capability, Cnc
@@ -34,8 +34,16 @@ class NoPositions:
         """Return the temperatures at the reference, and behind them the positions at it."""
         return degc
 
-    def set_reference(self, now_s: float, then: FloatArray | None = None) -> None:
-        """Count from now on, or from positions of then [mm]."""
+    def believed(self, name: str, time_s: FloatArray, mm: FloatArray) -> FloatArray:
+        """Return recorded positions of an axis without those that cannot be."""
+        return mm
+
+    def set_reference(self, now_s: float) -> dict[str, float]:
+        """Count from where the axes stand now, and return that for a restart [mm]."""
+        return {}
+
+    def take_up(self, kept: Mapping[str, float]) -> None:
+        """Count from where the axes stood at a reference of before."""
 
     def unknown(self, model: ThermalModel, now_s: float) -> str:
         """Return which position that a model needs is not known, and why, '' when all are."""

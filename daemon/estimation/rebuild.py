@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import structlog
 
+from daemon.estimation.inputs import NoPositions
 from daemon.history import HistoryError, HistoryReader
 from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
@@ -24,12 +25,12 @@ LEAD_S = 120.0
 class HistoryBackfill:
     """Reads one machine's store; times are the monotonic clock's."""
 
-    def __init__(self, store: Path, sensor_ids: Sequence[int], clock: Clock, positions: Sequence[str] = ()) -> None:
-        """`positions`: axis positions, which follow the temperatures of `means` [mm]."""
+    def __init__(self, store: Path, sensor_ids: Sequence[int], clock: Clock, positions: NoPositions) -> None:
+        """`positions`: those of the axes follow the temperatures of `means` [mm]."""
         self._store = store
         self._sensor_ids = tuple(sensor_ids)
         self._clock = clock
-        self._positions = tuple(positions)
+        self._positions = positions
 
     def means(self, from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
         """Yield time, temperatures [degC] and spindle speed [1/min] as means that end at each period's end."""
@@ -48,11 +49,6 @@ class HistoryBackfill:
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
         give_memory_back()
-
-    def positions_at(self, then_s: float, mean_s: float) -> FloatArray:
-        """Return where the axes stood in the mean until then [mm]; NaN where nothing was recorded."""
-        rows = [row for _, row, _ in self.means(then_s - mean_s, then_s, mean_s)]
-        return rows[-1][len(self._sensor_ids) :] if rows else np.full(len(self._positions), np.nan)
 
     def last_accepted(self) -> tuple[FloatArray, FloatArray]:
         """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is."""
@@ -78,17 +74,14 @@ class HistoryBackfill:
         found = reader.temperatures(self._sensor_ids, begin_s + to_utc_s - LEAD_S, end_s + to_utc_s)
         cnc = reader.cnc(begin_s + to_utc_s, end_s + to_utc_s)
         degc, at_s, cnc_s = found.cleansed(), found.time_s - to_utc_s, cnc.time_s - to_utc_s
-        none = np.full(len(cnc_s), np.nan)
-        positions = (
-            np.array([cnc.positions_mm.get(name, none) for name in self._positions])
-            .reshape(len(self._positions), len(cnc_s))
-            .T
-        )
+        none, names = np.full(len(cnc_s), np.nan), self._positions.names
+        told = [self._positions.believed(name, cnc_s, cnc.positions_mm.get(name, none)) for name in names]
+        positions = np.array(told).reshape(len(names), len(cnc_s)).T
         for last_s in np.arange(begin_s + period_s, end_s + 1e-6, period_s):
             inside = (at_s > last_s - period_s) & (at_s <= last_s)
             speeds = cnc.spindle_speed_rpm[(cnc_s > last_s - period_s) & (cnc_s <= last_s)]
             means = _mean_of_known(degc[inside])
-            if self._positions:
+            if names:
                 polled = (cnc_s > last_s - period_s) & (cnc_s <= last_s)
                 means = np.concatenate([means, _mean_of_known(positions[polled])])
             yield float(last_s), means, float(_mean_of_known(speeds[:, None])[0])

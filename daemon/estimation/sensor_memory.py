@@ -54,6 +54,8 @@ class SinceReference:
         """What sensors that were found wrong were worth when they were found, all together [um]."""
         self.wrong_in_tool_um = 0.0
         """What sensors that were found wrong have made of the tool term at most [um]."""
+        self.positions_mm: Mapping[str, float] = {}
+        """Where the axes stood at the reference, as they are read [mm]."""
         self._reference_min = 0.0
         self._rest: dict[str, Fading] = {}
         self._before: tuple[str, tuple[int, ...], FloatArray] | None = None
@@ -68,6 +70,7 @@ class SinceReference:
         self.absent = np.zeros(len(self._sensor_ids), dtype=np.bool_)
         self.excluded = {}
         self.of_model = None
+        self.positions_mm = {}
         self.found_wrong_um = self.wrong_in_tool_um = 0.0
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
@@ -81,6 +84,7 @@ class SinceReference:
         self.excluded = dict(kept.excluded)
         self.of_model = None if kept.of_model is None else dict(kept.of_model)
         self._rest = {name: self._fading(rest) for name, rest in kept.rest_um.items()}
+        self.positions_mm = kept.positions_mm
         self.found_wrong_um, self.wrong_in_tool_um = kept.found_wrong_um, kept.wrong_in_tool_um
         for label, places in self._labels.items():
             found = kept.labels.get(label)
@@ -194,6 +198,7 @@ class SinceReference:
             labels={label: self._label_origin(label, mean) for label, mean in self._means.items()},
             found_wrong_um=self.found_wrong_um,
             wrong_in_tool_um=self.wrong_in_tool_um,
+            positions_mm=self.positions_mm,
         )
         if sensors == self._told:
             return None

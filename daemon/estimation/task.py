@@ -128,7 +128,7 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
         self._positions = _open_positions(configuration)
-        self._past = HistoryBackfill(history.path, self._sensor_ids, clock, self._positions.names)
+        self._past = HistoryBackfill(history.path, self._sensor_ids, clock, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
@@ -192,9 +192,7 @@ class ThermalTask:
         reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
         self._since.take_up(reference, message.sensors)
-        if self._positions.names:
-            then = (reference.time.monotonic_s, self._speed.window_s)
-            self._positions.set_reference(self._taken_up_s, await asyncio.to_thread(self._past.positions_at, *then))
+        self._positions.take_up(self._since.positions_mm)
         if self._online is not None:
             await self._count_from_reference(self._online, reference, self._taken_up_s)
         self._reference = reference
@@ -331,7 +329,7 @@ class ThermalTask:
         self._online, self._next = self._next or self._online, None
         self._cleansing.trust_anew()
         self._since.begin(reference)
-        self._positions.set_reference(now.monotonic_s)
+        self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
         if self._online is not None:
             self._online.set_reference(reference, now.monotonic_s, inputs=self._positions.at_reference(degc))
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))

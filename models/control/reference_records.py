@@ -117,6 +117,8 @@ class SensorsSinceReference:
     """What those that were found wrong since were worth when they were found, all together [um]."""
     wrong_in_tool_um: float = 0.0
     """What they have made of the tool term at most [um]."""
+    positions_mm: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    """Where the axes stood at the reference, by name and what was read under it [mm]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -222,6 +222,93 @@ def test_a_restart_goes_on_from_where_the_axis_stood_at_the_reference(tmp_path: 
     asyncio.run(main())
 
 
+def test_an_axis_that_comes_to_the_work_and_then_stands_moves_nothing_after_the_reference(tmp_path: Path) -> None:
+    """The mean of the last minute held where it came from: the tool then moved by half of it while nothing did."""
+
+    async def play(bench: Axis) -> None:
+        for z_mm in (300.0, 350.0, 400.0, 400.0):
+            await bench.minutes(PERIOD_S / 60.0, z_mm)
+        await bench.rig.ask("r2")
+        for _ in range(12):
+            await bench.minutes(PERIOD_S / 60.0)
+            assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
+        await bench.minutes(2.0, 450.0)
+        assert bench.um == pytest.approx(UM_PER_MM * 50.0)
+
+    played(tmp_path, play)
+
+
+@pytest.mark.parametrize("polls", [2, 3, 30])
+def test_a_reference_soon_after_a_jump_counts_from_where_the_axis_is_or_says_that_it_does_not_know(
+    tmp_path: Path, polls: int
+) -> None:
+    async def play(bench: Axis) -> None:
+        for _ in range(polls):
+            bench.rig.clock.monotonic_s += 0.5
+            await bench.poll(370.0)
+        await bench.rig.ask("r2")
+        await bench.minutes(3.0)
+        if bench.latest.confidence == 0.0:
+            assert "not known at the reference: position the work again" in bench.latest.inhibit
+            await bench.rig.ask("r3")
+            await bench.minutes(3.0)
+        assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
+
+    played(tmp_path, play)
+
+
+async def after_a_restart(bench: Axis, **changes: Any) -> None:
+    """End the daemon; go on from the same reference, with the entry of the axis changed."""
+    (*_, reference) = bench.rig.references
+    taken_up = bench.rig.taken_up(reference)
+    await bench.rig.history.flushed()
+    bench.rig.configuration.cnc.axis_positions["Z_mm"] = AXIS.model_copy(update=changes)
+    bench.rig = bench.rig.restarted(with_position())
+    await bench.rig.task._take(taken_up)
+    await bench.minutes(2.0)
+
+
+def test_a_restart_counts_from_no_position_that_was_not_believed(tmp_path: Path) -> None:
+    """The store keeps what the control said: a slip in the minute before the reference came back with a restart."""
+
+    async def play(bench: Axis) -> None:
+        for z_mm in (9.8e3, 250.0):
+            bench.rig.clock.monotonic_s += 1.0
+            await bench.poll(z_mm)
+        bench.rig.clock.monotonic_s += 1.0
+        await bench.rig.ask("r2")
+        await bench.minutes(1.0)
+        await after_a_restart(bench)
+        assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
+
+    played(tmp_path, play)
+
+
+@pytest.mark.parametrize("changes", [{"axis": "X"}, {"number": 5}, {"unit": "inch"}])
+def test_a_restart_does_not_count_from_what_was_read_elsewhere(tmp_path: Path, changes: dict[str, Any]) -> None:
+    async def play(bench: Axis) -> None:
+        await after_a_restart(bench, **changes)
+        assert bench.latest.confidence == 0.0 and "position the work again" in bench.latest.inhibit
+        await bench.rig.ask("r2")
+        await bench.minutes(0.5)
+        assert bench.latest.confidence == 1.0
+
+    played(tmp_path, play)
+
+
+def test_recorded_positions_from_which_lags_are_rebuilt_are_judged_as_those_on_line(tmp_path: Path) -> None:
+    async def play(bench: Axis) -> None:
+        for z_mm in (250.0, 9.8e3, 250.0, 10.0, 250.0, 260.0):
+            bench.rig.clock.monotonic_s += 10.0
+            await bench.poll(z_mm)
+        await bench.rig.history.flushed()
+        now_s = bench.rig.clock.monotonic_s
+        (found,) = bench.rig.task._past.means(now_s - 59.5, now_s + 0.5, 60.0)
+        assert found[1][-1] == pytest.approx((250.0 * 3 + 260.0) / 4)
+
+    played(tmp_path, play)
+
+
 def test_positions_are_recorded_and_exported_under_their_names(tmp_path: Path) -> None:
     async def play(bench: Axis) -> None:
         await bench.minutes(1.0, 300.0)

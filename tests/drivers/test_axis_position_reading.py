@@ -29,7 +29,8 @@ def axis(**changes: Any) -> AxisPositionConfig:
 
 def test_an_axis_says_its_number_where_its_letter_does_not_and_its_travel_in_order() -> None:
     assert (axis().place, axis(axis="W", number=7).place) == (3, 7)
-    for wrong in ({"axis": "W"}, {"travel_mm": (500.0, 0.0)}, {"travel_mm": (0.0, math.inf)}):
+    turning = ({"axis": "C"}, {"axis": "B2", "number": 5})
+    for wrong in (*turning, {"axis": "W"}, {"travel_mm": (500.0, 0.0)}, {"travel_mm": (0.0, math.inf)}):
         with pytest.raises((KeyProblems, ValueError)):
             axis(**wrong)
 
