@@ -249,6 +249,12 @@ def babbles(connection: socket.socket) -> None:
     connection.close()
 
 
+def never_ends(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        while True:
+            connection.sendall(b"220-and then\r\n" * 1000)
+
+
 def hangs_up(connection: socket.socket) -> None:
     connection.close()
 
@@ -266,6 +272,14 @@ def test_a_server_that_does_not_answer_is_given_up_and_named(say, driver: str) -
         }[driver]
         said = refusal(config)
         assert said.startswith(f"sink {config.name}: ") and "check `" in said, said
+    finally:
+        peer.close()
+
+
+def test_an_answer_of_a_mail_server_that_does_not_end_is_not_kept() -> None:
+    peer = Peer(never_ends)
+    try:
+        assert "its answer does not end" in refusal(mail_sink(peer.port, timeout_s=60.0))
     finally:
         peer.close()
 

@@ -10,8 +10,9 @@ from fleet_kills import Killer, broker_kill, database_kill, dsn_of, plant_broker
 from postgresql import PASSWORD, Server, postgresql
 
 from daemon.cli import main
+from daemon.simulation import SimulationError
 from daemon.simulation.fleet.counting import count_rows
-from daemon.simulation.fleet.run import SINK, plan_of, route_of, simulate_fleet
+from daemon.simulation.fleet.run import SINK, broker_of, plan_of, route_of, simulate_fleet
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +75,16 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
 def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
     assert done.exit_code == 2 and said in done.output
+
+
+def test_the_brokers_password_comes_from_the_environment_and_is_never_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOOLPOINT_BROKER_PASSWORD", "quite secret 7")
+    broker = broker_of("mqtts://anna@broker.plant.example", tmp_path)
+    assert broker["user_name"] == "anna" and broker["password_file"].read_text("utf-8") == "quite secret 7"
+    assert broker["password_file"].stat().st_mode & 0o077 == 0
+    for url in ("http://anna:hush@broker", "mqtt://anna:hush@broker:hush"):
+        with pytest.raises(SimulationError, match=r"^--mqtt: ") as refused:
+            broker_of(url, tmp_path)
+        assert "hush@" not in str(refused.value)

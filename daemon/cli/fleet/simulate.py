@@ -14,11 +14,11 @@ from daemon.cli.common import POSITIVE, directory_option, json_option, option, s
 @option("--machines", type=click.IntRange(1, 1000), default=10, help="How many.")
 @option("--minutes", type=POSITIVE, default=10.0, help="Simulated minutes.")
 @option("--speed", type=POSITIVE, default=1.0, help="Simulated seconds per second.")
-@option("--postgres", "dsn", metavar="DSN", required=True, help="Database, such as postgresql://user:password@host/db.")
+@option("--postgres", "dsn", metavar="DSN", required=True, help="Database, such as postgresql://user@host/db.")
 @option(
     "--mqtt",
     metavar="URL",
-    help="Send over this broker, such as mqtt://user:password@host:1883, and store from there with `fleet store`.",
+    help="Send over this broker, such as mqtt://user@host:1883, and store from there with `fleet store`.",
 )
 @option("--period-s", type=POSITIVE, default=1.0, help="Time from one look of a sink for new rows to the next [s].")
 @directory_option
@@ -37,7 +37,7 @@ def simulate(
 
     Every machine has the published machine's 302 sensors and the physics of the simulated machine, with parameters of
     its own. Its rows end about now, or follow those that the database has of it. Exit status 1 when a row was lost or
-    doubled.
+    doubled. Passwords stand in the environment (PGPASSWORD, TOOLPOINT_BROKER_PASSWORD): all see a command line.
     """
     from daemon.simulation.fleet.run import plan_of, route_of, simulate_fleet
 

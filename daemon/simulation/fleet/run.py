@@ -32,6 +32,8 @@ from daemon.sinks.outbox import STREAMS, Outbox
 SINK = "plant"
 TOPIC = "toolpoint-simulated"
 """Apart from the topics of real machines."""
+BROKER_PASSWORD = "TOOLPOINT_BROKER_PASSWORD"
+"""Of the environment: what stands in a command line is seen by every account of the computer."""
 SENDERS = 2
 """Processes that send; each has its share of the machines."""
 ALL_TAKEN_WITHIN_S = 300.0
@@ -228,14 +230,15 @@ def broker_of(url: str, folder: Path) -> dict[str, Any]:
     try:
         port = parts.port
     except ValueError as error:
-        raise SimulationError(f"--mqtt {url}: {error}") from error
+        raise SimulationError(f"--mqtt: {error}") from None
     if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-        raise SimulationError(f"--mqtt {url}: give mqtt://host:port, or mqtts:// for TLS")
+        raise SimulationError("--mqtt: give mqtt://host:port, or mqtts:// for TLS")
     there: dict[str, Any] = {"host": parts.hostname, "port": port, "tls": parts.scheme == "mqtts", "topic": TOPIC}
     if parts.username is not None:
         there["user_name"] = unquote(parts.username)
-    if parts.password is not None:
-        there["password_file"] = _secret(folder / "mqtt-password", unquote(parts.password))
+    password = os.environ.get(BROKER_PASSWORD) if parts.password is None else unquote(parts.password)
+    if password is not None and parts.username is not None:
+        there["password_file"] = _secret(folder / "mqtt-password", password)
     return there
 
 

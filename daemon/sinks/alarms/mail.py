@@ -7,6 +7,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
+from typing import BinaryIO
 
 from config.schema.sinks import SinkConfig
 from daemon.sinks.alarms.message import Message
@@ -16,6 +17,8 @@ from daemon.sinks.contract import SinkError
 WHOLE_TIMES = 6
 """All of it may take so many times as long as one answer."""
 READY = 220
+MOST_BYTES = 1 << 16
+"""A server that says more than this is no mail server."""
 
 
 class MailMessenger:
@@ -56,7 +59,7 @@ class MailMessenger:
         context = None if config.encryption == "none" else tls_context(config.ca_certificate)
         with Connection(config.host, config.port, config.timeout_s, WHOLE_TIMES * config.timeout_s) as connection:
             own = connection.socket.getsockname()[0]
-            client = smtplib.SMTP(local_hostname=f"[IPv6:{own}]" if ":" in own else f"[{own}]")
+            client = _Client(local_hostname=f"[IPv6:{own}]" if ":" in own else f"[{own}]")
             client.sock = connection.socket
             if context is not None and config.encryption == "tls":
                 client.sock = connection.encrypt(context)
@@ -72,6 +75,35 @@ class MailMessenger:
             with suppress(OSError, smtplib.SMTPException):  # the message was taken
                 client.quit()
             return refused
+
+
+class _Client(smtplib.SMTP):
+    """A client that reads answers up to a length: lines of an answer may go on without end."""
+
+    def getreply(self) -> tuple[int, bytes]:
+        """Return code and words of an answer."""
+        if self.file is None:
+            self.file = _Answers(self.sock.makefile("rb"))  # type: ignore[union-attr] # it is connected
+        return super().getreply()
+
+
+class _Answers:
+    """What a server says, up to a length."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self._left = stream, MOST_BYTES
+
+    def readline(self, size: int) -> bytes:
+        """Return a line; raises OSError when the server said too much."""
+        line = self._stream.readline(size)
+        self._left -= len(line)
+        if self._left < 0:
+            raise OSError("its answer does not end")
+        return line
+
+    def close(self) -> None:
+        """Let go."""
+        self._stream.close()
 
 
 def _start_tls(client: smtplib.SMTP, connection: Connection, context: ssl.SSLContext) -> None:
