@@ -185,6 +185,7 @@ async def test_an_intent_that_a_crash_left_is_settled_at_the_start(tmp_path: Pat
     async with running(bench.rig):
         bench.rig.history.write_intent(None, ((MACROS.speed, 9400.0),), "spindle speed")
         await bench.rig.history.flushed()
+    async with running(bench.new_rig()):
         await bench.rig.turn()
         await bench.rig.history.flushed()
         with HistoryReader(bench.rig.configuration.history.path) as reader:
