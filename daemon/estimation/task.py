@@ -150,9 +150,12 @@ class ThermalTask:
 
     async def run(self) -> None:
         """Serve the inbox for ever."""
-        await self.recall()
-        if self._online is not None:
-            await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
+        try:
+            await self.recall()
+            if self._online is not None:
+                await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
+        except Exception:  # what the store does not give is unknown, which the estimates say
+            log.exception("thermal.defect")
         while True:
             item = await self.inbox.get()
             try:

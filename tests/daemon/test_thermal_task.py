@@ -1,6 +1,8 @@
 """The thermal task: cycles in, cleansed temperatures, references and estimates out."""
 
 import asyncio
+import contextlib
+import sqlite3
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from thermal_rig import Task, model
 
 from config.machines import shipped_file
 from daemon.history import HistoryReader
-from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
+from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
 from models.quality import Quality, Reason
@@ -352,3 +354,24 @@ async def test_what_a_sensor_was_imputed_with_holds_after_a_restart_when_it_has_
         assert again.estimates[-1].imputed == () and "one that is back may be" in again.estimates[-1].inhibit
     finally:
         again.history.close()
+
+
+async def test_a_store_that_cannot_be_read_at_the_start_ends_no_task(task):
+    """What is no damage in SQLite's own words once ended the daemon at every start, before the first cycle."""
+    await task.minutes(1)
+    await task.history.flushed()
+    with contextlib.closing(sqlite3.connect(task.history.path)) as store:
+        store.execute("ALTER TABLE temperature_cycles RENAME TO elsewhere")
+    with structlog.testing.capture_logs() as logs:
+        running = asyncio.create_task(task.task.run())
+        task.task.inbox.put_nowait(
+            ReferenceRequest(reference_id="r1", source="O1000 N100", program=1000, work_offset=54, power_on_count=7)
+        )
+        async with asyncio.timeout(30.0):
+            while not (running.done() or task.references):
+                await asyncio.sleep(0.01)
+    assert task.references and not running.done()
+    assert [entry["event"] for entry in logs].count("thermal.defect") == 1
+    running.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
