@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from fleet_kills import plant_broker
+from mosquitto import mosquitto
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
 
@@ -136,6 +138,41 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
         stop.set()
         store.join()
         broker.kill()
+
+
+def test_the_rights_that_the_guide_gives_keep_a_machine_from_writing_for_another(
+    server: Server, tmp_path: Path
+) -> None:
+    guide = (Path(__file__).parents[2] / "docs/how-to/run-a-plant.md").read_text("utf-8")
+    (rights,) = re.findall(r"```\n(user store\n.*?)```", guide, re.DOTALL)
+    (tmp_path / "acl").write_text(rights)
+    (tmp_path / "passwords").write_text(f"store:{PASSWORD}\nmill-7:own\n")
+    subprocess.run(["mosquitto_passwd", "-U", str(tmp_path / "passwords")], check=True)
+    for name in ("acl", "passwords"):
+        (tmp_path / name).chmod(0o600)
+    lines = ("allow_anonymous false", f"password_file {tmp_path / 'passwords'}", f"acl_file {tmp_path / 'acl'}")
+    stop = threading.Event()
+    with mosquitto(tmp_path, *lines) as port:
+        config = section(server, port, tmp_path, user_name="store", password_file=tmp_path / "password")
+        store = threading.Thread(target=PlantStore(config, stop).run)
+        store.start()
+        try:
+            found: list[tuple[str]] = []
+            deadline_s = time.monotonic() + PATIENCE_S
+            while not found and time.monotonic() < deadline_s:
+                for machine in ("mill 8", "mill 7"):
+                    payload, topic = json.dumps(EVENT | {"machine": machine}), f"toolpoint/{machine}/history/events"
+                    account = {"username": "mill-7", "password": "own"}
+                    single(topic, payload, qos=1, hostname="127.0.0.1", port=port, auth=account)
+                time.sleep(0.1)
+                if server.ask("SELECT to_regclass('toolpoint.events')")[0][0]:
+                    found = server.ask(
+                        "SELECT DISTINCT machine FROM toolpoint.events WHERE machine IN ('mill 7', 'mill 8')"
+                    )
+            assert found == [("mill 7",)]
+        finally:
+            stop.set()
+            store.join()
 
 
 def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:
