@@ -9,7 +9,7 @@ from daemon.sinks.sparkplug_payload import DataType, Metric, Value
 from models.quality import Quality
 from models.records import WriteOutcome
 
-UM, DEGC, RPM = "um", "degC", "rpm"
+UM, MM, DEGC, RPM = "um", "mm", "degC", "rpm"
 Found = tuple[str, DataType, Value | None, str]
 """Name, type, value, unit."""
 NUMBER, TEXT, FLAG, COUNT = DataType.DOUBLE, DataType.STRING, DataType.BOOLEAN, DataType.INT64
@@ -27,6 +27,7 @@ MAPPINGS = {
         ("applied_um", "Applied", UM),
     ),
     "displacements": (("um", "Displacement", UM),),
+    "cnc": (("positions_mm", "CNC/Position", MM),),
 }
 """Stream -> columns with a number per name, the folder of its metrics, unit."""
 SINGLE: Mapping[str, tuple[tuple[str, str, DataType, str], ...]] = {

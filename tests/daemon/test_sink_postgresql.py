@@ -28,7 +28,7 @@ from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.contract import SinkError
-from daemon.sinks.database import authorities
+from daemon.sinks.database import Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
 from daemon.sinks.postgresql import PostgresqlSink
 from daemon.sinks.postgresql_refusals import refusal
@@ -309,6 +309,28 @@ def test_a_server_that_is_full_of_connections_names_the_setting(server: Server) 
 )
 def test_a_server_that_starts_is_not_taken_for_one_without_the_database(said: str, advised: str) -> None:
     assert advised in refusal(psycopg.OperationalError(said), PostgresqlConfig(host="db"))
+
+
+def test_a_database_of_an_earlier_version_is_brought_up_to_date_and_keeps_its_rows(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, section_of_it = tmp_path / "h.sqlite", section(server, tmp_path).postgresql
+    assert section_of_it is not None
+    with monkeypatch.context() as earlier:
+        earlier.setattr("daemon.sinks.database.scripts", lambda: scripts()[:1])
+        database = Database(section_of_it, "database", "earlier")
+        database.open()
+        database.close()
+    server.ask(
+        "INSERT INTO toolpoint.cnc (machine, time, monotonic_ms, mode, run, alarm, program, sequence_number, "
+        "power_on_count, work_offset, tool_number, macros) "
+        "VALUES ('mill 6', '2026-01-31', 5, 'memory', 'started', false, 1, 2, 3, 54, 4, '{}') RETURNING 1"
+    )
+    fill(store, hours=0.5)
+    assert send(server, tmp_path, store).problem == ""
+    assert server.ask("SELECT version FROM toolpoint.schema_versions ORDER BY 1") == [(n,) for n, _ in scripts()]
+    found = server.ask("SELECT machine, count(*), count(positions_mm) FROM toolpoint.cnc GROUP BY 1 ORDER BY 1")
+    assert [row[0] for row in found] == ["mill 6", MACHINE] and found[0][1:] == (1, 0) and found[1][1] > 1
 
 
 def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:

@@ -171,6 +171,16 @@ def test_a_rejected_temperature_is_told_as_bad() -> None:
 # --- hosts, configuration ------------------------------------------------------------------
 
 
+def test_positions_of_axes_are_told_where_they_are_read() -> None:
+    stream = STREAMS["cnc"]
+    row = dict.fromkeys(stream.columns, 1) | {"positions_mm": '{"X": 12.5}'}
+    found = {each.name: each for each in row_metrics(stream, tuple(row.values()))}
+    position = found["CNC/Position/X"]
+    assert (position.value, position.utc_ms, position.properties) == (12.5, 1, {"engUnit": "mm"})
+    row["positions_mm"] = None
+    assert not [each for each in row_metrics(stream, tuple(row.values())) if "Position" in each.name]
+
+
 def test_an_older_word_of_the_primary_host_counts_for_nothing() -> None:
     host = PrimaryHost("scada")
     assert host.topic == "spBv1.0/STATE/scada" and not host.online
