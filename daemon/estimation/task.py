@@ -238,7 +238,8 @@ class ThermalTask:
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
-        if self._next is not None and _may_go_over(self.latest_estimate, renewed, self._cleansing):
+        known = (self.latest_estimate, renewed, self._cleansing, self._positions)
+        if self._next is not None and _may_go_over(self._next.model, *known):
             self._online, self._next = self._next, None
             renewed = self._estimate(temperatures)
         if renewed is not None:
@@ -375,7 +376,11 @@ async def _turns(count: int) -> None:
 
 
 def _may_go_over(
-    before: ThermalErrorEstimate | None, renewed: ThermalErrorEstimate | None, cleansing: Cleansing
+    to: ThermalModel,
+    before: ThermalErrorEstimate | None,
+    renewed: ThermalErrorEstimate | None,
+    cleansing: Cleansing,
+    positions: NoPositions,
 ) -> bool:
     """Whether another model may go on from this estimate; the difference of the two stays with the reference."""
     if before is None or renewed is None:
@@ -383,6 +388,7 @@ def _may_go_over(
     gap_s = renewed.trace.first_byte.monotonic_s - before.trace.first_byte.monotonic_s
     same = (before.reference_id, before.imputed) == (renewed.reference_id, renewed.imputed)
     trusted = renewed.in_domain and renewed.confidence >= cleansing.least
+    trusted = trusted and positions.trust(to, renewed.trace.first_byte.monotonic_s, ())[0] >= cleansing.least
     whole = renewed.held_s == 0.0 and renewed.fading_um <= UNSURE_UM / 2
     return same and trusted and whole and gap_s <= cleansing.window_s / 2
 

@@ -296,6 +296,30 @@ def test_a_restart_does_not_count_from_what_was_read_elsewhere(tmp_path: Path, c
     played(tmp_path, play)
 
 
+@pytest.mark.parametrize("at_reference", [True, False])
+def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
+    tmp_path: Path, at_reference: bool
+) -> None:
+    """It once took over with none, and the output went by all that the axis had moved when the position came back."""
+    lost = float("nan")
+
+    async def play(bench: Axis) -> None:
+        if not at_reference:
+            await bench.minutes(1.0, lost)
+            await bench.rig.ask("r2")
+        await bench.minutes(1.0, lost)
+        await bench.rig.task._take(with_position())
+        await bench.minutes(1.0)
+        assert bench.latest.model_id == "without" and bench.latest.confidence == 1.0
+        await bench.minutes(1.0, 300.0)
+        assert bench.latest.model_id == ("made-up" if at_reference else "without")
+        await bench.rig.ask("r3")
+        await bench.minutes(1.0)
+        assert bench.latest.model_id == "made-up" and bench.latest.confidence == 1.0
+
+    played(tmp_path, play, model(model_id="without"))
+
+
 def test_recorded_positions_from_which_lags_are_rebuilt_are_judged_as_those_on_line(tmp_path: Path) -> None:
     async def play(bench: Axis) -> None:
         for z_mm in (250.0, 9.8e3, 250.0, 10.0, 250.0, 260.0):
