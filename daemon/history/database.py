@@ -130,6 +130,8 @@ def _is_of_the_disk(error: sqlite3.OperationalError) -> bool:
 def _unreadable(path: Path, error: sqlite3.DatabaseError) -> HistoryError:
     if isinstance(error, sqlite3.OperationalError) and _is_of_the_disk(error):
         return HistoryError(f"{path}: cannot be read ({error}): free space on its disk, or look at the kernel's log")
+    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
+        return HistoryError(f"{path}: cannot be read ({error}): another program holds it, try again when it has ended")
     return HistoryError(
         f"{path}: cannot be read ({error}); reading beside the daemon needs read and write permission "
         "on the -shm file beside the store: join the store's group"

@@ -14,7 +14,7 @@ import pytest
 from history_records import EPOCH_S, FULL, SMALL, StillClock
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryError, HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryError, HistoryReader, HistoryWriter, database, housekeeping
 from daemon.history.database import connect_reader
 from daemon.history.series import NOT_IN_CYCLE
 from models.quality import Quality, Reason
@@ -377,3 +377,17 @@ def test_flipped_bits_in_a_kept_document_are_a_sentence_too(tmp_path: Path, befo
     path.write_bytes(content.replace(before, after))
     with pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"):
         HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL).get_state("wanted")
+
+
+def test_a_store_that_another_program_holds_for_itself_is_said_to_be_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A start on a full disk does so; it was said to be a matter of rights."""
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.05)
+    path = tmp_path / "history.sqlite"
+    database.connect_writer(path).close()
+    with closing(database._open_with_index_in_memory(path)):
+        for also_on_full_disk in (False, True):
+            with pytest.raises(HistoryError, match=r"locked\): another program holds it, try again"):
+                database.connect_reader(path, also_on_full_disk=also_on_full_disk)
+    database.connect_reader(path).close()
