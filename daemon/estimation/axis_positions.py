@@ -7,6 +7,7 @@ import numpy as np
 from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
 from daemon.messages import SpindleSpeed
+from drivers.contract import MM_PER_INCH
 from models.align import RollingMean
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
@@ -16,6 +17,8 @@ SLACK_MM = 1.0
 """A position may lie outside its travel, or farther than the axis can have come, by so much."""
 AGREEING = 2
 """So many values in a row that an axis cannot have reached are no slip of one value: the positions have changed."""
+SAME_MM = 0.002
+"""A position that is so nearly the one before in the other unit has not moved: the control's unit has changed."""
 FADES_OVER = 0.1
 """Beyond the positions of training confidence fades to 0 within this share of their range."""
 
@@ -64,13 +67,19 @@ class AxisPositions(NoPositions):
             )
         reach_mm = SLACK_MM + axis.rapid_mm_per_min / 60.0 * max(now_s - self._last_s[place], 0.0)
         moved_mm = abs(mm - self._last_mm[place])
-        if np.isnan(moved_mm) or moved_mm <= reach_mm:
+        per_unit = MM_PER_INCH if axis.unit == "mm" else 1.0 / MM_PER_INCH
+        other_unit = moved_mm > SLACK_MM and abs(mm * per_unit - self._last_mm[place]) <= SAME_MM
+        if np.isnan(moved_mm) or (moved_mm <= reach_mm and not other_unit):
             self._unreachable[place] = 0
             return ""
         self._unreachable[place] += 1
         why = f"it went from {self._last_mm[place]:.6g} to {mm:.6g} mm faster than the axis can"
+        if other_unit:
+            why = f"it went from {self._last_mm[place]:.6g} to {mm:.6g} mm, which is the same in another unit"
         if self._unreachable[place] >= AGREEING:
-            self._jumped[name] = f"{why}: see that the axis was referenced, then position the work again"
+            self._jumped[name] = (
+                f"{why}: see that the axis was referenced and its unit is right, then position the work again"
+            )
         return why
 
     def believed(self, name: str, time_s: FloatArray, mm: FloatArray) -> FloatArray:

@@ -171,6 +171,22 @@ def test_one_value_that_the_axis_cannot_have_reached_is_dropped_and_two_hold_unt
     played(tmp_path, play)
 
 
+def test_a_control_that_begins_to_count_in_inches_inside_the_travel_moves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fast axis can come from 250 to 9.84 mm between two polls; it stood, and the tool went by 5 um."""
+    monkeypatch.setitem(globals(), "AXIS", AXIS.model_copy(update={"rapid_mm_per_min": 3e4}))
+
+    async def play(bench: Axis) -> None:
+        await bench.minutes(2.0, 9.8425)
+        assert bench.um == pytest.approx(0.0, abs=1e-9) or bench.latest.confidence == 0.0
+        await bench.minutes(2.0, 8.0)
+        assert bench.latest.confidence == 0.0 and "the same in another unit" in bench.latest.inhibit
+        assert "its unit is right" in bench.rig.task.inhibit()
+
+    played(tmp_path, play)
+
+
 @pytest.mark.parametrize("of_increments", [False, True])
 def test_beyond_the_positions_of_training_confidence_fades_and_then_nothing_is_followed(
     tmp_path: Path, of_increments: bool
