@@ -91,9 +91,10 @@ async def test_the_old_file_is_finished_before_the_newest(tmp_path: Path) -> Non
     append(tmp_path / "a.csv", HEADER + row(0))
     async with Follower(config(tmp_path / "*.csv")) as follower:
         await follower.until(1)
-        append(tmp_path / "b.csv", HEADER + row(2))
+        append(tmp_path / "b.new", HEADER + row(2))
+        os.utime(tmp_path / "b.new", (time.time() + 5, time.time() + 5))
         append(tmp_path / "a.csv", row(1))
-        os.utime(tmp_path / "b.csv", (time.time() + 5, time.time() + 5))
+        (tmp_path / "b.new").rename(tmp_path / "b.csv")
         await follower.until(3)
         append(tmp_path / "b.csv", row(3))
         await follower.until(4)
